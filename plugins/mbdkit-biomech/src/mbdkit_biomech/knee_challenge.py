@@ -97,13 +97,7 @@ def spec_of(markers: Path, **sections: Any) -> dict[str, Any]:
 
 
 def file_of(folder: Path, name: str) -> Path:
-    """Return the file of a name in a folder or below it.
-
-    Raises
-    ------
-    SpecError
-        If there is no such file.
-    """
+    """Return the file of a name in a folder or below it; raise SpecError if there is none."""
     if not folder.is_dir():
         raise SpecError(f"{folder} is not a folder; give a copy of github.com/AnyBody/knee-grand-challenge-4th")
     found = sorted(path for path in folder.rglob(name) if path.is_file())
@@ -116,12 +110,8 @@ def file_of(folder: Path, name: str) -> Path:
 
 
 def measured_of(file: Path, markers: Path) -> dict[str, np.ndarray]:
-    """Return the columns of a table of forces, (T,) each: ``force`` [N], ``GON`` [deg] and ``GRFz`` [N].
-
-    Raises
-    ------
-    SpecError
-        If a column is missing, or the rows are not the frames of the C3D file.
+    """Return the columns of a table of forces, (T,) each: ``force`` [N], ``GON`` [deg] and ``GRFz`` [N]; raise
+    SpecError if one is missing, or the rows are not the frames of the C3D file.
     """
     try:
         lines = [line.strip().rstrip(",") for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
@@ -135,8 +125,8 @@ def measured_of(file: Path, markers: Path) -> dict[str, np.ndarray]:
     table = read_table(markers, "motion.file")
     if len(rows) != len(table.cells):
         raise SpecError(f"has {len(rows)} rows, but {markers.name} has {len(table.cells)} frames", file=file)
-    vertical = [column for column, heading in enumerate(table.headings) if heading.endswith(".force.z")]
-    forces = [np.abs(np.array([row[column] for row in table.cells], dtype=float)) for column in vertical]
+    vertical = (name for name in table.headings if name.endswith(".force.z"))
+    forces = (np.abs(table.column(name, "motion.file")) for name in vertical)
     mismatches = [float(np.sqrt(np.mean((one - found["GRFz"]) ** 2))) for one in forces]
     if not min(mismatches, default=np.inf) < LARGEST_MISMATCH:
         raise SpecError(f"its rows are not the frames of {markers.name}: GRFz is the force of no plate", file=file)
@@ -144,13 +134,7 @@ def measured_of(file: Path, markers: Path) -> dict[str, np.ndarray]:
 
 
 def phases_of(person: Person) -> list[Phase]:
-    """Return the stances of the right foot, and the swings between them.
-
-    Raises
-    ------
-    SpecError
-        If the right foot is on no plate.
-    """
+    """Return the stances of the right foot, and the swings between them; raise SpecError if it is on no plate."""
     own = sorted((one for one in person.plates.contacts if one.body == "foot"), key=lambda one: one.first)
     if not own:
         raise SpecError("the right foot stands on no force plate in this trial")
@@ -227,10 +211,8 @@ def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run
     lines += ["", f"{'peak':<22}{'measured [N]':>13}{'computed [N]':>13}{'bar [N]':>9}{'bar [BW]':>10}  inside"]
     sources = []
     for stance in (one for one in phases if one.name.startswith("stance")):
-        middle = (stance.first + stance.end) // 2 - start
-        first, end = stance.first - start, stance.end - start
-        halves = {"first": slice(first, middle), "second": slice(middle, end)}
-        for name, half in halves.items():
+        first, middle, end = (frame - start for frame in (stance.first, (stance.first + stance.end) // 2, stance.end))
+        for name, half in {"first": slice(first, middle), "second": slice(middle, end)}.items():
             part, label = force.rows(half), f"{stance.name}, {name}"
             at = int(np.argmax(part.computed))
             inside = abs(np.max(part.measured) - part.computed[at]) <= part.bar[at]
@@ -277,13 +259,10 @@ def compare(folder: Path, trial: str = TRIAL, *, archive: Path | None = None, **
         late = 0.0 if person.plates.offset is None else person.plates.offset.corrected  # cells are as late as plates
         measured = {name: later(person.time, values, late)[own] for name, values in measured.items()}
         force, angle = compared(run, measured, rows)
-        summary = [
-            f"{trial}: {own.stop - own.start} frames from {run.time[rows][0]:.3f} to {run.time[rows][-1]:.3f} s",
-            "",
-        ]
-        summary += [f"{label:<12} {text}" for label, text in person.lines().items()]
+        span = f"from {run.time[rows][0]:.3f} to {run.time[rows][-1]:.3f} s"
+        summary = [f"{label:<12} {text}" for label, text in person.lines().items()]
         lines = report_of(phases, force, angle, run, rows)
-    return [*summary, "", *lines]
+    return [f"{trial}: {own.stop - own.start} frames {span}", "", *summary, "", *lines]
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass
 from types import MethodType
 
 import numpy as np
@@ -13,30 +12,14 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import least_norms, products
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.runs.assembled_mechanism import AssembledMechanism, GivenMechanism
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 
 DEPENDENT = 1e-6
 """A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it."""
-
-
-@dataclass(frozen=True)
-class _Geometry:
-    """The mechanism of a run without forces, on which moment arms do not depend."""
-
-    whole: Mechanism
-
-    def mechanism(self) -> Mechanism:
-        geometry = copy(self.whole)
-        geometry.forces = {}
-        return geometry
-
-    def placed(self, error: SpecError) -> SpecError:
-        return error
 
 
 def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
@@ -72,7 +55,9 @@ def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
     time = np.asarray(run.time)
     q = np.asarray(run.array("trajectory/position")).reshape(len(time), -1)
     path = MusclePath(muscle, names.mechanism.muscles[muscle], names).at(time, q)
-    manifold = Manifold(AssembledMechanism.at(_Geometry(run.mechanism), float(time[0]), float(time[-1])))
+    geometry = copy(run.mechanism)
+    geometry.forces = {}  # moment arms do not depend on them
+    manifold = Manifold(AssembledMechanism.at(GivenMechanism(geometry), float(time[0]), float(time[-1])))
     free = manifold.directions(manifold.frames(time, q).jacobian).free * manifold.scale[:, None]
     joints = [names.joint(name, "coordinate") for name in names.mechanism.joints]
     rates = products(Quantities([own, *joints, *names.candidates().values()]).jacobian(q), free)

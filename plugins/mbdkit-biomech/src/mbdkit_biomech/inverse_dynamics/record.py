@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from functools import partial
@@ -16,6 +15,7 @@ from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base.plain_data import json_text
 from mbdkit.measures.take import take_all
 from mbdkit.plugin import archive_names, kind_of_group, with_members
 from mbdkit.quantities.names import ArchiveNames
@@ -108,7 +108,7 @@ def _provenance(result: Inverse) -> dict[str, str | int | float]:
     fitted = result.fitted
     gaps = {} if fitted.placed is None else {"placed_gaps": fitted.placed.to_json(fitted.measured.names)}
     person = result.problem.source.person
-    own = {} if person is None else {"person": json.dumps(person.to_dict()), **person.lines()}
+    own = {} if person is None else {"person": json_text(person.to_dict()), **person.lines()}
     return model_provenance(result.problem.spec) | result.problem.unused.notes | gaps | own
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -20,11 +20,11 @@ from mbdkit_biomech.persons.joint_centers import (
     landmark_center,
     turn_of,
 )
-from mbdkit_biomech.persons.landmarks import LEFT, Side, landmark, side_of
+from mbdkit_biomech.persons.landmarks import LEFT, SIDES, Side, landmark, side_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 from mbdkit_biomech.persons.person_sections import Center, Midpoint
-from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, rate_of
+from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, poses_of, rate_of
 
 LEAST_TURN = np.radians(20.0)
 """A calibration trial is used for a functional centre if the joint turns by at least this angle in it [rad]."""
@@ -34,6 +34,10 @@ STILL, LEAST_FRAMES = 0.05, 5
 
 LEAST_ROWS = 10
 """Least number of rows of a motion."""
+
+
+ENDS = {"thigh": ("hip", "knee"), "shank": ("knee", "ankle")}
+"""Joints at the ends of the segments whose lengths are measured."""
 
 
 def legs_of(count: int) -> tuple[str, ...]:
@@ -59,21 +63,13 @@ class Trial:
     @classmethod
     def of(cls, file: MarkerFile, clusters: Mapping[str, Cluster]) -> Trial:
         """Return the trial of a file."""
-        poses = {body: one.poses(file.markers(one.names, f"motion.clusters.{body}")) for body, one in clusters.items()}
+        markers = {body: file.markers(one.names, f"motion.clusters.{body}") for body, one in clusters.items()}
+        poses = {body: poses_of(clusters[body].template, own) for body, own in markers.items()}
         return cls(file, poses, {body: Artefact.of(own) for body, own in poses.items()})
 
     def still(self) -> np.ndarray:
-        """Return the frames in which the person stands still.
-
-        Raises
-        ------
-        SpecError
-            If there are too few.
-        """
-        speeds = []
-        for own in self.poses.values():
-            velocity = rate_of(own.position, self.file.time)
-            speeds.append(np.sqrt(np.sum(velocity * velocity, axis=1)))
+        """Return the frames in which the person stands still; raise SpecError if there are too few."""
+        speeds = [np.linalg.norm(rate_of(own.position, self.file.time), axis=1) for own in self.poses.values()]
         frames = np.flatnonzero(np.max(speeds, axis=0) < STILL)
         if len(frames) < LEAST_FRAMES:
             raise SpecError(
@@ -86,36 +82,24 @@ class Trial:
 
 @dataclass(frozen=True)
 class Segments:
-    """The segments of a person in a motion, and in a calibration trial if there is one.
-
-    Attributes
-    ----------
-    legs
-        Suffixes of the names of the legs.
-    clusters
-        Clusters by body.
-    motion, static
-        The trials.
-    reference
-        The first frame of the motion in which all segments are seen.
-    """
+    """The segments of a person in a motion, and in a calibration trial if there is one."""
 
     legs: tuple[str, ...]
+    """Suffixes of the names of the legs."""
     clusters: Mapping[str, Cluster]
+    """Clusters by body."""
     motion: Trial
     static: Trial | None
+    """The trials."""
     reference: int
+    """The first frame of the motion in which all segments are seen."""
 
     @classmethod
     def of(
         cls, asked: Mapping[str, list[str]] | None, legs: tuple[str, ...], motion: MarkerFile, static: MarkerFile | None
     ) -> Segments:
-        """Find the segments of a person.
-
-        Raises
-        ------
-        SpecError
-            If a segment has no cluster, a marker is missing, or a cluster has no pose.
+        """Find the segments of a person; raise SpecError if a segment has no cluster, a marker is missing, or a cluster
+        has no pose.
         """
         if len(motion.time) < LEAST_ROWS:
             raise SpecError(f"has {len(motion.time)} rows, but a person needs {LEAST_ROWS}", key="motion.file")
@@ -130,9 +114,8 @@ class Segments:
         for body in asked:
             if body not in bodies:
                 hint = did_you_mean(body, bodies) or f"; segments: {listed(bodies)}"
-                what = (
-                    "is for a second leg: add `legs: 2` to the model" if body.endswith(LEFT) else f"is no segment{hint}"
-                )
+                second = "is for a second leg: add `legs: 2` to the model"
+                what = second if body.endswith(LEFT) else f"is no segment{hint}"
                 raise SpecError(what, key=f"motion.clusters.{quoted(body)}")
         clusters = {}
         for body in bodies:
@@ -161,9 +144,9 @@ class Segments:
             return "l" if leg else "r"
         return side_of(self.clusters[f"thigh{leg}"].names)
 
-    def pair(self, joint: str, bodies: tuple[str, str], trial: Trial, plane: MotionPlane) -> Pair:
+    def pair(self, joint: str, trial: Trial, plane: MotionPlane) -> Pair:
         """Return both segments of a joint in a trial."""
-        a, b = bodies
+        a, b = self.joints[joint]
         return Pair(
             joint,
             (self.clusters[a], self.clusters[b]),
@@ -181,32 +164,22 @@ class Segments:
         return None
 
     def centers(self, asked: Mapping[str, Center], plane: MotionPlane) -> dict[str, JointCenter]:
-        """Return the joint centres by joint.
+        """Return the joint centres by joint; raise SpecError with the reason if a centre is not determined."""
+        require_joints(asked, self.joints, "motion.centers")
+        return {joint: self._center(joint, asked.get(joint), plane) for joint in self.joints}
 
-        Raises
-        ------
-        SpecError
-            If a centre is not determined; the error states the reason.
-        """
-        for joint in asked:
-            if joint not in self.joints:
-                hint = did_you_mean(joint, list(self.joints)) or f"; joints: {listed(list(self.joints))}"
-                raise SpecError(f"is no joint of the person{hint}", key=f"motion.centers.{quoted(joint)}")
-        return {joint: self._center(joint, bodies, asked.get(joint), plane) for joint, bodies in self.joints.items()}
-
-    def _center(self, joint: str, bodies: tuple[str, str], method: Center | None, plane: MotionPlane) -> JointCenter:
+    def _center(self, joint: str, method: Center | None, plane: MotionPlane) -> JointCenter:
         kind, key = joint.removesuffix(LEFT), f"motion.centers.{joint}"
         side = self.side(LEFT if joint.endswith(LEFT) else "")
         pelvis = self._pelvis() if kind == "hip" else None
         sides = [] if kind == "hip" else [self.named(f"{kind}.{one}", side) for one in ("medial", "lateral")]
         names = method.midpoint if isinstance(method, Midpoint) else [one[1] for one in sides if one is not None]
-        trial = self.motion
-        if self.static is not None:
-            own = self.pair(joint, bodies, self.static, plane)
-            trial = self.static if turn_of(*own.known()) >= LEAST_TURN else self.motion
-        moving = self.pair(joint, bodies, trial, plane)
+        for trial in self.trials():
+            moving = self.pair(joint, trial, plane)
+            if turn_of(*moving.known()) >= LEAST_TURN:
+                break
         if method is None and (pelvis or len(names) == 2):
-            other = self._center(joint, bodies, "hip-regression" if pelvis else "static", plane)
+            other = self._center(joint, "hip-regression" if pelvis else "static", plane)
             try:
                 return functional_center(moving, other)
             except SpecError:  # the motion does not determine it
@@ -223,7 +196,7 @@ class Segments:
                     "them like this",
                     key=key,
                 )
-            return hip_center(self.pair(joint, bodies, self.motion, plane), pelvis, side)
+            return hip_center(self.pair(joint, self.motion, plane), pelvis, side)
         if len(names) < 2:
             raise SpecError(
                 "needs a marker on the medial and on the lateral side of the joint whose names say so, such as "
@@ -233,20 +206,19 @@ class Segments:
             )
         trial = next((one for one in self.trials() if all(map(one.file.has, names))), self.motion)
         points = [trial.file.marker(name, key) for name in names]
-        told = "static" if method == "static" else "midpoint"
-        return landmark_center(self.pair(joint, bodies, trial, plane), told, (points[0] + points[1]) / 2)
+        name = "static" if method == "static" else "midpoint"
+        return landmark_center(self.pair(joint, trial, plane), name, (points[0] + points[1]) / 2)
 
-    def _pelvis(self) -> dict[str, np.ndarray] | None:
-        """Return the landmarks of the pelvis in the frame of its cluster; None if some are missing."""
-        found = {"right": self.named("asis", "r"), "left": self.named("asis", "l")}
-        back = [one for one in (self.named("psis", "r"), self.named("psis", "l")) if one is not None]
-        sacrum = self.named("sacrum", None)
-        back = back if len(back) == 2 else [] if sacrum is None else [sacrum]
-        if not back or None in found.values():
+    def _pelvis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Return the landmarks of `hip_center`; None if some are missing."""
+        right, left, *back = (self.named(kind, side) for kind in ("asis", "psis") for side in SIDES)
+        if None in back:
+            back = [self.named("sacrum", None)]
+        named = [one for one in (right, left, *back) if one is not None]
+        if len(named) < 2 + len(back):
             return None
-        landmarks = {name: self._inside(one) for name, one in found.items() if one is not None}
-        points = [self._inside(one) for one in back]
-        return landmarks | {"back": sum(points[1:], start=points[0]) / len(points)}
+        points = [self._inside(one) for one in named]
+        return points[0], points[1], np.mean(points[2:], axis=0)
 
     def _inside(self, landmark: tuple[Trial, str]) -> np.ndarray:
         """Return a landmark of the pelvis in the frame of its cluster."""
@@ -256,6 +228,14 @@ class Segments:
             raise SpecError(f"in no frame is {shown(name)} seen together with three markers of the trunk",
                             key="motion.clusters.trunk")  # fmt: skip
         return np.asarray(np.nanmean(own, axis=0))
+
+
+def require_joints(asked: Iterable[str], joints: Collection[str], key: str) -> None:
+    """Raise SpecError if names below a key of the spec are not among the joints of a person."""
+    for joint in asked:
+        if joint not in joints:
+            hint = did_you_mean(joint, joints) or f"; joints: {listed(joints)}"
+            raise SpecError(f"is no joint of the person{hint}", key=f"{key}.{quoted(joint)}")
 
 
 def angle_of(direction: np.ndarray) -> np.ndarray:

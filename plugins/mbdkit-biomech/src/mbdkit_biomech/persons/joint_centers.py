@@ -21,14 +21,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvectors
-from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, apply, transposed
+from mbdkit_biomech.persons.landmarks import Side
+from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses
 
 MOST_FRAMES = 300
 """Largest number of frames, evenly spaced, in a functional calibration."""
@@ -72,54 +72,37 @@ which leaves no residual. Such motions are the largest of the thigh in walking (
 assumption."""
 
 
-class Fit(NamedTuple):
-    """How the points of two segments stay together in a calibration.
-
-    Attributes
-    ----------
-    residual
-        Root mean square distance of both points [m].
-    slip
-        Standard deviations along each axis by which the skin moves all markers of each segment together at the joint
-        [m]. They explain the part of the residual that the motion of the markers relative to each other does not.
-        `TOGETHER` divides the residual among both segments.
-    weights
-        Weights of both points in the position of the centre, by their variances; their sum is 1.
-    """
+@dataclass(frozen=True)
+class Fit:
+    """How the points of two segments stay together in a calibration."""
 
     residual: float
+    """Root mean square distance of both points [m]."""
     slip: tuple[float, float]
+    """Standard deviations along each axis by which the skin moves all markers of each segment together at the joint
+    [m]. They explain the part of the residual that the motion of the markers relative to each other does not.
+    `TOGETHER` divides the residual among both segments."""
     weights: tuple[float, float]
+    """Weights of both points in the position of the centre, by their variances; their sum is 1."""
 
 
 @dataclass(frozen=True)
 class JointCenter:
-    """The centre of a joint between a proximal and a distal segment.
-
-    Attributes
-    ----------
-    method
-        ``functional``, ``hip-regression``, ``midpoint``, ``static``, or ``combined`` of the first and another one.
-    proximal, distal
-        (3,) the centre in the frames of the clusters of both segments [m].
-    covariance
-        (3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
-        the reference frame of the person [m^2].
-    fit
-        How both points stay together.
-    turn
-        Range of the angle between both segments in these frames [rad].
-    misfit
-        Root mean square difference of two combined centres, relative to what their covariances explain; 0 for others.
-    """
+    """The centre of a joint between a proximal and a distal segment."""
 
     method: str
+    """``functional``, ``hip-regression``, ``midpoint``, ``static``, or ``combined`` of the first and another one."""
     proximal: np.ndarray
     distal: np.ndarray
+    """(3,) the centre in the frames of the clusters of both segments [m]."""
     covariance: np.ndarray
+    """(3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
+    the reference frame of the person [m^2]."""
     fit: Fit
     turn: float
+    """Range of the angle between both segments in these frames [rad]."""
     misfit: float = 0.0
+    """Root mean square difference of two combined centres, relative to what their covariances explain; 0 for others."""
 
     @property
     def deviation(self) -> tuple[float, float]:
@@ -135,28 +118,18 @@ class JointCenter:
 
 @dataclass(frozen=True)
 class Pair:
-    """Both segments of a joint in the frames of a calibration, and the axes of the plane of motion.
-
-    Attributes
-    ----------
-    joint
-        Name of the joint.
-    clusters, artefacts
-        Clusters of the proximal and the distal segment, and their artefacts.
-    poses
-        Their poses in the frames of the calibration.
-    reference
-        Their rotations (3, 3) in the reference frame of the person.
-    axes
-        (3, 3) rows: directions forward, up and right in the laboratory.
-    """
+    """Both segments of a joint in the frames of a calibration, and the axes of the plane of motion."""
 
     joint: str
     clusters: tuple[Cluster, Cluster]
     artefacts: tuple[Artefact, Artefact]
+    """Clusters of the proximal and the distal segment, and their artefacts."""
     poses: tuple[Poses, Poses]
+    """Their poses in the frames of the calibration."""
     reference: tuple[np.ndarray, np.ndarray]
+    """Their rotations (3, 3) in the reference frame of the person."""
     axes: np.ndarray
+    """(3, 3) rows: directions forward, up and right in the laboratory."""
 
     @property
     def key(self) -> str:
@@ -193,7 +166,7 @@ class Pair:
 
 def turn_of(first: Poses, second: Poses) -> float:
     """Return the largest angle [rad] between the relative orientations of two segments in any frame and the first."""
-    relative = _product(transposed(first.rotation), second.rotation)
+    relative = product(first.rotation.mT, second.rotation[:, None])
     trace = np.sum(relative * relative[0], axis=(1, 2))
     return float(np.max(elementary.acos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))))
 
@@ -221,15 +194,16 @@ def functional_center(pair: Pair, other: JointCenter | None = None) -> JointCent
     turn = float(np.degrees(radians))
     middle = (np.mean(first.position, axis=0) + np.mean(second.position, axis=0)) / 2
     weight = EXPECTED * EXPECTED / (ACROSS * ACROSS) * len(right)
-    normal = np.sum(transposed(matrix)[:, :, None, :] * transposed(matrix)[:, None, :, :], axis=(0, 3))
-    vector = np.sum(transposed(matrix) * right[:, None, :], axis=(0, 2))
+    columns = matrix.mT
+    normal = np.sum(columns[:, :, None, :] * columns[:, None, :, :], axis=(0, 3))
+    vector = np.sum(columns * right[:, None, :], axis=(0, 2))
     across = np.zeros(6)
     for number, poses in enumerate((first, second)):
         part = slice(3 * number, 3 * number + 3)
         square = pair.artefacts[number].deviation * pair.artefacts[number].deviation
         normal[part, part] -= len(right) * square * pair.clusters[number].lever_matrix
         row = np.zeros(6)
-        row[part] = np.mean(apply(transposed(poses.rotation), side), axis=0)
+        row[part] = np.mean(product(poses.rotation.mT, side), axis=0)
         normal, across = normal + weight * row[:, None] * row, across + weight * ACROSS * row
         vector = vector + weight * row * float(np.mean(np.sum(side * (middle - poses.position), axis=1)))
     if not symmetric_eigenvectors(normal)[0][0] > 0:
@@ -251,7 +225,7 @@ def functional_center(pair: Pair, other: JointCenter | None = None) -> JointCent
     for number, (cluster, artefact) in enumerate(zip(pair.clusters, pair.artefacts, strict=True)):
         own = artefact.deviation * artefact.deviation * cluster.covariance(points[number])
         rotation = (first, second)[number].rotation
-        spread = spread + _spread(_product(transposed(rotation), matrix), own, artefact.correlation[::step])
+        spread = spread + _spread(product(rotation.mT, matrix[:, None]), own, artefact.correlation[::step])
         expected += float(np.trace(own))
     birge = max(1.0, residual * residual / expected)
     covariance = product(product(inverse, birge * spread + across[:, None] * across), inverse)
@@ -294,11 +268,6 @@ def _turn_together(pair: Pair, turn: float, deviation: float) -> SpecError:
     )
 
 
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return products (T, I, J) of matrices (T, I, K) and (T, K, J)."""
-    return np.asarray(np.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2))
-
-
 def _spread(matrix: np.ndarray, covariance: np.ndarray, correlation: np.ndarray) -> np.ndarray:
     """Return the covariance (6, 6) of the sum over frames of ``matrix^T error``.
 
@@ -313,7 +282,7 @@ def _spread(matrix: np.ndarray, covariance: np.ndarray, correlation: np.ndarray)
     """
     frames = len(matrix)
     found = np.zeros((6, 6))
-    weighted = _product(np.broadcast_to(covariance, (frames, 3, 3)), matrix)
+    weighted = product(covariance, matrix[:, None])
     for lag, share in enumerate(correlation[:frames]):
         own = np.sum(matrix[: frames - lag, :, :, None] * weighted[lag:, :, None, :], axis=(0, 1))
         found = found + share * (own if lag == 0 else own + own.T)
@@ -335,7 +304,7 @@ def landmark_center(pair: Pair, method: str, points: np.ndarray) -> JointCenter:
     return pair.center(method, found, LANDMARKS * LANDMARKS * np.eye(3))
 
 
-def hip_center(pair: Pair, landmarks: dict[str, np.ndarray], side: str) -> JointCenter:
+def hip_center(pair: Pair, landmarks: tuple[np.ndarray, np.ndarray, np.ndarray], side: Side) -> JointCenter:
     """Return the centre of a hip by regression.
 
     M. E. Harrington et al., J. Biomech. 40 (2007) 595-602: from the middle of the anterior superior iliac spines, with
@@ -345,24 +314,18 @@ def hip_center(pair: Pair, landmarks: dict[str, np.ndarray], side: str) -> Joint
     Parameters
     ----------
     landmarks
-        (3,) the points ``right``, ``left`` (anterior superior iliac spines) and ``back`` (middle of the posterior ones,
-        or the sacrum) in the frame of the cluster of the pelvis [m].
-    side
-        ``r`` or ``l``.
+        (3,) the right and the left anterior superior iliac spine, and the middle of the posterior ones or the sacrum,
+        in the frame of the cluster of the pelvis [m].
     """
-    right, left, back = (landmarks[name] for name in ("right", "left", "back"))
+    right, left, back = landmarks
     middle = (right + left) / 2
-    width, lateral = _size_and_direction(right - left)
-    depth, forward = _size_and_direction(middle - back)
-    _, forward = _size_and_direction(forward - lateral * float(np.sum(lateral * forward)))
+    width, depth = np.linalg.norm(right - left, axis=0), np.linalg.norm(middle - back, axis=0)
+    lateral, forward = (right - left) / width, (middle - back) / depth
+    forward = forward - lateral * np.sum(lateral * forward)
+    forward = forward / np.linalg.norm(forward, axis=0)
     out = (0.33 * width + 0.0073) * (1.0 if side == "r" else -1.0)
     behind, below = 0.24 * depth + 0.0099, 0.30 * width + 0.0109
     point = middle - behind * forward - below * np.cross(lateral, forward) + out * lateral
     first, second = pair.known()
     distal = np.mean(second.inside(first.point(point)), axis=0)
     return pair.center("hip-regression", (point, distal), REGRESSION * REGRESSION * np.eye(3))
-
-
-def _size_and_direction(vector: np.ndarray) -> tuple[float, np.ndarray]:
-    size = float(np.sqrt(np.sum(vector * vector)))
-    return size, vector / size

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Literal
 
 Side = Literal["r", "l"]
+SIDES: tuple[Side, Side] = ("r", "l")
 
 LEFT = "_left"
 """Suffix of the names of the second leg."""

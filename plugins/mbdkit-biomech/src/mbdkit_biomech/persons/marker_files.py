@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,7 +22,6 @@ class MarkerFile:
 
     table: Table
     time: np.ndarray
-    _read: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, table: Table, time: TimeColumn) -> MarkerFile:
@@ -35,42 +34,31 @@ class MarkerFile:
         headings = self.table.headings
         return [one[:-2] for one in headings if one.endswith(".x") and not one.startswith("plate")]
 
-    def full_name(self, name: str) -> str:
-        """Return the name of a marker with its subject, such as ``Subject:RASI``, if only one subject has it."""
-        own = [one for one in self.names if one.rpartition(":")[2] == name]
-        return own[0] if len(own) == 1 else name
-
     def has(self, name: str) -> bool:
         """Return whether the file has a marker."""
-        full = self.full_name(name)
-        return len(self.table.resolved([f"{full}.{axis}" for axis in "xyz"])) == 3
+        return len(self.table.resolved([f"{name}.{axis}" for axis in "xyz"])) == 3
+
+    def vectors(self, name: str, unit: str, key: str) -> np.ndarray:
+        """Return the vectors (T, 3) in the columns ``NAME.x``, ``NAME.y`` and ``NAME.z``."""
+        columns = [si_values(ColumnOfTable(column=f"{name}.{axis}"), self.table, unit, key) for axis in "xyz"]
+        return np.stack(columns, axis=1)
 
     def marker(self, name: str, key: str) -> np.ndarray:
-        """Return the positions (T, 3) of a marker [m]; nan where it was not seen.
-
-        Raises
-        ------
-        SpecError
-            If there is no such marker.
-        """
-        if name not in self._read:
-            if not self.has(name):
-                names = [shown(one) for one in self.names]
-                some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
-                hint = did_you_mean(name, self.names) or f"; its markers: {some or 'none'}"
-                raise SpecError(f"{self.table.name} has no marker '{shown(name)}'{hint}", key=key)
-            full = self.full_name(name)
-            columns = [si_values(ColumnOfTable(column=f"{full}.{axis}"), self.table, "m", key) for axis in "xyz"]
-            found = np.stack(columns, axis=1)
-            found[np.isnan(found).any(axis=1) | np.all(found == 0, axis=1)] = np.nan  # some programs write 0 for unseen
-            if np.nanmax(np.abs(found), initial=0.0) > LARGEST_LABORATORY:
-                raise SpecError(
-                    f"marker '{shown(name)}' of {self.table.name} is more than {LARGEST_LABORATORY:g} m from the "
-                    "origin; check the unit of length that the file states",
-                    key=key,
-                )
-            self._read[name] = found
-        return self._read[name]
+        """Return the positions (T, 3) of a marker [m], nan where it was not seen; raise SpecError if there is none."""
+        if not self.has(name):
+            names = [shown(one) for one in self.names]
+            some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
+            hint = did_you_mean(name, self.names) or f"; its markers: {some or 'none'}"
+            raise SpecError(f"{self.table.name} has no marker '{shown(name)}'{hint}", key=key)
+        found = self.vectors(name, "m", key)
+        found[np.isnan(found).any(axis=1) | np.all(found == 0, axis=1)] = np.nan  # some programs write 0 for unseen
+        if np.nanmax(np.abs(found), initial=0.0) > LARGEST_LABORATORY:
+            raise SpecError(
+                f"marker '{shown(name)}' of {self.table.name} is more than {LARGEST_LABORATORY:g} m from the origin; "
+                "check the unit of length that the file states",
+                key=key,
+            )
+        return found
 
     def markers(self, names: tuple[str, ...], key: str) -> np.ndarray:
         """Return the positions (T, N, 3) of markers [m]."""

@@ -18,27 +18,18 @@ SIDEWAYS = 0.5
 
 @dataclass(frozen=True)
 class MotionPlane:
-    """The plane of motion.
-
-    Attributes
-    ----------
-    axes
-        (3, 3) rows: the directions forward, up, and right of the person, in the laboratory.
-    is_fitted
-        Whether the plane was found from the motion.
-    sideways
-        Root mean square horizontal velocity of the segments across the plane, relative to that along the plane.
-    off
-        Angle between this plane and the one with the least motion across [rad].
-    residual
-        Root mean square deviation of the joint centres from their mean distances to the plane [m].
-    """
+    """The plane of motion."""
 
     axes: np.ndarray
+    """(3, 3) rows: the directions forward, up, and right of the person, in the laboratory."""
     is_fitted: bool
+    """Whether the plane was found from the motion."""
     sideways: float
+    """Root mean square horizontal velocity of the segments across the plane, relative to that along the plane."""
     off: float = 0.0
+    """Angle between this plane and the one with the least motion across [rad]."""
     residual: float = 0.0
+    """Root mean square deviation of the joint centres from their mean distances to the plane [m]."""
 
     def coordinates(self, points: np.ndarray) -> np.ndarray:
         """Return points or vectors (..., 3) of the laboratory as (forward, up, right)."""
@@ -56,23 +47,12 @@ class MotionPlane:
 
 
 def plane_of(asked: PlaneAxes | None, poses: Mapping[str, Poses], time: np.ndarray) -> MotionPlane:
-    """Return the plane of motion; if it is found, `MotionPlane.reversed` may be the one in which the person faces
-    forward.
+    """Return the plane of motion with the axes that are asked for; if they are None, it is found, and
+    `MotionPlane.reversed` may be the one in which the person faces forward. Raise SpecError if the axes contradict the
+    poses, or the motion has no plane.
 
     Up is the axis of the laboratory along which the trunk is above the feet. The horizontal direction forward is that
     across which the segments have the least mean square velocity.
-
-    Parameters
-    ----------
-    asked
-        Axes of the laboratory; None to find the plane.
-    poses
-        Poses by body.
-
-    Raises
-    ------
-    SpecError
-        If a plane is asked for that contradicts the poses, or the motion has no plane.
     """
     feet = np.mean([np.nanmean(own.position, axis=0) for body, own in poses.items() if body.startswith("foot")], axis=0)
     above = np.nanmean(poses["trunk"].position, axis=0) - feet

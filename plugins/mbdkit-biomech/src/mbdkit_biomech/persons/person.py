@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +13,13 @@ from mbdkit.base.text import listed
 from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.models._measured_segments import MeasuredPerson
-from mbdkit_biomech.persons.calibration import LEAST_FRAMES, Segments, angle_of
+from mbdkit_biomech.persons.calibration import ENDS, LEAST_FRAMES, Segments, angle_of
 from mbdkit_biomech.persons.joint_centers import JointCenter
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.motion_plane import MotionPlane, plane_of
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes, Subject
 from mbdkit_biomech.persons.plate_contacts import FootMotion, PlateResult
-from mbdkit_biomech.persons.rigid_clusters import Artefact, apply, cross_matrix, rate_of
+from mbdkit_biomech.persons.rigid_clusters import Artefact, rate_of
 
 TRUNK_ABOVE_FEET = 0.2, 1.2
 """Heights of the markers of the trunk above those of the feet, as shares of body height, between which the unit of
@@ -46,7 +46,8 @@ SIDES = 3.0
 """Difference of the lengths of two legs that is doubtful, in standard deviations."""
 
 
-class SegmentLength(NamedTuple):
+@dataclass(frozen=True)
+class SegmentLength:
     """Mean length of a segment of both legs in the plane of motion, weighted by their variances, its standard
     deviation, and the largest standard deviation over time [m], with the lengths by body.
     """
@@ -59,66 +60,46 @@ class SegmentLength(NamedTuple):
 
 @dataclass(frozen=True)
 class Person:
-    """What the markers of a motion tell about a person.
-
-    Attributes
-    ----------
-    subject, plane
-        Mass, height and sex, and the plane of motion.
-    centers
-        Joint centres by joint, each with its covariance.
-    lengths
-        Lengths of `thigh` and `shank`.
-    masses
-        Masses of trunk, thigh, shank and foot [kg].
-    artefacts
-        Artefacts of the markers by body.
-    zeros
-        Standard deviations of the zeros of the angles of trunk and feet, by body [rad]; nan where it is not known.
-    plates
-        Contacts and loads of the feet.
-    findings
-        Doubts and remarks.
-    time, columns
-        Times (T,) and observed quantities (T,) of the model by name; nan in gaps.
-    reference
-        Index of the frame in whose pose the covariances of the centres and `shifts` are given.
-    shifts
-        (C, E) shifts of the C columns, by body, for artefacts of its cluster: E independent errors with the standard
-        deviation 1, six of its pose, and two of each of its joints by the slip of the whole cluster.
-    """
+    """What the markers of a motion tell about a person."""
 
     subject: Subject
     plane: MotionPlane
+    """Mass, height and sex, and the plane of motion."""
     centers: Mapping[str, JointCenter]
+    """Joint centres by joint, each with its covariance."""
     lengths: Mapping[str, SegmentLength]
+    """Lengths of `thigh` and `shank`."""
     masses: Mapping[str, float]
+    """Masses of trunk, thigh, shank and foot [kg]."""
     artefacts: Mapping[str, Artefact]
+    """Artefacts of the markers by body."""
     zeros: Mapping[str, float]
+    """Standard deviations of the zeros of the angles of trunk and feet, by body [rad]; nan where it is not known."""
     plates: PlateResult
+    """Contacts and loads of the feet."""
     findings: tuple[Finding, ...]
+    """Doubts and remarks."""
     time: np.ndarray
     columns: Mapping[str, np.ndarray]
+    """Times (T,) and observed quantities (T,) of the model by name; nan in gaps."""
     reference: int
+    """Index of the frame in whose pose the covariances of the centres and `shifts` are given."""
     shifts: Mapping[str, np.ndarray]
+    """(C, E) shifts of the C columns, by body, for artefacts of its cluster: E independent errors with the standard
+    deviation 1, six of its pose, and two of each of its joints by the slip of the whole cluster."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the person without motion and loads as plain data, for the archive; None where a number is nan."""
-        kept = ("plane", "centers", "lengths", "masses", "zeros", "artefacts")
-        own = {name: getattr(self, name) for name in kept}
-        plain: dict[str, Any] = _plain(own | {"contacts": self.plates.contacts, "offset": self.plates.offset})
-        return plain
+        """Return the person without motion and loads as dicts, lists and arrays, for the archive."""
+        data = asdict(self)
+        kept = {name: data[name] for name in ("plane", "centers", "lengths", "masses", "zeros", "artefacts")}
+        return kept | {"contacts": data["plates"].contacts, "offset": data["plates"].offset}
 
     def lines(self) -> dict[str, str]:
         """Return lines of a summary by label."""
-        of, plates = (
-            self.subject,
-            (f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts),
-        )
-        lengths = (
-            f"{name} {one.value:.3f} +- {one.deviation:.3f} m, {self.masses[name]:.3g} kg"
-            for name, one in self.lengths.items()
-        )
+        of, kg = self.subject, self.masses
+        plates = (f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts)
+        sizes = ((name, one.value, one.deviation) for name, one in self.lengths.items())
+        lengths = (f"{name} {size:.3f} +- {deviation:.3f} m, {kg[name]:.3g} kg" for name, size, deviation in sizes)
         centers = (f"{name} {one.method} +- {1000 * max(one.deviation):.0f} mm" for name, one in self.centers.items())
         offset = ""
         if (own := self.plates.offset) is not None:
@@ -132,29 +113,8 @@ class Person:
         }
 
 
-def _plain(value: Any) -> Any:
-    """Return dataclasses, named tuples, mappings, sequences and arrays as dicts and lists."""
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if is_dataclass(value):
-        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
-    if hasattr(value, "_asdict"):
-        value = value._asdict()
-    if isinstance(value, Mapping):
-        return {name: _plain(one) for name, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return None if isinstance(value, float) and np.isnan(value) else value
-
-
 class Builder:
-    """Builds a person from its segments; each step uses those before.
-
-    Raises
-    ------
-    SpecError
-        If the markers do not determine the person; the error states the key and the reason.
-    """
+    """Builds a person from its segments; raises SpecError with key and reason if the markers do not determine it."""
 
     def __init__(self, subject: Subject, segments: Segments, plane: PlaneAxes | None, centers: Mapping[str, Center]):
         self.subject, self.segments = subject, segments
@@ -180,7 +140,7 @@ class Builder:
                     f"or choose one of both with `motion.centers.{joint}`",
                 )
         self.points = {joint: self.plane.coordinates(points) for joint, points in self.positions.items()}
-        self.lengths = {name: self._length(name) for name in ("thigh", "shank")}
+        self.lengths = {name: self._length(name) for name in ENDS}
         self._judge_lengths()
         self.zeros: dict[str, float] = {}
         self.angles = {body: self._angle(body) for body in self.poses if body.startswith(("trunk", "foot"))}
@@ -204,13 +164,9 @@ class Builder:
         """Let the plane point forward: knees bend backward, and feet point forward."""
         turns, feet = [], []
         for leg in self.segments.legs:
-            hip, knee, ankle, foot = (
-                self.plane.coordinates(points)
-                for points in (
-                    *(self.positions[f"{name}{leg}"] for name in ("hip", "knee", "ankle")),
-                    self.poses[f"foot{leg}"].position,
-                )
-            )
+            points = [self.positions[f"{name}{leg}"] for name in ("hip", "knee", "ankle")]
+            points.append(self.poses[f"foot{leg}"].position)
+            hip, knee, ankle, foot = map(self.plane.coordinates, points)
             turn = angle_of(hip - knee) - angle_of(knee - ankle)
             turns.append(turn - 2 * np.pi * np.round(turn / (2 * np.pi)))
             feet.append((foot - ankle)[:, 0])
@@ -238,9 +194,9 @@ class Builder:
                     key=f"motion.clusters.{wrong[0]}",
                 )
         elif (mean["thigh"] > mean["trunk"]) != ((side := self.segments.side("")) == "r"):
-            name = "right" if side == "r" else "left"
+            leg = "right" if side == "r" else "left"
             self._doubt(
-                "centers", f"by the names of its markers, the leg is the {name} one, but it is on the other side"
+                "centers", f"by the names of its markers, the leg is the {leg} one, but it is on the other side"
             )
 
     def _judge_plane(self) -> None:
@@ -259,12 +215,11 @@ class Builder:
             )
 
     def _length(self, name: str) -> SegmentLength:
-        ends = {"thigh": ("hip", "knee"), "shank": ("knee", "ankle")}[name]
         values, variances, variation = {}, [], 0.0
         for leg in self.segments.legs:
-            first, last = (f"{end}{leg}" for end in ends)
+            first, last = (f"{end}{leg}" for end in ENDS[name])
             gap = (self.points[first] - self.points[last])[:, :2]
-            sizes = np.sqrt(np.sum(gap * gap, axis=1))
+            sizes = np.linalg.norm(gap, axis=1)
             direction = gap[self.segments.reference] / sizes[self.segments.reference]
             covariance = (self.centers[first].covariance + self.centers[last].covariance)[:2, :2]
             values[f"{name}{leg}"] = float(np.nanmean(sizes))
@@ -272,7 +227,7 @@ class Builder:
             variation = max(variation, float(np.nanstd(sizes)))
         weights, size = 1.0 / np.array(variances), float(np.sqrt(sum(variances)))
         lengths = list(values.values())
-        if lengths[0] - lengths[-1] > SIDES * size or lengths[-1] - lengths[0] > SIDES * size:
+        if abs(lengths[0] - lengths[-1]) > SIDES * size:
             self._doubt(
                 "lengths",
                 f"{listed([f'{body} {own:.3f} m' for body, own in values.items()], 'and')} long differ by more than "
@@ -306,7 +261,7 @@ class Builder:
             rotation = static.poses[body].rotation[static.still()]
         upright = np.sum(rotation * self.plane.axes[1][:, None], axis=1)
         mean = np.mean(upright, axis=0)
-        found = angle_of(self.plane.coordinates(apply(poses.rotation, mean)))
+        found = angle_of(self.plane.coordinates(product(poses.rotation, mean)))
         if static is not None:
             lean = upright - mean
             self.zeros[body] = float(np.sqrt(np.mean(np.sum(lean * lean, axis=1))))
@@ -370,9 +325,11 @@ class Builder:
                 is_hip = joint.startswith("hip")
                 weight = center.fit.weights[side] / (len(self.segments.legs) if is_hip else 1)
                 point = (center.proximal, center.distal)[side]
-                moves = np.hstack(
-                    [size / np.sqrt(len(cluster.names)) * np.eye(3), -product(cross_matrix(point), turns)]
+                shift, turn = (
+                    size / np.sqrt(len(cluster.names)) * np.eye(3),
+                    -product(np.cross(np.eye(3), point), turns),
                 )
+                moves = np.hstack([shift, turn])
                 row = columns.index(f"markers.{'hip' if is_hip else joint}.x")
                 shifts[0][row : row + 2] += weight * product(to_plane, moves)[:2]
                 slip = np.zeros((len(columns), 2))

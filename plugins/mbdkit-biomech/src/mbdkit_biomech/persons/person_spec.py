@@ -25,12 +25,8 @@ LOADS = {"foot": "ground", "foot_left": "ground_left"}
 
 
 def person_of_spec(spec: InverseSpec) -> tuple[Person, InverseSpec]:
-    """Return the person of a spec with `subject`, and the spec of the motion of the scaled model without it.
-
-    Raises
-    ------
-    SpecError
-        If a file or a marker is missing, or markers do not determine the person; the error names the key.
+    """Return the person of a spec with `subject`, and the spec of the motion of the scaled model without it; raise
+    SpecError with the key if a file or a marker is missing, or markers do not determine the person.
     """
     subject, motion = spec.subject, spec.motion
     assert subject is not None

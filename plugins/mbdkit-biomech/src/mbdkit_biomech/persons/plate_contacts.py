@@ -7,6 +7,7 @@ point of application, on average over the contact with the force as weight.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +16,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.c3d_file import UNLOADED
-from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, Smoothing
-from mbdkit_biomech.inverse_dynamics.measured import si_values
+from mbdkit_biomech.inverse_dynamics.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.smoothing import low_passed
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
@@ -51,10 +51,11 @@ class FootMotion(NamedTuple):
     @property
     def at_rest(self) -> np.ndarray:
         """(T,) whether the foot rests."""
-        return np.asarray(np.sqrt(np.sum(self.velocity * self.velocity, axis=1)) < AT_REST)
+        return np.asarray(np.linalg.norm(self.velocity, axis=1) < AT_REST)
 
 
-class Contact(NamedTuple):
+@dataclass(frozen=True)
+class Contact:
     """A contact of a foot with a plate, from a first frame to the one before `end`, at a mean horizontal distance of
     the point of application from the middle of the foot [m].
     """
@@ -80,7 +81,8 @@ class PlateLoad(NamedTuple):
     torque: np.ndarray
 
 
-class Offset(NamedTuple):
+@dataclass(frozen=True)
+class Offset:
     """Time by which plates are later than markers, and its standard deviation [s]."""
 
     late: float
@@ -109,22 +111,23 @@ class _Plate:
             have = f"plates {listed(list(map(str, numbers)), 'and')}" if numbers else "no force plates"
             why = f" ({file.table.remark})" if file.table.remark else ""
             raise SpecError(f"{file.table.name} has no plate {number}: it has {have}{why}", key=key)
-        self.number, self.force, self.point, self.torque = number, *(
-            plane.coordinates(np.stack([si_values(ColumnOfTable(column=f"plate{number}.{quantity}.{axis}"), file.table,
-                                                  unit, key) for axis in "xyz"], axis=1))
-            for quantity, unit in (("force", "N"), ("point", "m"), ("torque", "N m"))
-        )  # fmt: skip
+        self.number, self.force, self.point, self.torque = (
+            number,
+            *(
+                plane.coordinates(file.vectors(f"plate{number}.{quantity}", unit, key))
+                for quantity, unit in (("force", "N"), ("point", "m"), ("torque", "N m"))
+            ),
+        )
         if (missing := np.flatnonzero(np.isnan(self.force + self.torque).any(axis=1))).size:
             raise file.table.error(f"force or torque of plate {number} is missing", row=int(missing[0]), key=key)
-        self.acts = np.sqrt(np.sum(self.force * self.force, axis=1)) > UNLOADED
+        self.acts = np.linalg.norm(self.force, axis=1) > UNLOADED
         self.is_reversed = float(np.sum(self.force[self.acts, 1])) < 0
         if self.is_reversed:
             self.force, self.torque = -self.force, -self.torque
 
     def distances(self, foot: FootMotion, frames: slice) -> np.ndarray:
         """Return the horizontal distances of the points of application from the middle of a foot in some frames."""
-        gap = (self.point - foot.middle)[frames][:, [0, 2]]
-        return np.asarray(np.sqrt(np.sum(gap * gap, axis=1)))
+        return np.asarray(np.linalg.norm((self.point - foot.middle)[frames][:, [0, 2]], axis=1))
 
     def contacts(self, feet: Mapping[str, FootMotion], time: np.ndarray, key: str) -> list[Contact]:
         """Return the contacts; raise SpecError if a force acts far from all feet, unless `key` is empty."""
@@ -140,9 +143,9 @@ class _Plate:
                 distances[body] = float(np.sum((weight * gap)[own]) / np.sum(weight[own])) if own.any() else np.inf
             body = min(distances, key=lambda name: distances[name])
             contact = Contact(self.number, body, first, end, distances[body])
-            if not contact.distance <= FARTHEST and not key:
-                continue
-            if not contact.distance <= FARTHEST:
+            if contact.distance <= FARTHEST:
+                found.append(contact)
+            elif key:
                 where = f"{contact.distance:.2f} m from the nearest foot"
                 raise SpecError(
                     f"the force of plate {self.number} {contact.when(time)} acts "
@@ -151,7 +154,6 @@ class _Plate:
                     "something else stands on the plate, which `loads` should then leave out",
                     key=key,
                 )
-            found.append(contact)
         return found
 
 
@@ -212,9 +214,10 @@ def plates_under_feet(
                 f"{other or 'they carry no force'}",
                 key=f"loads.{name}.plates",
             )
-    for number in (number for number, plate in plates.items() if plate.is_reversed):
-        sentence = f"plate {number} states the force on the plate; the force on the foot is its opposite"
-        findings.append(Finding("plates", None, sentence))
+    for number, plate in plates.items():
+        if plate.is_reversed:
+            sentence = f"plate {number} states the force on the plate; the force on the foot is its opposite"
+            findings.append(Finding("plates", None, sentence))
     for one in contacts:
         where = f"plate {one.plate} {one.when(time)}"
         if not any(body == one.body and one.plate in own for body, own in asked.values()):

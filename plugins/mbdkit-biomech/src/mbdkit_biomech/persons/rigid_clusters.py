@@ -41,16 +41,6 @@ ROUNDS = 3
 """Number of averages for a template; further ones change it by rounding errors."""
 
 
-def apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return products of matrices (..., 3, 3) with vectors (..., 3)."""
-    return np.asarray(np.sum(matrix * points[..., None, :], axis=-1))
-
-
-def transposed(matrix: np.ndarray) -> np.ndarray:
-    """Return transposed matrices (..., J, I) of matrices (..., I, J)."""
-    return np.swapaxes(matrix, -1, -2)
-
-
 def rate_of(values: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return rates (T, ...) of values (T, ...) by differences; one-sided at the ends."""
     rows = np.arange(len(time))
@@ -59,28 +49,16 @@ def rate_of(values: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.asarray((values[last] - values[first]) / interval)
 
 
-def cross_matrix(p: np.ndarray) -> np.ndarray:
-    """Return the matrix [p] (3, 3) with ``[p] x = p x x``."""
-    return np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
-
-
 @dataclass(frozen=True)
 class Poses:
-    """Poses of a segment in T frames; nan where too few of its markers were seen.
-
-    Attributes
-    ----------
-    rotation
-        (T, 3, 3) from the frame of the segment to the laboratory.
-    position
-        (T, 3) origin of the segment in the laboratory [m].
-    residual
-        (T, N, 3) markers minus template, in the frame of the segment [m]; nan where a marker was not seen.
-    """
+    """Poses of a segment in T frames; nan where too few of its markers were seen."""
 
     rotation: np.ndarray
+    """(T, 3, 3) from the frame of the segment to the laboratory."""
     position: np.ndarray
+    """(T, 3) origin of the segment in the laboratory [m]."""
     residual: np.ndarray
+    """(T, N, 3) markers minus template, in the frame of the segment [m]; nan where a marker was not seen."""
 
     @property
     def known(self) -> np.ndarray:
@@ -89,11 +67,11 @@ class Poses:
 
     def point(self, p: np.ndarray) -> np.ndarray:
         """Return the positions (T, 3) in the laboratory of a point `p` (3,) of the segment."""
-        return np.asarray(apply(self.rotation, p) + self.position)
+        return np.asarray(product(self.rotation, p) + self.position)
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return points (T, 3) of the laboratory in the frame of the segment."""
-        return apply(transposed(self.rotation), points - self.position)
+        return product(points - self.position, self.rotation)
 
     def rows(self, frames: np.ndarray) -> Poses:
         """Return the poses in some frames."""
@@ -102,31 +80,19 @@ class Poses:
 
 @dataclass(frozen=True)
 class Cluster:
-    """Markers that count as fixed to a segment.
-
-    Attributes
-    ----------
-    body
-        Name of the body.
-    names
-        Names of the N markers.
-    template
-        (N, 3) positions of the markers in the frame of the segment, whose origin is their centroid [m]. Its axes are
-        parallel to those of the laboratory in the first frame of the template.
-    """
+    """Markers that count as fixed to a segment."""
 
     body: str
     names: tuple[str, ...]
+    """Names of the N markers."""
     template: np.ndarray
+    """(N, 3) positions of the markers in the frame of the segment, whose origin is their centroid [m]. Its axes are
+    parallel to those of the laboratory in the first frame of the template."""
 
     @classmethod
     def of(cls, body: str, names: tuple[str, ...], markers: np.ndarray) -> Cluster:
-        """Return the mean shape of markers (T, N, 3).
-
-        Raises
-        ------
-        SpecError
-            If the cluster has less than three markers, if they lie on a line, or if no frame has all of them.
+        """Return the mean shape of markers (T, N, 3); raise SpecError if there are less than three, if they lie on a
+        line, or if no frame has all of them.
         """
         key = f"motion.clusters.{body}"
         if len(names) < LEAST_MARKERS:
@@ -156,13 +122,9 @@ class Cluster:
             template = template - np.mean(template, axis=0)
         return cls(body, names, template)
 
-    def poses(self, markers: np.ndarray) -> Poses:
-        """Return the poses of markers (T, N, 3)."""
-        return poses_of(self.template, markers)
-
     def covariance(self, p: np.ndarray) -> np.ndarray:
         """Return the covariance (3, 3) of a point of the segment for errors of markers with the variance 1."""
-        cross = cross_matrix(p)
+        cross = np.cross(np.eye(3), p)  # [p]
         return np.asarray(np.eye(3) / len(self.template) - product(product(cross, self.inverse_inertia), cross))
 
     @property
@@ -190,10 +152,9 @@ def poses_of(template: np.ndarray, markers: np.ndarray) -> Poses:
     rotation = np.full((len(markers), 3, 3), np.nan)
     for frame in np.flatnonzero(known):
         rotation[frame] = _rotation(moments[frame])
-    position = x_mean - apply(rotation, p_mean)
+    position = x_mean - product(p_mean, rotation.mT)
     position[~known] = np.nan
-    own = apply(transposed(rotation)[:, None], markers - position[:, None])
-    return Poses(rotation, position, own - template)
+    return Poses(rotation, position, product(markers - position[:, None], rotation[:, None]) - template)
 
 
 def _determines(template: np.ndarray) -> bool:
@@ -208,9 +169,7 @@ def _determines(template: np.ndarray) -> bool:
 def _rotation(s: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) by the moments (3, 3) of template and markers."""
     trace, skew = s[0, 0] + s[1, 1] + s[2, 2], [s[1, 2] - s[2, 1], s[2, 0] - s[0, 2], s[0, 1] - s[1, 0]]
-    matrix = np.empty((4, 4))
-    matrix[0, 0], matrix[0, 1:], matrix[1:, 0] = trace, skew, skew
-    matrix[1:, 1:] = s + s.T - trace * np.eye(3)
+    matrix = np.vstack([[trace, *skew], np.column_stack([skew, s + s.T - trace * np.eye(3)])])
     w, x, y, z = symmetric_eigenvectors(matrix)[1][:, -1].tolist()
     return np.array(
         [
@@ -223,19 +182,13 @@ def _rotation(s: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Artefact:
-    """Motion of the markers of a cluster relative to each other.
-
-    Attributes
-    ----------
-    deviation
-        Standard deviation of a coordinate of a marker [m].
-    correlation
-        (L,) correlation of errors that are 0, 1, ..., L - 1 frames apart, up to its first zero. The correlation of
-        artefacts that oscillate is negative beyond, and without it, covariances are too large rather than too small.
-    """
+    """Motion of the markers of a cluster relative to each other."""
 
     deviation: float
+    """Standard deviation of a coordinate of a marker [m]."""
     correlation: np.ndarray
+    """(L,) correlation of errors that are 0, 1, ..., L - 1 frames apart, up to its first zero. The correlation of
+    artefacts that oscillate is negative beyond, and without it, covariances are too large rather than too small."""
 
     @classmethod
     def of(cls, poses: Poses) -> Artefact:

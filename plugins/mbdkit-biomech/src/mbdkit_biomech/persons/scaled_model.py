@@ -30,13 +30,7 @@ POSE = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "trunk_angle", "lef
 
 
 def leg_options(model: Any) -> LegOptions:
-    """Return the options of the model of a person.
-
-    Raises
-    ------
-    SpecError
-        If it is not a leg with a free trunk.
-    """
+    """Return the options of the model of a person; raise SpecError if it is not a leg with a free trunk."""
     if not isinstance(model, LegOptions) or isinstance(model, LegFourBarOptions):
         raise SpecError("should be `leg`, the model that `subject` scales", key="model.name")
     if model.root != "trunk":
@@ -60,28 +54,22 @@ def scaled_model(spec: InverseSpec, subject: Subject, lengths: Mapping[str, floa
     changed |= {f"{name}_length": length for name, length in lengths.items()}
     if not data.get("muscles"):
         return changed
-    generic, person = (person_of(_upright(spec, one).model) for one in (data, changed))
+    generic, person = (person_of(of_model(spec, one).model) for one in (data, changed))
     points = _points_of_segments(generic, person)
     muscles = {name: moved_muscle(muscle, points) for name, muscle in data["muscles"].items()}
     before, after = _path_lengths(spec, data), _path_lengths(spec, changed | {"muscles": muscles})
     for name, muscle in muscles.items():
         ratio = after[name] / before[name]
-        muscles[name] = muscle | {
-            key: _stretched(muscle[key], ratio, 0.0) for key in ("optimal_length", "tendon_length")
-        }
+        keys = "optimal_length", "tendon_length"
+        muscles[name] = muscle | {key: _stretched(muscle[key], ratio, 0.0) for key in keys}
     return changed | {"muscles": muscles}
 
 
 def _points_of_segments(generic: Person, person: Person) -> dict[str, tuple[float, float, float]]:
     """Return by body: the factor of its points, and what is added to x and y, as centres of mass move."""
-    factors = {
-        "trunk": person.height / generic.height,
-        "thigh": person.thigh_length / generic.thigh_length,
-        "shank": person.shank_length / generic.shank_length,
-        "foot": person.height / generic.height,
-    }
     found = {}
-    for body, factor in factors.items():
+    for body, size in {"trunk": "height", "thigh": "thigh_length", "shank": "shank_length", "foot": "height"}.items():
+        factor = getattr(person, size) / getattr(generic, size)
         move = factor * getattr(generic, body).centre - getattr(person, body).centre
         found[body] = found[body + SUFFIX] = (factor, move.real, move.imag)
     return found
@@ -119,11 +107,6 @@ def _stretched(value: Any, factor: float, move: float) -> Any:
     return factor * value + move
 
 
-def _upright(spec: InverseSpec, data: Mapping[str, Any]) -> Any:
-    """Return a spec with the section `model`, in the upright pose and without a motion."""
-    return of_model(spec, {key: value for key, value in data.items() if key not in POSE})
-
-
 def of_model(spec: InverseSpec, data: Mapping[str, Any]) -> Any:
     """Return a spec with the section `model` and the parameters of a spec, without a motion."""
     given = {"mbdkit": 1, "parameters": dict(spec.parameters), "motion": {"data": {"time": [0.0]}}}
@@ -132,10 +115,8 @@ def of_model(spec: InverseSpec, data: Mapping[str, Any]) -> Any:
 
 def _path_lengths(spec: InverseSpec, data: Mapping[str, Any]) -> dict[str, float]:
     """Return the lengths of the paths of the muscles in the upright pose [m]."""
-    mechanism = _upright(spec, data).mechanism()
+    mechanism = of_model(spec, {key: value for key, value in data.items() if key not in POSE}).mechanism()
     names = QuantityNames(mechanism)
     q = np.concatenate([[*body.position, body.angle] for body in mechanism.bodies.values()])[None]
-    muscles = mechanism.muscles
-    return {
-        name: float(MusclePath(name, muscles[name], names).at(np.zeros(1), q).length[0]) for name in data["muscles"]
-    }
+    paths = {name: MusclePath(name, mechanism.muscles[name], names) for name in data["muscles"]}
+    return {name: float(path.at(np.zeros(1), q).length[0]) for name, path in paths.items()}

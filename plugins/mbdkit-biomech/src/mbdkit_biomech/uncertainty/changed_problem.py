@@ -18,7 +18,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.runs.assembled_mechanism import AssembledMechanism, GivenMechanism
 from mbdkit_biomech.inverse_dynamics.compute import Fitted, Inverse, InverseProblem, forces_of
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.loads import LoadSeries
@@ -29,7 +29,7 @@ from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, Motion, 
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.smoothing import fixed, smoothed_each
 from mbdkit_biomech.muscles.muscle import Muscle
-from mbdkit_biomech.persons.calibration import joints_of
+from mbdkit_biomech.persons.calibration import ENDS, joints_of
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.plate_contacts import later
 from mbdkit_biomech.persons.scaled_model import moved_muscle, of_model, scaled_model
@@ -49,19 +49,6 @@ PROPERTIES = ("max_force", "optimal_length", "tendon_length")
 
 Change = Mapping[Place, float]
 """Changes by place: of lengths [m], angles [rad] and times [s], and of logarithms of shares."""
-
-
-@dataclass(frozen=True)
-class _Changed:
-    """A mechanism as the source of an assembled mechanism."""
-
-    own: Mechanism
-
-    def mechanism(self) -> Mechanism:
-        return self.own
-
-    def placed(self, error: Any) -> Any:
-        return error
 
 
 @dataclass(frozen=True)
@@ -86,20 +73,14 @@ class Changer:
         self.person = result.problem.source.person
 
     def at(self, change: Change) -> ChangedProblem:
-        """Return the problem with changes.
-
-        Raises
-        ------
-        MbdkitError
-            If the changed problem has no solution.
-        """
+        """Return the problem with changes; raise MbdkitError if it has no solution."""
         base, keys = self.problem, {place[0] for place in change}
         mechanism = self._mechanism(change) if keys & set(MODEL) else base.names.mechanism
         names = QuantityNames(mechanism)
         fitted, independent, motion = self.result.fitted, self.result.independent, self.result.motion
         problem = replace(base, names=names, loads=self._loads(change))
         if keys & set(MODEL):
-            prepared = AssembledMechanism.at(_Changed(mechanism), float(motion.time[0]), float(motion.time[-1]))
+            prepared = AssembledMechanism.at(GivenMechanism(mechanism), float(motion.time[0]), float(motion.time[-1]))
             fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
             quantities = Quantities([names.find(name, "motion.columns") for name in base.measured.names])
             observed = dict(zip(base.measured.names, quantities.quantities, strict=True))
@@ -170,7 +151,7 @@ class Changer:
         if not any(place[0] == "centers" for place in change):
             return {}
         found = {}
-        for name, ends in (("thigh", ("hip", "knee")), ("shank", ("knee", "ankle"))):
+        for name, ends in ENDS.items():
             moves, weights = [], []
             for leg in self._legs:
                 first, last = (f"{end}{leg}" for end in ends)
@@ -188,9 +169,7 @@ class Changer:
     def _shifts(self, change: Change) -> np.ndarray:
         """Return the changes (T, K) of the observed quantities."""
         names = self.problem.measured.names
-        found = np.zeros((len(self.result.motion.time), len(names)))
-        for column, name in enumerate(names):
-            found[:, column] = change.get(("angles", name), 0.0)
+        found = np.tile([change.get(("angles", name), 0.0) for name in names], (len(self.result.motion.time), 1))
         for joint in dict.fromkeys(place[1] for place in change if place[0] == "centers"):
             is_hip = joint.startswith("hip")
             share = 1.0 / len(self._legs) if is_hip else 1.0  # both hips are one point of the trunk
@@ -243,12 +222,10 @@ class Changer:
         asked = self.problem.recruiter.asked  # type: ignore[union-attr]
         moved = {key: getattr(asked, key) + change[key,] for key in ("exponent", "minimum") if (key,) in change}
         recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators)
-        muscles = {
-            name: muscle.model_copy(
-                update={key: getattr(muscle, key) * factor(change, key, name) for key in PROPERTIES}
-            )
-            for name, muscle in recruiter.muscles.items()
-        }
+        muscles = {}
+        for name, muscle in recruiter.muscles.items():
+            changed = {key: getattr(muscle, key) * factor(change, key, name) for key in PROPERTIES}
+            muscles[name] = muscle.model_copy(update=changed)
         return recruiter.with_muscles(muscles)
 
 
@@ -259,10 +236,9 @@ def factor(change: Change, key: str, element: str) -> float:
 
 def _stretched_points(element: Any, sizes: Mapping[str, float]) -> Any:
     """Return a joint or a force whose points are stretched from the centres of mass of their bodies."""
-    points = getattr(element, "points", None)
-    if points is None:
+    if getattr(element, "points", None) is None:
         return element
-    own = zip(element.bodies, points, strict=True)
+    own = zip(element.bodies, element.points, strict=True)
     return element.model_copy(update={"points": tuple(_scaled(point, sizes.get(body, 1.0)) for body, point in own)})
 
 
@@ -279,10 +255,4 @@ def with_moved_points(name: str, muscle: Muscle, sizes: Mapping[str, float], cha
         points[body] = (sizes.get(body, 1.0), x, y)
     if all(one == (1.0, 0.0, 0.0) for one in points.values()):
         return muscle
-    moved = moved_muscle(muscle.model_dump(mode="json", exclude_none=True), points)
-    return Muscle.model_validate({**moved, "path": [_plain(item) for item in moved["path"]]})
-
-
-def _plain(item: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an item of a path without keys whose values are None."""
-    return {key: value for key, value in item.items() if value is not None}
+    return Muscle.model_validate(moved_muscle(muscle.model_dump(mode="json", exclude_none=True), points))

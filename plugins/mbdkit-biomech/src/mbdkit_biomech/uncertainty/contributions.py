@@ -35,32 +35,24 @@ def excluded_error(run: Run) -> str:
     """Return what the error bars of a person do not include; empty for other runs of inverse dynamics."""
     if "subject" not in run.spec:
         return ""
-    return PERSON_MODEL_ERROR if run.accuracy is not None and run.accuracy.parts else PERSON_ERROR
+    return PERSON_MODEL_ERROR if has_contributions(run) else PERSON_ERROR
 
 
 @dataclass(frozen=True)
 class Contributions:
-    """What contributes to the error bar of the force of a joint at a time.
-
-    Attributes
-    ----------
-    joint
-        Name of the joint.
-    time
-        Time of the row [s].
-    force, error
-        Force of the joint and its error bar, which holds with a probability of 95 % [N].
-    shares
-        Shares of the sources in the square of the error bar, the largest first; their sum is 1. The share of
-        ``interactions`` is what the others leave. A share is negative if a source shifts the force in one direction,
-        and all of them together in the other.
-    """
+    """What contributes to the error bar of the force of a joint at a time."""
 
     joint: str
+    """Name of the joint."""
     time: float
+    """Time of the row [s]."""
     force: float
     error: float
+    """Force of the joint and its error bar, which holds with a probability of 95 % [N]."""
     shares: dict[str, float]
+    """Shares of the sources in the square of the error bar, the largest first; their sum is 1. The share of
+    ``interactions`` is what the others leave. A share is negative if a source shifts the force in one direction, and
+    all of them together in the other."""
 
     @property
     def advice(self) -> str:
@@ -105,8 +97,8 @@ def contributions(run: Run, joint: str, at: float | None = None) -> Contribution
     """
     if joint not in run.joint_names:
         raise UnknownNameError("joint", joint, list(run.joint_names))
-    parts = {} if run.accuracy is None else run.accuracy.parts
-    if "contribution" not in parts:
+    accuracy = run.accuracy
+    if accuracy is None or not accuracy.parts:
         raise SpecError("the run has no contributions: its spec has no `uncertainty`", key="uncertainty")
     place, time = list(run.joint_names).index(joint), np.asarray(run.time)
     force = _forces(run)[:, place]
@@ -115,12 +107,10 @@ def contributions(run: Run, joint: str, at: float | None = None) -> Contribution
         if not time[0] <= at <= time[-1]:
             raise SpecError(f"should be from {time[0]:.6g} to {time[-1]:.6g} s, not {at:g}", key="at")
         row = int(np.argmin(np.abs(time - at)))
-    own = parts["contribution"][:, row, place]
+    own = accuracy.parts["contribution"][:, row, place]
     order = np.argsort(-own, kind="stable").tolist()
-    shares = {str(parts["source"][index]): float(own[index]) for index in order}
-    assert run.accuracy is not None
-    error = float(run.accuracy.reaction_error[row, place])
-    return Contributions(joint, float(time[row]), float(force[row]), error, shares)
+    shares = {str(accuracy.parts["source"][index]): float(own[index]) for index in order}
+    return Contributions(joint, float(time[row]), float(force[row]), float(accuracy.reaction_error[row, place]), shares)
 
 
 def contributions_of(run: Run) -> Callable[..., Contributions]:
@@ -130,24 +120,23 @@ def contributions_of(run: Run) -> Callable[..., Contributions]:
 
 def has_contributions(run: Run) -> bool:
     """Return whether a run has contributions."""
-    return run.accuracy is not None and "contribution" in run.accuracy.parts
+    return run.accuracy is not None and bool(run.accuracy.parts)
 
 
 def _forces(run: Run) -> np.ndarray:
     """Return the magnitudes (T, J) of the forces of the joints."""
-    vectors = run.array("joints/reaction_force")
-    return np.asarray(np.hypot(vectors[..., 0], vectors[..., 1]))
+    return np.asarray(np.hypot(*np.moveaxis(run.array("joints/reaction_force"), -1, 0)[:2]))
 
 
 def largest_joints(run: Run) -> list[str]:
-    """Return the joints with the largest forces in descending order."""
+    """Return the joints with the largest forces in descending order; empty without contributions."""
+    if not has_contributions(run):
+        return []
     order = np.argsort(-np.max(_forces(run), axis=0), kind="stable")[:JOINTS_NAMED]
     return [run.joint_names[index] for index in order]
 
 
 def uncertainty_lines(run: Run) -> list[tuple[str, str]]:
     """Return lines of the summary with the sources of the error bars at the largest forces."""
-    if not has_contributions(run):
-        return []
     texts = [f"{joint}: {contributions(run, joint).sentence}" for joint in largest_joints(run)]
     return [("" if number else "sources of error", text) for number, text in enumerate(texts)]

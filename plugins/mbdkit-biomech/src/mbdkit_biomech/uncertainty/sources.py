@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit_biomech.persons.calibration import require_joints
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 InverseProblem: TypeAlias = Any
@@ -45,10 +45,8 @@ WORDS = {
     "max_force": "strength of {}",
     "optimal_length": "fibre length of {}",
     "tendon_length": "tendon length of {}",
-    "muscle_points": "points of {}",
     "pressure": "pressure point of {}",
     "plate_gain": "gain of {}",
-    "angles": "zero of {}",
 }
 
 ADVICE = {
@@ -72,24 +70,16 @@ ADVICE = {
 
 @dataclass(frozen=True)
 class Source:
-    """A scalar that is not known exactly.
-
-    Attributes
-    ----------
-    group
-        Name of the source in tables, which several scalars may share.
-    kind
-        ``person`` or ``muscles``.
-    moves
-        Changes of places for a change of the scalar by 1.
-    span
-        None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two.
-    """
+    """A scalar that is not known exactly."""
 
     group: str
+    """Name of the source in tables, which several scalars may share."""
     kind: Kind
+    """``person`` or ``muscles``."""
     moves: Mapping[Place, float]
+    """Changes of places for a change of the scalar by 1."""
     span: tuple[float, float] | None = None
+    """None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two."""
 
     @property
     def levels(self) -> np.ndarray:
@@ -109,13 +99,9 @@ class Source:
         return [(float(value), 1 / LEVELS) for value in self.levels]
 
 
-def asked_uncertainty(problem: InverseProblem) -> tuple[Uncertainty, bool] | None:
-    """Return the uncertainty of a problem, and whether it is that of `recruitment.deviations`; None if there is none.
-
-    Raises
-    ------
-    SpecError
-        If `uncertainty` and `recruitment.deviations` are both given.
+def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
+    """Return the uncertainty of a problem, which may be that of `recruitment.deviations`; None if there is none. Raise
+    SpecError if both are given.
     """
     spec = problem.source
     short = None if spec.recruitment is None else spec.recruitment.deviations
@@ -123,23 +109,18 @@ def asked_uncertainty(problem: InverseProblem) -> tuple[Uncertainty, bool] | Non
         raise SpecError("is the short form of `uncertainty`, which is given too: remove one of them",
                         key="recruitment.deviations")  # fmt: skip
     if short is not None:
-        own = {key: getattr(short, key) for key in ("max_force", "optimal_length", "tendon_length", "samples")}
-        return Uncertainty(**own), True
+        return Uncertainty(**short.model_dump())
     if spec.uncertainty == "none" or (spec.uncertainty is None and spec.subject is None):
         return None
-    return spec.uncertainty or Uncertainty(), False
+    return spec.uncertainty or Uncertainty()
 
 
 def sources_of(problem: InverseProblem) -> list[Source]:
-    """Return the sources of uncertainty of a problem; empty if it has none.
-
-    Raises
-    ------
-    SpecError
-        If the spec states the uncertainty of something that it does not have, or asks for no error bars.
+    """Return the sources of uncertainty of a problem; empty if it has none. Raise SpecError if the spec states the
+    uncertainty of something that it does not have, or asks for no error bars.
     """
     asked = asked_uncertainty(problem)
-    found = [] if asked is None else [*_Sources(problem, *asked).all()]
+    found = [] if asked is None else [*_Sources(problem, asked).all()]
     if isinstance(problem.source.uncertainty, Uncertainty) and problem.source.motion.errors == "none":
         raise SpecError("has no effect, because `motion.errors: none` asks for no error bars: remove one of them",
                         key="uncertainty")  # fmt: skip
@@ -158,13 +139,13 @@ def change_of(sources: Sequence[Source], values: np.ndarray) -> dict[Place, floa
 class _Sources:
     """Builds the sources of a problem."""
 
-    def __init__(self, problem: InverseProblem, asked: Uncertainty, is_short: bool):
-        self.problem, self.asked, self.is_short = problem, asked, is_short
-        self.person, self.mechanism = problem.source.person, problem.names.mechanism
+    def __init__(self, problem: InverseProblem, asked: Uncertainty):
+        self.problem, self.asked = problem, asked
+        self.person = problem.source.person
 
     def all(self) -> Iterator[Source]:
         yield from self._centers()
-        segments = dict.fromkeys(segment_of(name, self.person) for name in self.mechanism.bodies)
+        segments = dict.fromkeys(segment_of(name, self.person) for name in self.problem.names.mechanism.bodies)
         for key in ("lengths", "masses", "inertias"):
             if size := self._size(key):
                 yield from (self._scalar(key, segment, size) for segment in segments)
@@ -184,7 +165,7 @@ class _Sources:
 
     def _require(self, key: str, reason: str) -> None:
         """Raise SpecError if the spec itself has a key that needs something else."""
-        if getattr(self.asked, key) and not self.is_short:
+        if getattr(self.asked, key):
             raise SpecError(reason, key=f"uncertainty.{key}")
 
     def _centers(self) -> Iterator[Source]:
@@ -192,24 +173,17 @@ class _Sources:
             self._require("centers", "needs `subject`: only a person from markers has joint centres that are measured")
             return
         given = self.asked.centers
-        own = given if isinstance(given, dict) else {}
-        for joint in own:
-            if joint not in self.person.centers:
-                known = list(self.person.centers)
-                hint = did_you_mean(joint, known) or f"; joints: {listed(known)}"
-                raise SpecError(f"is no joint of the person{hint}", key=f"uncertainty.centers.{quoted(joint)}")
+        sizes = given if isinstance(given, dict) else dict.fromkeys(self.person.centers, given)
+        require_joints(sizes, self.person.centers, "uncertainty.centers")
         for joint, center in self.person.centers.items():
-            size = own.get(joint) if isinstance(given, dict) else given
-            (xx, xy), (_, yy) = center.covariance[:2, :2].tolist() if size is None else ((size * size, 0.0),
-                                                                                        (0.0, size * size))  # fmt: skip
+            size = sizes.get(joint)
+            (xx, xy), (_, yy) = (center.covariance[:2, :2] if size is None else size * size * np.eye(2)).tolist()
             first = np.sqrt(xx)
             shared = xy / first if first > 0 else 0.0
             name = f"centre of the {joint.replace('_', ' ')}"
-            for moves in ((first, shared), (0.0, np.sqrt(max(0.0, yy - shared * shared)))):
-                if any(moves):
-                    yield Source(
-                        name, "person", {("centers", joint, a): one for a, one in zip("xy", moves, strict=True)}
-                    )
+            for x, y in ((first, shared), (0.0, np.sqrt(max(0.0, yy - shared * shared)))):
+                if x or y:
+                    yield Source(name, "person", {("centers", joint, "x"): x, ("centers", joint, "y"): y})
 
     def _of_loads(self) -> Iterator[Source]:
         loads = self.problem.loads
@@ -227,12 +201,10 @@ class _Sources:
         if not angles:
             self._require("angles", "needs an observed angle, but the motion has none")
         for name in angles:
-            own = size
-            if size is None and self.person is not None:
-                own = self.person.zeros[name.split(".")[1]]
-                own = TRUNK_ZERO if np.isnan(own) else own
-            if own:
-                yield Source(f"zero of {name}", "person", {("angles", name): own})
+            zero = self.person.zeros[name.split(".")[1]] if size is None and self.person is not None else size
+            if zero:
+                zero = TRUNK_ZERO if np.isnan(zero) else zero
+                yield Source(f"zero of {name}", "person", {("angles", name): zero})
 
     def _of_muscles(self) -> Iterator[Source]:
         recruiter = self.problem.recruiter
@@ -241,7 +213,7 @@ class _Sources:
             for key in keys:
                 self._require(key, "needs `recruitment`: without it, muscles exert no force")
             return
-        if (size := self._size("max_force")) and not self.is_short:
+        if (size := self._size("max_force")) and self.problem.source.recruitment.deviations is None:
             moves: dict[Place, float] = {("max_force", name): size for name in recruiter.muscles}
             yield Source("strength of all muscles", "muscles", moves)
         for key in keys[:3]:
@@ -249,10 +221,9 @@ class _Sources:
                 yield from (self._scalar(key, name, size, "muscles") for name in recruiter.muscles)
         if size := self._size("muscle_points"):
             for name, muscle in recruiter.muscles.items():
-                group = WORDS["muscle_points"].format(name.replace("_", " "))
-                for body in dict.fromkeys(item.on for item in muscle.path):
-                    for axis in "xy":
-                        yield Source(group, "muscles", {("muscle_points", name, body, axis): size})
+                group = f"points of {name.replace('_', ' ')}"
+                for place in product(["muscle_points"], [name], dict.fromkeys(item.on for item in muscle.path), "xy"):
+                    yield Source(group, "muscles", {place: size})
         for key, name, value in (
             ("exponent", "exponent of recruitment", recruiter.exponent),
             ("minimum", "least activation", recruiter.asked.minimum),

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,8 +52,7 @@ EXACT = (*PROPERTIES, "exponent", "minimum")
 """Keys of places that are not taken to first order."""
 
 
-@dataclass(frozen=True)
-class Outcomes:
+class Outcomes(NamedTuple):
     """Outcomes for S values of the scalars in T frames; nan in frames that the muscles cannot produce.
 
     Actuators and reserves (S, T, U), reactions (S, T, J, 3), and tensions (S, T, M).
@@ -62,31 +61,6 @@ class Outcomes:
     actuators: np.ndarray
     reactions: np.ndarray
     muscles: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Numbers U of actuators, J of joints and M of muscles, and where their arrays are in a row of smooth values."""
-
-    actuators: int
-    joints: int
-    muscles: int
-
-    @cached_property
-    def parts(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
-        u, j, m = self.actuators, self.joints, self.muscles
-        shapes: dict[str, tuple[int, ...]] = {"value": (u,), "reactions": (j, 3), "arms": (u, m), "unit": (j, 3, m)}
-        shapes |= dict.fromkeys(("length", "rate", "optimal_length", "tendon_length"), (m,))
-        found, begin = {}, 0
-        for name, shape in shapes.items():
-            size = int(np.prod(shape))
-            found[name] = (slice(begin, begin + size), shape)
-            begin += size
-        return found
-
-    def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the arrays (..., shape) of rows (..., W)."""
-        return {name: rows[..., part].reshape(*rows.shape[:-1], *shape) for name, (part, shape) in self.parts.items()}
 
 
 class _Mechanics:
@@ -110,8 +84,8 @@ class _Mechanics:
     def _nothing(self) -> np.ndarray:
         return self.reactions(np.zeros_like(self.dynamics.lam))
 
-    def put_muscle(self, out: Mapping[str, np.ndarray], index: int, path: PathState) -> None:
-        """Put the length of a path, its rate, moment arms and reactions of a unit tension into the arrays of a row."""
+    def put_muscle(self, out: np.ndarray, index: int, path: PathState) -> None:
+        """Put the length of a path, its rate, moment arms and reactions of a unit tension into smooth values (T,)."""
         pull = -path.gradient
         arms = self._balance.as_actuators(pull[..., None])[..., 0]
         lam = self._balance.directions.multipliers(pull - products(self._balance.columns, arms))
@@ -120,19 +94,9 @@ class _Mechanics:
 
 
 class StackedOutcomes:
-    """Computes outcomes for values of the scalars of sources.
+    """Computes outcomes of a result for values of the scalars of K sources.
 
-    Parameters
-    ----------
-    result
-        The result.
-    sources
-        The K sources.
-
-    Attributes
-    ----------
-    moves : (K, T, B, 6) array
-        Changes of positions and velocities of the bodies by a change of each scalar by 1.
+    The changes of positions and velocities of the bodies by a change of each scalar by 1 are `moves` (K, T, B, 6).
     """
 
     def __init__(self, result: Inverse, sources: Sequence[Source]):
@@ -140,10 +104,10 @@ class StackedOutcomes:
         self.recruiter = result.problem.recruiter
         self._names = [] if self.recruiter is None else list(self.recruiter.muscles)
         own = ChangedProblem(result.problem, result.fitted, result.independent, result.motion)
-        base, self._mechanics = self._smooth(own), _Mechanics(own)
-        frames, count = len(result.motion.time), len(sources)
+        self._mechanics = _Mechanics(own)
+        self._base = self._smooth(own)
         self._starts: dict[float, np.ndarray] = {}  # multipliers of the result by exponent
-        self._base, self.moves = base, np.zeros((count, frames, result.motion.q.shape[1] // 3, 6))
+        self.moves = np.zeros((len(sources), len(self._base), result.motion.q.shape[1] // 3, 6))
         slopes, changer = {}, Changer(result)
         for index, source in enumerate(sources):
             smooth = {place: size for place, size in source.moves.items() if place[0] not in EXACT}
@@ -152,7 +116,7 @@ class StackedOutcomes:
             elif smooth:
                 slopes[index] = self._slope(changer, source, smooth, index)
         self._smooth_places = list(slopes)
-        self._slopes = np.stack([*slopes.values()], axis=1) if slopes else np.zeros((frames, 0, base.shape[1]))
+        self._slopes = np.stack([*slopes.values()], axis=1) if slopes else self._base[:, None][:, :0]
 
     def _slope(self, changer: Changer, source: Source, smooth: Mapping[Place, float], index: int) -> np.ndarray:
         """Return the derivatives (T, W) with respect to a scalar, from changes by one standard deviation."""
@@ -172,27 +136,20 @@ class StackedOutcomes:
         return np.asarray((sides[0] - sides[1]) / 2)
 
     @cached_property
-    def _layout(self) -> _Layout:
-        mechanism = self.result.problem.prepared.workspace.mechanism
-        return _Layout(len(self.result.problem.actuators), len(mechanism.joints), len(self._names))
+    def _layout(self) -> np.dtype[np.void]:
+        """Names and shapes of the W smooth values of a frame, of U actuators, J joints and M muscles."""
+        problem, m = self.result.problem, len(self._names)
+        u, j = len(problem.actuators), len(problem.prepared.workspace.mechanism.joints)
+        shapes = {"value": (u,), "reactions": (j, 3), "arms": (u, m), "unit": (j, 3, m)} | dict.fromkeys(SMOOTH, (m,))
+        return np.dtype([(name, float, shape) for name, shape in shapes.items()])
 
     def _smooth(self, own: ChangedProblem, keys: set[str] | None = None) -> np.ndarray:
-        """Return rows (T, W) of smooth values, see `_Layout`.
-
-        Parameters
-        ----------
-        keys
-            Keys of what is changed; None for the result itself.
-        """
-        mechanics, layout = _Mechanics(own), self._layout
-        rows = np.zeros((len(own.motion.time), sum(int(np.prod(shape)) for _, shape in layout.parts.values())))
-        out = layout.split(rows)
-        out["value"][:], out["reactions"][:] = mechanics.dynamics.value, mechanics.reactions(mechanics.dynamics.lam)
-        if (recruiter := own.problem.recruiter) is None:
-            return rows
-        if keys is not None and keys <= OF_DYNAMICS:
-            of_muscles = slice(layout.parts["arms"][0].start, None)
-            rows[:, of_muscles] = self._base[:, of_muscles]
+        """Return rows (T, W) of smooth values, see `_layout`; `keys` of what is changed, None for the result itself."""
+        mechanics, same_paths = _Mechanics(own), keys is not None and keys <= OF_DYNAMICS
+        rows = self._base.copy() if same_paths else np.zeros((len(own.motion.time), self._layout.itemsize // 8))
+        out = rows.view(self._layout)[:, 0]
+        out["value"], out["reactions"] = mechanics.dynamics.value, mechanics.reactions(mechanics.dynamics.lam)
+        if (recruiter := own.problem.recruiter) is None or same_paths:
             return rows
         for index, name in enumerate(self._names):
             mechanics.put_muscle(out, index, recruiter.path(name, own.motion))
@@ -209,52 +166,42 @@ class StackedOutcomes:
             muscle = with_moved_points(name, self.recruiter.muscles[name], {}, change)
             rows = self._base.copy()
             path = MusclePath(name, muscle, own.names).at(motion.time, motion.q)
-            self._mechanics.put_muscle(self._layout.split(rows), self._names.index(name), path)
+            self._mechanics.put_muscle(rows.view(self._layout)[:, 0], self._names.index(name), path)
             sides.append(rows)
         return np.asarray((sides[0] - sides[1]) / 2)
 
-    def at(self, values: np.ndarray) -> tuple[Outcomes, int]:
-        """Return the outcomes for values (S, K) of the scalars, and in how many of the S samples some frames have no
-        solution.
-        """
-        count, frames, layout = len(values), len(self._base), self._layout
-        reserves = 0 if self.recruiter is None else len(self.recruiter.reserves)
-        out = Outcomes(
-            np.empty((count, frames, layout.actuators + reserves)),
-            np.empty((count, frames, layout.joints, 3)),
-            np.empty((count, frames, layout.muscles)),
-        )
-        order = np.argsort(self._total(values, ("exponent",)), kind="stable")  # equal exponents are solved together
-        blocks = _blocks(self._total(values, ("exponent",))[order], max(1, ROWS // frames))
+    def at(self, values: np.ndarray) -> Outcomes:
+        """Return the outcomes for values (S, K) of the scalars."""
+        frames, joints = len(self._base), self._layout["reactions"].shape
+        shapes = (len(self.result.problem.recorded_actuators),), joints, (len(self._names),)
+        out = Outcomes(*(np.empty((len(values), frames, *shape)) for shape in shapes))
+        exponents, most = self._total(values, ("exponent",)), max(1, ROWS // frames)
+        equal = (np.flatnonzero(exponents == one) for one in np.unique(exponents))  # they are solved together
+        blocks = [rows[begin : begin + most] for rows in equal for begin in range(0, len(rows), most)]
         with ThreadPoolExecutor(THREADS) as pool:  # NumPy and machine code release the lock of the interpreter
-            list(pool.map(lambda chosen: self._fill(values[order[chosen]], order[chosen], out), blocks))
-        failed = np.isnan(out.reactions).any(axis=(1, 2, 3))
-        return out, int(np.sum(failed))
+            list(pool.map(lambda rows: self._fill(values[rows], rows, out), blocks))
+        return out
 
     def _total(self, values: np.ndarray, place: Place) -> np.ndarray:
         """Return the changes (S,) of a place."""
-        found = np.zeros(len(values))
-        for index, source in enumerate(self.sources):
-            if place in source.moves:
-                found = found + values[:, index] * source.moves[place]
-        return found
+        moves = ((column, source.moves.get(place)) for column, source in zip(values.T, self.sources, strict=True))
+        return sum((size * column for column, size in moves if size is not None), start=np.zeros(len(values)))
 
     def _fill(self, values: np.ndarray, rows: np.ndarray, out: Outcomes) -> None:
         """Compute the outcomes of samples and put them into the rows (S,) of the arrays."""
         smooth = self._base[:, None] + products(values[:, self._smooth_places], self._slopes)  # (T, S, W)
-        own = self._layout.split(smooth)
-        value, reactions = own["value"], own["reactions"]
+        own = smooth.view(self._layout)[..., 0]
         recruiter, recruited = self.recruiter, self.result.recruited
         if recruiter is None or recruited is None:
-            out.actuators[rows], out.reactions[rows] = np.swapaxes(value, 0, 1), np.swapaxes(reactions, 0, 1)
+            out.actuators[rows], out.reactions[rows] = own["value"].swapaxes(0, 1), own["reactions"].swapaxes(0, 1)
             return
         frames, count = smooth.shape[:2]
-        flat = {name: one.reshape(frames * count, *one.shape[2:]) for name, one in own.items()}
+        flat = own.reshape(-1)
         driven, exponent = recruited.sharing.driven, recruiter.exponent + float(self._total(values, ("exponent",))[0])
         programme, capacity, passive = self._programme(recruiter, driven, values, own)
         if exponent not in self._starts:
-            nominal = self._programme(recruiter, driven, np.zeros((1, values.shape[1])), self._layout.split(self._base))
-            shared = share_loads(nominal[0], exponent)
+            none, base = np.zeros((1, values.shape[1])), self._base.view(self._layout)
+            shared = share_loads(self._programme(recruiter, driven, none, base)[0], exponent)
             solved = np.isfinite(shared.certificate)[:, None]
             self._starts[exponent] = np.where(solved, shared.multipliers, 0.0)
         shared = share_loads(programme, exponent, np.repeat(self._starts[exponent], count, axis=0))
@@ -267,25 +214,21 @@ class StackedOutcomes:
         joint = joint + products(flat["unit"].reshape(frames * count, joint.shape[1], -1), force)
         actuators = np.hstack([np.where(driven, flat["value"], beside), reserve])
         for target, found in ((out.actuators, actuators), (out.reactions, joint), (out.muscles, force)):
-            shape = frames, count, *target.shape[2:]
-            target[rows] = np.swapaxes(found.reshape(shape), 0, 1)
+            target[rows] = found.reshape(frames, count, *target.shape[2:]).swapaxes(0, 1)
 
     def _programme(
-        self, recruiter: Recruiter, driven: np.ndarray, values: np.ndarray, smooth: Mapping[str, np.ndarray]
+        self, recruiter: Recruiter, driven: np.ndarray, values: np.ndarray, smooth: np.ndarray
     ) -> tuple[Programme, np.ndarray, np.ndarray]:
         """Return the programmes of T * S samples, and capacities and passive forces (T * S, M) of muscles, which are
         nan where a tendon is too long.
         """
         capacity, passive = self._capacities(recruiter, values, smooth)
         minimum = np.tile(recruiter.asked.minimum + self._total(values, ("minimum",)), len(self._base))
-        arms = smooth["arms"].reshape(len(minimum), *smooth["arms"].shape[-2:])
-        value = smooth["value"].reshape(len(minimum), -1)
+        arms, value = (smooth[name].reshape(len(minimum), *smooth[name].shape[2:]) for name in ("arms", "value"))
         programme = recruiter.programme(arms, driven, value, np.nan_to_num(capacity), np.nan_to_num(passive), minimum)
         return programme, capacity, passive
 
-    def _capacities(
-        self, recruiter: Recruiter, values: np.ndarray, smooth: Mapping[str, np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _capacities(self, recruiter: Recruiter, values: np.ndarray, smooth: np.ndarray) -> Iterator[np.ndarray]:
         """Return capacities and passive forces (T * S, M) of muscles; nan where a tendon is too long."""
         asked, columns = recruiter.asked, []
         for index, (name, muscle) in enumerate(recruiter.muscles.items()):
@@ -299,14 +242,4 @@ class StackedOutcomes:
                 passive = np.where(along > SHORTEST, fibers.passive, np.nan)
                 active = np.where(along > SHORTEST, fibers.active, np.nan) if asked.capacity == "full" else active
             columns.append((active, passive if asked.passive else np.zeros_like(passive)))
-        capacity, passive = (np.stack(one, axis=-1).reshape(-1, len(columns)) for one in zip(*columns, strict=True))
-        return capacity, passive
-
-
-def _blocks(exponents: np.ndarray, most: int) -> Iterator[slice]:
-    """Yield slices of at most `most` equal values of a sorted array."""
-    begin = 0
-    while begin < len(exponents):
-        end = min(begin + most, int(np.searchsorted(exponents, exponents[begin], side="right")))
-        yield slice(begin, end)
-        begin = end
+        return (np.stack(one, axis=-1).reshape(-1, len(columns)) for one in zip(*columns, strict=True))

@@ -18,7 +18,7 @@ small, by half in one of twenty frames.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,34 +38,23 @@ KINDS: tuple[Kind, Kind] = ("person", "muscles")
 
 @dataclass(frozen=True)
 class UncertainResult:
-    """Effects of uncertain scalars on a result in T frames.
-
-    Attributes
-    ----------
-    squares
-        Squared bounds of actuators (T, U), forces (T, J) and torques (T, J) of joints, positions and velocities (T, B,
-        3), and tensions (T, M); each bound holds with the probability `LEVEL`.
-    peaks
-        (J,) bounds of the errors of the largest forces of joints over the motion [N].
-    groups, kinds
-        Names and kinds of the G sources.
-    shares
-        (G, T, J) shares of the sources in the mean square changes of the forces of joints.
-    scalars, samples, failed
-        Number of scalars, of samples, and of samples in which the muscles cannot produce some frames.
-    failed_rows
-        Share of the frames of all samples that the muscles cannot produce.
-    """
+    """Effects of uncertain scalars on a result in T frames."""
 
     squares: list[np.ndarray]
+    """Squared bounds of actuators (T, U), forces (T, J) and torques (T, J) of joints, positions and velocities (T, B,
+    3), and tensions (T, M); each bound holds with the probability `LEVEL`."""
     peaks: np.ndarray
-    groups: tuple[str, ...]
-    kinds: tuple[Kind, ...]
+    """(J,) bounds of the errors of the largest forces of joints over the motion [N]."""
+    kinds: Mapping[str, Kind]
+    """Kinds of the G sources by name."""
     shares: np.ndarray
+    """(G, T, J) shares of the sources in the mean square changes of the forces of joints."""
     scalars: int
     samples: int
     failed: int
+    """Number of scalars, of samples, and of samples in which the muscles cannot produce some frames."""
     failed_rows: float
+    """Share of the frames of all samples that the muscles cannot produce."""
 
     @property
     def failures(self) -> str:
@@ -81,7 +70,7 @@ class UncertainResult:
         failed = f", of which {self.failed} have frames that the muscles cannot produce" if self.failed else ""
         return (
             f" Uncertain properties of the person, loads and muscles: {counted(self.samples, 'sample')} of "
-            f"{counted(self.scalars, 'scalar')} of {counted(len(self.groups), 'source')}{failed}."
+            f"{counted(self.scalars, 'scalar')} of {counted(len(self.kinds), 'source')}{failed}."
         )
 
     def parts(self, of_data: np.ndarray, whole: np.ndarray) -> dict[str, np.ndarray]:
@@ -99,7 +88,7 @@ class UncertainResult:
             "reaction_error_data": np.sqrt(of_data),
             **{f"reaction_error_{kind}": np.sqrt(self.share_of(kind) * own) for kind in KINDS},
             "reaction_peak_error": self.peaks,
-            "source": np.array([OF_DATA, *self.groups, INTERACTIONS], object),
+            "source": np.array([OF_DATA, *self.kinds, INTERACTIONS], object),
             "contribution": np.array(rows),
         }
 
@@ -107,19 +96,15 @@ class UncertainResult:
         """Return the share (T, J) of a kind of sources in the squared bars; interactions are divided among the kinds in
         proportion.
         """
-        own = [np.sum(self.shares[[one == each for one in self.kinds]], axis=0) for each in KINDS]
+        own = [np.sum(self.shares[[one == each for one in self.kinds.values()]], axis=0) for each in KINDS]
         own = [np.maximum(one, 0.0) for one in own]
         whole = own[0] + own[1]
         return np.asarray(own[KINDS.index(kind)] / np.where(whole > 0, whole, 1.0))
 
 
 def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainResult | None:
-    """Return the effects of the uncertain scalars of a result; None if its spec states none.
-
-    Raises
-    ------
-    MbdkitError
-        If the result does not exist for a scalar that is changed by its standard deviation.
+    """Return the effects of the uncertain scalars of a result; None if its spec states none. Raise MbdkitError if the
+    result does not exist for a scalar that is changed by its standard deviation.
     """
     sources = sources_of(result.problem)
     if not sources:
@@ -127,37 +112,27 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     asked = asked_uncertainty(result.problem)
     assert asked is not None
     stacked = StackedOutcomes(result, sources)
-    nominal, _ = stacked.at(np.zeros((1, len(sources))))
-    values = drawn(sources, asked[0].samples, random)
-    sampled, failed = stacked.at(values)
-    actuators, reactions, muscles = (one - own for one, own in zip(_arrays(sampled), _arrays(nominal), strict=True))
+    nominal = stacked.at(np.zeros((1, len(sources))))
+    values = drawn(sources, asked.samples, random)
+    sampled = stacked.at(values)
+    failed = np.isnan(sampled.reactions).any(axis=(2, 3))
+    actuators, reactions, muscles = (one - own for one, own in zip(sampled, nominal, strict=True))
     force = reactions[..., :2]
     moves = np.sum(stacked.moves * stacked.moves, axis=0) * quantile(1.0)
     squares = [
         _bound(np.abs(actuators)) ** 2,
-        _bound(_norm(force)) ** 2,
+        _bound(np.linalg.norm(force, axis=-1)) ** 2,
         _bound(np.abs(reactions[..., 2])) ** 2,
         moves[..., :3],
         moves[..., 3:],
         _bound(np.abs(muscles)) ** 2,
     ]
-    largest = np.max(_norm(sampled.reactions[..., :2]), axis=1)
-    groups = tuple(dict.fromkeys(one.group for one in sources))
-    shares = _shares(stacked, sources, nominal, force, groups)
+    largest = np.max(np.linalg.norm(sampled.reactions[..., :2], axis=-1), axis=1)
     kinds = {one.group: one.kind for one in sources}
+    shares = _shares(stacked, sources, nominal, force, [*kinds])
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
-    return UncertainResult(
-        squares, peaks, groups, tuple(kinds[one] for one in groups), shares, len(sources),
-        len(values), failed, float(np.mean(np.isnan(sampled.reactions).any(axis=(2, 3)))),
-    )  # fmt: skip
-
-
-def _arrays(one: Outcomes) -> tuple[np.ndarray, ...]:
-    return one.actuators, one.reactions, one.muscles
-
-
-def _norm(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(np.sqrt(np.sum(vectors * vectors, axis=-1)))
+    failures = int(np.sum(failed.any(axis=1))), float(np.mean(failed))
+    return UncertainResult(squares, peaks, kinds, shares, len(sources), len(values), *failures)
 
 
 def _bound(sizes: np.ndarray) -> np.ndarray:
@@ -208,22 +183,19 @@ def _shares(
     safe = np.where(square > 0, square, 1.0)
     found = np.zeros((len(groups), *square.shape))
     for group, weights, changed in _alone(stacked, sources):
-        change = np.nan_to_num(changed.reactions[..., :2] - nominal.reactions[..., :2])
-        own = np.sum(weights[:, None, None, None] * change, axis=0)
-        own_square = np.sum(np.sum(weights[:, None, None, None] * change * change, axis=0), axis=-1)
+        change = np.nan_to_num(changed - nominal.reactions[..., :2])
+        weighted = weights[:, None, None, None] * change
+        own, own_square = np.sum(weighted, axis=0), np.sum(np.sum(weighted * change, axis=0), axis=-1)
         found[groups.index(group)] += (own_square + np.sum(own * (mean - own), axis=-1)) / safe
     return found
 
 
-def _alone(stacked: StackedOutcomes, sources: Sequence[Source]) -> Iterator[tuple[str, np.ndarray, Outcomes]]:
-    """Yield the group, the weights and the outcomes of the nodes of each scalar."""
-    nodes = [(index, value, weight) for index, one in enumerate(sources) for value, weight in one.nodes]
-    values = np.zeros((len(nodes), len(sources)))
-    for row, (index, value, _) in enumerate(nodes):
-        values[row, index] = value
-    every, _ = stacked.at(values)
-    owner = np.array([index for index, _, _ in nodes])
-    weights = np.array([weight for _, _, weight in nodes])
-    for index, one in enumerate(sources):
-        rows = owner == index
-        yield one.group, weights[rows], Outcomes(*(x[rows] for x in _arrays(every)))
+def _alone(stacked: StackedOutcomes, sources: Sequence[Source]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yield the group, the weights (N,) and the forces (N, T, J, 2) of the nodes of each scalar."""
+    units = zip(np.eye(len(sources)), sources, strict=True)
+    values = np.array([value * unit for unit, one in units for value, _ in one.nodes])
+    every, begin = stacked.at(values).reactions[..., :2], 0
+    for one in sources:
+        weights = np.array([weight for _, weight in one.nodes])
+        yield one.group, weights, every[begin : begin + len(weights)]
+        begin += len(weights)

@@ -27,7 +27,6 @@ def uncertainty_sections(run: Run, _mechanism: Mechanism | None) -> tuple[Sectio
     """Return the section with the sources of the error bars at the largest forces; empty without uncertainty."""
     if not has_contributions(run):
         return ()
-    assert run.accuracy is not None
     rows: list[tuple[Cell, ...]] = []
     sentences = []
     for joint in largest_joints(run):
@@ -46,16 +45,13 @@ def uncertainty_sections(run: Run, _mechanism: Mechanism | None) -> tuple[Sectio
 
 def uncertainty_charts(run: Run) -> list[Figure]:
     """Return a chart of the shares over time for the joints with the largest forces; empty without uncertainty."""
-    if not has_contributions(run):
-        return []
-    assert run.accuracy is not None
-    parts, time, found = run.accuracy.parts, np.asarray(run.time), []
+    accuracy, time, found = run.accuracy, np.asarray(run.time), []
     for joint in largest_joints(run):
+        assert accuracy is not None
         place = list(run.joint_names).index(joint)
-        shares, error = parts["contribution"][..., place], run.accuracy.reaction_error[:, place]
-        size = shares * error
+        size = accuracy.parts["contribution"][..., place] * accuracy.reaction_error[:, place]
         order = np.argsort(-np.nansum(np.abs(size), axis=1), kind="stable")[:DRAWN]
-        lines = tuple(Line(str(parts["source"][index]), time, size[index]) for index in order)
+        lines = tuple(Line(str(accuracy.parts["source"][index]), time, size[index]) for index in order)
         caption = (
             f"Error bar of the force of {joint}, divided among its sources in proportion to their shares in its square."
         )
