@@ -39,7 +39,7 @@ from mbdkit_predict.nonlinear_program import (
     solve_pose,
 )
 from mbdkit_predict.objective import INTEGRAL, Objective
-from mbdkit_predict.point_hessian import PointHessian, Terms, assembled
+from mbdkit_predict.point_hessian import PointHessian
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, bounds_of
 from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
 
@@ -381,9 +381,9 @@ class Transcription:
             + ca.dot(of_path, path)
             + h * (ca.dot(weights, integrands) - ca.dot(costates, slopes))
         )
-        variables = [*(known[name] for name in OF_POINTS), self.system.p, self.system.t, h]
-        hessian, _ = ca.hessian(lagrangian, ca.vertcat(*variables))
-        return ca.Function("curvature", [*variables, costates, of_motion, of_path, weights], [ca.cse(hessian)])
+        variables = ca.vertcat(*(known[name] for name in OF_POINTS), self.system.p, self.system.t, h)
+        hessian, _ = ca.hessian(lagrangian, variables)
+        return ca.Function("curvature", [variables, costates, of_motion, of_path, weights], [ca.cse(hessian)])
 
     def _without_effect(self) -> np.ndarray:
         """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
@@ -467,24 +467,24 @@ class Transcription:
             0.0 if kind == INTEGRAL else x for (kind, _), x in zip(self.objective.functionals, functionals, strict=True)
         ]
 
-        def matrix(factor: ca.MX, multipliers: Mapping[str, ca.MX]) -> ca.MX:
+        variables = ca.vertcat(
+            *(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, ca.mtimes(h, spread)
+        )
+
+        def blocks(factor: ca.MX, multipliers: Mapping[str, ca.MX]) -> ca.MX:
             costates = ca.mtimes(multipliers[COLLOCATION], ca.kron(each, ca.DM(self.a)))
             of_path = [
                 ca.mtimes(multipliers[path.name], ca.DM.eye(total)[self._points(grid, path).tolist(), :])
                 for path in self._path
             ]
             weight = factor * ca.DM(np.outer(slope, np.tile(self.b, count)))
-            blocks = self._curvature.map(total)(
-                *(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, ca.mtimes(h, spread), costates,
-                multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight,
-            )  # fmt: skip
-            return assembled(
-                blocks, self._curvature.sparsity_out(0), self._places(grid, x), sum(y.numel() for y in x.values())
+            return self._curvature.map(total)(
+                variables, costates, multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight
             )
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
         rest = self.objective.value(ca.vertcat(ca.MX(0, 1), *others), duration)
-        return x, bounds, conditions, objective, PointHessian(matrix, names, rest)
+        return x, bounds, conditions, objective, PointHessian(variables, blocks, names, rest)
 
     def _slope_of_integrals(self) -> np.ndarray | None:
         """Return the derivatives of the objective by its integrals; None if they are not constant."""
@@ -494,20 +494,6 @@ class Transcription:
         integrals = [k for k, kind in enumerate(kinds) if kind == INTEGRAL]
         chosen = slope[0, integrals] if integrals else ca.SX(1, 0)
         return np.array(ca.DM(chosen)).ravel() if chosen.is_constant() else None
-
-    def _places(self, grid: Grid, x: Mapping[str, ca.MX]) -> list[Terms]:
-        """Return where the variables of `_curvature` are among the unknowns."""
-        begins = dict(zip(x, np.cumsum([0, *(value.numel() for value in x.values())]).tolist(), strict=False))
-        total = grid.points.shape[1]
-        columns, ones = np.arange(total), np.ones(total)
-        places: list[Terms] = []
-        for name in OF_POINTS:
-            rows = x[name].shape[0]
-            places += [[(begins[name] + row + rows * columns, ones)] for row in range(rows)]
-        places += [[(np.full(total, begins["p"] + k), ones)] for k in range(x["p"].numel())]
-        for factors in (grid.points, np.repeat(grid.lengths, len(self.c), axis=1)):
-            places.append([(np.full(total, begins["duration"] + k), row) for k, row in enumerate(factors)])
-        return places
 
     def _points(self, grid: Grid, path: _Path) -> np.ndarray:
         """Return the indices of the collocation points at which a condition along the path is asked.
