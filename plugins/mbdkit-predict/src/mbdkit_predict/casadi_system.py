@@ -1,19 +1,46 @@
-"""A mechanism as functions of CasADi."""
+"""A mechanism as functions of CasADi, whose equations of motion and quantities are evaluated with symbols."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator, Mapping
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.consistent_start import mechanism_at_start
+from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.frames import Reactions
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.workspace import Workspace
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.expressions.program import value_of
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import States
+from mbdkit.quantities.table import KINDS
+from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
+from mbdkit_biomech.muscles.force_curves import CURVES
+from mbdkit_biomech.muscles.hill_laws import fiber_pull, tendon_gap
+from mbdkit_contact.acting_contacts import contact_law, pairs_of_shapes
+from mbdkit_contact.kernels import contact_laws
+from mbdkit_predict.chosen_numbers import ChosenNumbers
+from mbdkit_predict.interpreted import Interpreter
+from mbdkit_predict.symbols import BranchError, Symbol, column, symbols
+
 ARGUMENTS = ("q", "v", "a", "lam", "z", "u", "p", "t")
 """Arguments of all functions."""
+_CONTACT = {"gap": 0, "normal_force": 1, "friction_force": 2, "slip": 3}
+"""Quantities of contacts, with their index in the results of the law of contacts."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class CasadiSystem:
     """A mechanism as functions of CasADi's SX, executed from the definitions of the machine code.
 
@@ -23,6 +50,13 @@ class CasadiSystem:
 
     Functions have the arguments ``(q, v, a, lam, z, u, p, t)``. Q depends on lam only with friction in joints.
     Jacobians are those of CasADi; at corners of the model, such as the beginning of contact, they are one-sided.
+
+    Parameters
+    ----------
+    chosen
+        Controls and parameters of the mechanism.
+    t0
+        See `mbdkit.Mechanism.to_casadi`.
 
     Attributes
     ----------
@@ -39,8 +73,8 @@ class CasadiSystem:
         Controls and parameters, (U, 1) and (P, 1).
     t : SX
         Time [s].
-    constraint_names, state_names, control_names, parameter_names : tuple of str
-        Names of the rows ``joint.row``, states, controls and parameters.
+    constraint_names, state_names, control_names, parameter_names, compiled_states : tuple of str
+        Names of the rows ``joint.row``, states, controls and parameters, and of states with the controls among them.
     q0, v0, z0, u0, p0 : arrays
         The consistent start of the mechanism, its states, and present values of controls and parameters.
     residual : casadi.Function
@@ -53,30 +87,32 @@ class CasadiSystem:
         Zeros in a motion, two for each muscle whose unknowns are controls: force of the fibres along the tendon less
         that of the tendon, as a share of the largest force; and, as a share of its length, the room for the tendon less
         its length (with the curves `millard`, also a difference of forces).
-    expression : function
-        ``expression(text)`` returns an expression of quantities, such as ``"max(knee.force, 0)**2"``, in the symbols of
-        the system. It raises SpecError if the text is not valid, or contains a quantity that cannot be exported.
-    all_quantities : function
-        ``all_quantities()`` returns all quantities, and the reasons why others are left out, both by name.
     """
 
-    bodies: tuple[str, ...]
-    constraint_names: tuple[str, ...]
-    state_names: tuple[str, ...]
-    control_names: tuple[str, ...]
-    parameter_names: tuple[str, ...]
-    symbols: Mapping[str, ca.SX]
-    q0: np.ndarray
-    v0: np.ndarray
-    z0: np.ndarray
-    u0: np.ndarray
-    p0: np.ndarray
-    residual: ca.Function
-    constraints: ca.Function
-    rates: ca.Function
-    equilibrium: ca.Function
-    expression: Callable[[str], ca.SX]
-    all_quantities: Callable[[], tuple[dict[str, ca.SX], dict[str, str]]]
+    def __init__(self, chosen: ChosenNumbers, t0: float):
+        self.chosen = chosen
+        start = mechanism_at_start(self.chosen.mechanism, t0)
+        self._compiled = start.mechanism
+        _check(self._compiled)
+        self._controls = {name: i for i, name in enumerate(chosen.control_states)}
+        names = [state.name for state in self._compiled.states]
+        self._is_state = [name not in self._controls for name in names]
+        self.bodies, self.compiled_states = self._compiled.bodies, tuple(names)
+        self.constraint_names = tuple(row.label for row in self._compiled.solved_rows)
+        self.state_names = tuple(name for name in names if name not in self._controls)
+        self.control_names, self.parameter_names = chosen.controls, chosen.parameters
+        n, m = 3 * len(self._compiled.bodies), len(self._compiled.solved_rows)
+        sizes = (n, n, n, m, sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
+        self.symbols = {name: ca.SX.sym(name, size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
+        self._q, self._v, self._a, self._lam, z, self._u, self._p, (self.time,) = map(_elements, self.symbols.values())
+        states = iter(z)
+        self._z = [self._u[self._controls[name]] if name in self._controls else next(states) for name in names]
+        self.q0, self.v0 = start.q0[:n].copy(), start.v0[:n].copy()
+        self.z0 = self._compiled.initial_states[self._is_state]
+        self.u0, self.p0 = np.array(chosen.control_start), np.array(chosen.parameter_start)
+        self._run = Interpreter(self._compiled.laws)
+        self._equations = self._new_equations()
+        self._add_functions()
 
     def __repr__(self) -> str:
         n, m, z = len(self.q0), len(self.constraint_names), len(self.state_names)
@@ -90,11 +126,125 @@ class CasadiSystem:
 
     def function(self, name: str, results: Mapping[str, ca.SX]) -> ca.Function:
         """Return a function of ``(q, v, a, lam, z, u, p, t)`` with named results, expressions in these symbols."""
-        return function(name, self.symbols, results)
+        return ca.Function(
+            name, list(self.symbols.values()), ca.cse(list(results.values())), list(self.symbols), list(results)
+        )
+
+    def _new_equations(self) -> equations.Equations:
+        """Return the arrays of the engine, with numbers and symbols as objects."""
+        known = self._compiled
+        work = Workspace(known, 0.0, np.zeros(known.size), np.zeros(known.size))
+        top = self.chosen.topology(known.topology, self._p)
+        scratch = _objects(work.scratch)
+        scratch.law_values[:] = top.law_parameters
+        bundle: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
+        self._run(applied_forces.take_states)(top, scratch, self._z)
+        for muscle, _, force in self._fibers():
+            _, law = self._law_of(muscle)
+            place = int(top.laws[law, 1])
+            names = [name for name, _ in known.laws[law][1].parameters]
+            largest = scratch.law_values[place + 1 + names.index("max_force")]
+            self._run.known_forces[int(top.laws[law, 0]), int(top.laws[law, 3]), place] = largest * force
+        return bundle
+
+    def _add_functions(self) -> None:
+        """Add the functions `residual`, `constraints`, `rates` and `equilibrium`."""
+        eq, run = self._equations, self._run
+        top, w = eq.top, eq.w
+        residual = _zeros(len(self._q))
+        run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
+        run(applied_forces.applied_forces)(top, w, eq.q, eq.v)
+        rates = self._rates(top)
+        position, velocity, gamma, acceleration = _zeros(4, len(self._lam))
+        run(equations.rows_of)(eq, self.time, self._q, self._v, position, velocity, gamma)
+        eq.a[: len(self._a)] = self._a
+        for k, row in np.ndindex(*w.phi.shape):
+            if row < top.rows[k]:
+                index = eq.solver.row_index[k, row] - len(self._q)
+                by_acceleration = run(system.constraint_rate)(top.pairs, w.jac, _zeros(*w.phi_t.shape), eq.a, k, row)
+                acceleration[index] = by_acceleration - gamma[index]
+        rows = {"position": column(position), "velocity": column(velocity), "acceleration": column(acceleration)}
+        self.residual = self.function("residual", {"residual": column(residual)})
+        self.constraints = self.function("constraints", rows)
+        self.rates = self.function("rates", {"rates": column(rates[self._is_state])})
+        self.equilibrium = self.function("equilibrium", {"equilibrium": column(list(self._equilibrium()))})
+
+    def _rates(self, top: Topology) -> np.ndarray:
+        """Return the rates of the first-order states."""
+        rates = _zeros(len(self._z))
+        self._run(applied_forces.state_rates)(top, self._equations.w, self._equations.v, rates)
+        for muscle, velocity, _ in self._fibers():
+            own = muscle.force.muscle
+            rates[muscle.activation + 1] = own.max_velocity * own.optimal_length * velocity
+        return rates
+
+    def _fibers(self) -> Iterator[tuple[ActingMuscle, Symbol, Symbol]]:
+        """Yield each muscle whose fibres have unknowns among the controls, with velocity and force."""
+        for muscle in self._compiled.extensions.get("muscles", ()):
+            if indices := self.chosen.fibers.get(muscle.force.name):
+                yield muscle, *(self._u[i] for i in indices)
+
+    def _law_of(self, muscle: ActingMuscle) -> tuple[int, int]:
+        """Return the segment and the law of a muscle."""
+        top = self._compiled.topology
+        (segment,) = np.flatnonzero((top.force_place == muscle.place) & (top.springs[:, 5] > 0))
+        return int(segment), int(top.springs[segment, 3])
+
+    def _equilibrium(self) -> Iterator[Any]:
+        """Yield the conditions of equilibrium of the fibres that have unknowns among the controls."""
+        w, top = self._equations.w, self._equations.top
+        for muscle, velocity, force in self._fibers():
+            segment, law = self._law_of(muscle)
+            names = [name for name, _ in self._compiled.laws[law][1].parameters]
+            values = dict(zip(names, w.law_values[top.laws[law, 1] + 1 :], strict=False))
+            curves = CURVES[muscle.force.muscle.curves]
+            yield fiber_pull(velocity, values, curves) - force
+            yield tendon_gap(w.s[segment, 0], force, values, curves)
+
+    @cached_property
+    def _states(self) -> States:
+        """The state as that of a run with one row, from which quantities are taken."""
+        eq, run = self._equations, self._run
+        top, w = eq.top._replace(gravity=eq.gravity), eq.w  # the equations subtract gravity apart
+        t, q, v, lam = (np.array([x], dtype=object) for x in (self.time, self._q, self._v, self._lam))
+        forces = _objects(Reactions.zeros(1, len(top.pairs)))
+        run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, _zeros(len(self._q)))
+        run(frames.reactions_in_frames)(eq, t, q, v, lam, forces)
+        observed = _objects(Observed.zeros(1, self._compiled.topology))
+        observed.lam[:], observed.acc[0, : len(self._a)] = forces.lam, self._a
+        observed.state_rates[0] = self._rates(top)
+        run(observe.describe)(top, w, eq.q, eq.v, observed, 0)
+        run(acting.joint_values)(top, w, eq.q, forces.lam[0], observed.reactions[0], observed.joints[0])
+        observed = Observed(*map(symbols, observed))
+        q, v, z = (symbols(x)[None] for x in (eq.q, eq.v, self._z))
+        return States(self._compiled, t, q, v, lambda: observed, z=z)
+
+    @cached_property
+    def _contacts(self) -> dict[str, np.ndarray]:
+        """Values of all rows of contacts by name."""
+        by_name = dict[str, np.ndarray]()
+        w, top = self._equations.w, self._equations.top
+        for k, rows in enumerate(pairs_of_shapes(self._compiled.extensions.get("contacts", ()))):
+            law, begin = contact_law(rows, contact_laws.VALUES), top.laws[top.interactions[k, 2], 1]
+            out = _zeros(len(rows), contact_laws.VALUE)
+            self._run.call_law(law.address, law.program, 0.0, 0.0, 0.0, w.law_values, begin, out, 0, contact_laws.VALUE)
+            by_name |= {row.pair.name: values for row, values in zip(rows, out, strict=True)}
+        return by_name
 
     @cached_property
     def _quantities(self) -> tuple[dict[str, ca.SX], dict[str, str]]:
-        return self.all_quantities()
+        """All quantities by name, and the reasons why others cannot be exported."""
+        values, refused = {}, {}
+        for name in self._names():
+            try:
+                parsed = self._parsed(name)
+            except SpecError:  # such as the angle of a point mass
+                continue
+            try:
+                values[name] = column([self._value(parsed)])
+            except SpecError as error:
+                refused[name] = error.message
+        return values, refused
 
     @property
     def quantity_names(self) -> tuple[str, ...]:
@@ -111,7 +261,86 @@ class CasadiSystem:
         """Function that returns all quantities of the mechanism, in the order of `quantity_names`."""
         return self.function("quantities", {"quantities": ca.vertcat(*self._quantities[0].values())})
 
+    def _names(self) -> Iterator[str]:
+        """Yield the names of all quantities that have one value at each time."""
+        names = archive_names(self._compiled)
+        for kind in KINDS:
+            attributes = [
+                attribute
+                for attribute in kind.attributes.values()
+                if attribute.in_events and not (attribute.is_vector or attribute.array.is_of_steps)
+            ]
+            axis = next((array for array in kind.arrays if kind.axis and array.path == kind.named_by), None)
+            elements = [""] if axis is None or axis.texts is None else list(axis.texts(names))
+            for element in dict.fromkeys(elements):
+                if kind.word == "states" and element in self._controls:
+                    continue
+                owner = f".{element}" if element.isidentifier() else element and f"[{json.dumps(element)}]"
+                for attribute in attributes:
+                    is_whole = not kind.owner or attribute.array.of_whole
+                    suffixes = [""] if is_whole else [f"[{i}]" for i in range(elements.count(element))]
+                    yield from (f"{kind.word}{owner}.{attribute.name}{suffix}" for suffix in suffixes)
 
-def function(name: str, symbols: Mapping[str, ca.SX], results: Mapping[str, ca.SX]) -> ca.Function:
-    """Return a function of all `ARGUMENTS`; see `CasadiSystem.function`."""
-    return ca.Function(name, list(symbols.values()), ca.cse(list(results.values())), list(symbols), list(results))
+    def expression(self, text: str) -> ca.SX:
+        """Return an expression of quantities, such as ``"max(knee.force, 0)**2"``, in the symbols of the system.
+
+        Raises
+        ------
+        SpecError
+            If the text is not valid, or contains a quantity that cannot be exported.
+        """
+        return column([self._value(self._parsed(text))])
+
+    def _parsed(self, text: str) -> RunExpression:
+        return RunExpression.parse(text, self.chosen.mechanism, crosses=False)
+
+    def _value(self, parsed: RunExpression) -> Any:
+        def leaf(operation: str, number: float) -> Any:
+            if operation == "get":
+                return self.quantity(parsed.quantities[int(number)])
+            return self.time if operation == "t" else number
+
+        return value_of(parsed.program, leaf)
+
+    def quantity(self, quantity: Quantity) -> Any:
+        """Return a quantity as a symbol, the norm of a vector; raise SpecError if it cannot be exported."""
+        name, reason = quantity.name, ""
+        if quantity.recorded.array.is_shared and name in self._compiled.redundancy.not_unique:
+            reason = "redundant joints share it, so that it does not follow from the multipliers"
+        elif quantity.kind == "contacts" and quantity.attribute in _CONTACT:
+            return self._contacts[name][_CONTACT[quantity.attribute]]
+        elif quantity.kind in ("contacts", "ground_reactions"):
+            reason = f"of contacts, there are {listed(list(_CONTACT), 'and')}"
+        else:
+            try:
+                value = quantity.taker(archive_names(self._compiled))(self._states)
+                return elementary.hypot(*value[0]) if quantity.is_vector else value[0]
+            except (BranchError, TypeError, ValueError, AttributeError) as error:
+                reason = f"its definition cannot be executed with symbols ({error})"
+        raise SpecError(f"{quantity} cannot be exported: {reason}")
+
+
+def _check(mechanism: CompiledMechanism) -> None:
+    """Raise SpecError for a rigid contact."""
+    for contact in mechanism.extensions.get("contacts", ()):
+        if contact.first_state >= 0:
+            raise SpecError(
+                f"contact '{contact.pair.name}' is rigid, so that its force is not a function of the state; give it a "
+                "`compliance`",
+                key=contact.pair.key,
+            )
+
+
+def _elements(vector: ca.SX) -> list[Symbol]:
+    return [Symbol(x) for x in ca.vertsplit(vector)] if vector.numel() else []
+
+
+def _zeros(*shape: int) -> np.ndarray:
+    return np.full(shape, 0.0, dtype=object)
+
+
+def _objects(bundle: Any) -> Any:
+    """Return a bundle with its numbers, not integers, as objects."""
+    return type(bundle)(
+        *(x.astype(object) if isinstance(x, np.ndarray) and x.dtype == np.float64 else x for x in bundle)
+    )

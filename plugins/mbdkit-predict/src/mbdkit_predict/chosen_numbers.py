@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, copied, parse_path, path_text, quoted
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text, plain, quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 
-STEPS = 0.25, 0.125
-"""Changes of parameters, relative to their values, by which linear functions are recognized."""
+STEP = 0.25
+"""Change of parameters, relative to their values, by which linear functions are recognized, together with its half."""
 LINEAR = 1e-9
 """Largest difference between the slopes for both changes, relative to the slope."""
 NOT_READ = "weight", "length", "row_units"
@@ -137,7 +137,7 @@ class ChosenNumbers:
         holder: Any = spec
         for i, part in enumerate(path):
             if isinstance(holder, dict) and part not in holder:  # a default value, which specs leave out
-                holder[part] = copied(_plain(self._value(path_text(tuple(path[: i + 1])))))
+                holder[part] = plain(self._value(path_text(tuple(path[: i + 1]))))
             holder = holder[part]
         holder[last] = value
 
@@ -179,42 +179,32 @@ class ChosenNumbers:
         arrays = {name: x.astype(object) for name, x in _numbers(known)}
         if not self.parameters:
             return known._replace(**arrays)
-        base = dict(_numbers(self._compiled({})))
-        for k, key in enumerate(self.parameters):
-            changes = [step * (abs(self.parameter_start[k]) or 1.0) for step in STEPS]
-            both = [dict(_numbers(self._compiled({k: change}))) for change in changes]
+        steps = np.array([STEP * (abs(start) or 1.0) for start in self.parameter_start])
+        base = self._compiled(0.0 * steps)
+        changes: dict[str, list[np.ndarray]] = {name: [] for name in base}
+        for k, step in enumerate(np.diag(steps)):
+            moved = [(share * steps[k], self._compiled(share * step)) for share in (1.0, 0.5)]
             for name, start in base.items():
-                if any(x[name].shape != start.shape for x in both):
-                    raise self._refused(key)
-                first, second = ((x[name] - start) / change for x, change in zip(both, changes, strict=True))
-                if np.any(abs(first - second) > LINEAR * np.maximum(abs(first), abs(second))):
-                    raise self._refused(key)
-                whole = np.rint(first)
-                slope = np.where(abs(first - whole) <= LINEAR, whole, first)
+                slopes = [(x[name] - start) / change for change, x in moved if x[name].shape == start.shape]
+                if len(slopes) < 2 or np.any(abs(np.subtract(*slopes)) > LINEAR * np.max(np.abs(slopes), axis=0)):
+                    why = "is not a parameter that can be exported: the equations of motion are not linear in it"
+                    raise SpecError(why, key=f"model.{self.parameters[k]}")
+                changes[name].append(steps[k] * slopes[0])
+                whole = np.rint(slopes[0])
+                slope = np.where(abs(slopes[0] - whole) <= LINEAR, whole, slopes[0])
                 for index in zip(*np.nonzero(slope), strict=True):
                     arrays[name][index] = arrays[name][index] + slope[index] * (p[k] - self.parameter_start[k])
-        self._check_products(base)
+        together = self._compiled(steps)
+        for name, start in base.items():
+            size = abs(start) + np.abs(changes[name]).sum(axis=0)
+            if np.any(abs(together[name] - start - np.sum(changes[name], axis=0)) > LINEAR * size):
+                raise SpecError("the equations contain products of these parameters", key="parameters")
         return known._replace(**arrays)
 
-    def _check_products(self, base: dict[str, np.ndarray]) -> None:
-        """Raise SpecError if the effects of parameters do not add up, as with products of two of them."""
-        steps = [STEPS[0] * (abs(start) or 1.0) for start in self.parameter_start]
-        together = dict(_numbers(self._compiled(dict(enumerate(steps)))))
-        apart = [dict(_numbers(self._compiled({k: step}))) for k, step in enumerate(steps)]
-        for name, start in base.items():
-            total = sum((x[name] - start for x in apart), start=0.0 * start)
-            size = sum((abs(x[name] - start) for x in apart), start=abs(start))
-            if np.any(abs(together[name] - start - total) > LINEAR * size):
-                raise SpecError("the equations contain products of these parameters", key="parameters")
-
-    def _compiled(self, changes: Mapping[int, float]) -> Topology:
-        values = [start + changes.get(k, 0.0) for k, start in enumerate(self.parameter_start)]
-        return compile_mechanism(self.with_parameters(values)).topology
-
-    def _refused(self, key: str) -> SpecError:
-        return SpecError(
-            "is not a parameter that can be exported: the equations of motion are not linear in it", key=f"model.{key}"
-        )
+    def _compiled(self, changes: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the numbers of the compiled mechanism with changed parameters."""
+        changed = self.with_parameters((np.array(self.parameter_start) + changes).tolist())
+        return dict(_numbers(compile_mechanism(changed).topology))
 
 
 def elastic_muscles(mechanism: Mechanism) -> list[str]:
@@ -232,7 +222,3 @@ def _numbers(topology: Topology) -> Iterator[tuple[str, np.ndarray]]:
     for name, x in topology._asdict().items():
         if x.dtype == np.float64 and name not in NOT_READ:
             yield name, x
-
-
-def _plain(value: Any) -> Any:
-    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value

@@ -53,8 +53,6 @@ class ElasticFibers:
     def guess(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return the lengths (F, T) of the fibres on slack tendons at positions (n, T), for parameters (P,)."""
         lengths = np.array(self._lengths(q, p)).reshape(len(self.states), q.shape[1])
-        rows = []
-        for muscle, length in zip(self._muscles, lengths, strict=True):
-            along = np.maximum(length - muscle.tendon_length, SHORTEST * muscle.optimal_length)
-            rows.append(np.hypot(along, muscle.thickness))
-        return np.array(rows).reshape(lengths.shape)
+        numbers = [(own.tendon_length, SHORTEST * own.optimal_length, own.thickness) for own in self._muscles]
+        slack, shortest, thickness = np.reshape(numbers, (-1, 3)).T[:, :, None]
+        return np.asarray(np.hypot(np.maximum(lengths - slack, shortest), thickness))

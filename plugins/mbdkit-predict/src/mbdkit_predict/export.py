@@ -20,11 +20,11 @@ def exported(mechanism: Mechanism) -> Callable[..., CasadiSystem]:
         If CasADi is not installed.
     """
     require_casadi("the export to CasADi needs")
+    from mbdkit_predict.casadi_system import CasadiSystem
     from mbdkit_predict.chosen_numbers import ChosenNumbers
-    from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
 
     def system(controls: Sequence[str], parameters: Sequence[str], t0: float) -> CasadiSystem:
-        return SymbolicMechanism(ChosenNumbers(mechanism, controls, parameters), t0).system()
+        return CasadiSystem(ChosenNumbers(mechanism, controls, parameters), t0)
 
     return system
 

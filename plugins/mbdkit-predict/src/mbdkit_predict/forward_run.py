@@ -100,21 +100,17 @@ def _integrated(rates: Rates, span: tuple[float, float], state: np.ndarray, scal
         nonlocal count
         count += 1
         if count > MOST_EVALUATIONS:
-            raise _TooManyError
+            raise StepError("step-too-small", "the explicit method needs too many evaluations")
         return rates(t, y)
 
     options: Any = {"rtol": PRECISION, "atol": absolute}
     try:
         result = solve_ivp(counted, span, state, EXPLICIT, **options)
-    except (_TooManyError, StepError):
+    except StepError:
         result = solve_ivp(rates, span, state, IMPLICIT, **options)
     if result.success and np.all(np.isfinite(result.y[:, -1])):
         return np.asarray(result.y[:, -1])
     raise StepError("not-finite", "the forward run stopped")
-
-
-class _TooManyError(Exception):
-    pass
 
 
 def _scale(states: np.ndarray, n: int) -> np.ndarray:

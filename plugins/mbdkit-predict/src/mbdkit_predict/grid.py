@@ -47,23 +47,18 @@ class Grid:
         return np.asarray((np.arange(self.phase[-1] + 1)[:, None] == self.phase) * self.share)
 
     @cached_property
-    def starts(self) -> np.ndarray:
-        """Matrix (P, N), which turns durations into the starts of the intervals, from the start of the motion on."""
-        sums = np.cumsum(self.lengths, axis=1)
-        return np.asarray(sums - self.lengths)
+    def ends(self) -> np.ndarray:
+        """Matrix (P, N), which turns durations into the ends of the intervals, from the start of the motion on."""
+        return np.cumsum(self.lengths, axis=1)
 
     @cached_property
     def points(self) -> np.ndarray:
         """Matrix (P, N s), which turns durations into the times of the collocation points."""
         s = len(self.c)
         return np.asarray(
-            np.repeat(self.starts, s, axis=1) + np.repeat(self.lengths, s, axis=1) * np.tile(self.c, len(self.phase))
+            np.repeat(self.ends - self.lengths, s, axis=1)
+            + np.repeat(self.lengths, s, axis=1) * np.tile(self.c, len(self.phase))
         )
-
-    @cached_property
-    def point_phase(self) -> np.ndarray:
-        """Phase (N s,) of each collocation point."""
-        return np.repeat(self.phase, len(self.c))
 
     def ends_of_phases(self) -> list[int]:
         """Return the index of the last interval of each phase."""

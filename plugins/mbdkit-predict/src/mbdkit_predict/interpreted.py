@@ -9,7 +9,9 @@ exceptions: tables of motions, and laws that are called by address. These are ex
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import BuiltinFunctionType, CellType, CodeType, FunctionType, SimpleNamespace
 from typing import Any
 
@@ -26,7 +28,7 @@ from mbdkit.expressions import operations
 from mbdkit.mechanism.force_law import FunctionLaw
 from mbdkit_contact.kernels import contact_laws, uneven_ground
 from mbdkit_predict.merged_branches import Numbers, merged, select
-from mbdkit_predict.symbols import BranchError, Symbol, apply, every_branch, largest, smallest, where
+from mbdkit_predict.symbols import BranchError, Symbol, apply, best, every_branch, where
 
 
 def _number(x: Any) -> Any:
@@ -63,7 +65,7 @@ def _segment_at(x: np.ndarray, ground: int, count: int, px: Any) -> Any:
 
 MERGED = (contact_laws.__name__, uneven_ground.__name__)
 """Modules whose functions search, so that their branches are merged."""
-_BUILTINS = {"min": smallest, "max": largest, "float": _number}
+_BUILTINS = {"min": partial(best, operator.lt), "max": partial(best, operator.gt), "float": _number}
 _REPLACED: Mapping[Any, Callable[..., Any]] = {
     arithmetic.where: where,
     arithmetic.any_of: lambda condition: isinstance(condition, Symbol) or bool(condition),

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from mbdkit.base.interrupts import interrupts_noted
 from mbdkit_predict.point_hessian import PointHessian
 
 MOST_ITERATIONS = 2000
@@ -33,8 +32,20 @@ ACCEPTABLE = 1e-8
 """Violation of the conditions of optimality up to which an optimizer that cannot reduce it further has succeeded."""
 SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 ROUNDED = "Search_Direction_Becomes_Too_Small"
-STOPPED = "User_Requested_Stop"
 """Reports of the optimizer."""
+
+
+_SILENT: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+_OPTIONS: dict[str, Any] = {
+    **_SILENT, "show_eval_warnings": False, "calc_lam_x": True, "ipopt.tol": PRECISION,
+    "ipopt.bound_relax_factor": 0.0, "ipopt.mumps_pivtol": 0.01,
+}  # fmt: skip
+"""Options of the optimizer.
+
+`calc_lam_x` computes multipliers of unknowns with equal bounds too, which the optimizer takes for constants.
+`mumps_pivtol` is the default of the linear solver itself. With that of the optimizer, 1e-6, the inertia of the matrix
+is wrong on meshes of 100 intervals or more, and the problem is regularized without need.
+"""
 
 
 class Condition(NamedTuple):
@@ -70,15 +81,9 @@ class Stop:
         """Whether to stop."""
         return self.interrupted or time.perf_counter() > self.end
 
-    @contextmanager
-    def noting(self) -> Iterator[None]:
-        """Note interrupts instead of ending the block."""
-
-        def note() -> None:
-            self.interrupted = True
-
-        with interrupts_noted(note):
-            yield
+    def interrupt(self) -> None:
+        """Note that the user interrupts the optimization."""
+        self.interrupted = True
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,9 @@ class NonlinearProgram:
         self._names, self._shapes = list(unknowns), {name: bounds[name][0].shape for name in unknowns}
         self.points = {condition.name: condition.points for condition in conditions if condition.points is not None}
         self._conditions = [(condition.name, condition.value.numel()) for condition in conditions]
-        self._sizes = np.concatenate([_flat(_of_rows(sizes.get(name, 1.0), self._shapes[name])) for name in unknowns])
+        self._sizes = np.concatenate(
+            [np.resize(sizes.get(name, 1.0), unknown.numel()) for name, unknown in unknowns.items()]
+        )
         self._low_x, self._high_x = (
             np.concatenate([_flat(bounds[name][k]) for name in unknowns]) / self._sizes for k in (0, 1)
         )
@@ -188,40 +195,36 @@ class NonlinearProgram:
             "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": SCALE,
             **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _warm(NEAR, BARRIER)), **self._hessian,
         }  # fmt: skip
-        with redirect_stderr(io.StringIO()):
-            self._solver = ca.nlpsol("prediction", "ipopt", self._functions, _options(**options))
         start = {"x0": np.concatenate([_flat(guess[name]) for name in self._names]) / self._sizes}
         if slopes is not None:
             rows = [slopes[name][:, self.points[name]] if name in self.points else slopes[name]
                     for name, _ in self._conditions]  # fmt: skip
             start["lam_g0"] = -np.concatenate([_flat(row) for row in rows])
             start["lam_x0"] = -np.concatenate([_flat(slopes[name]) for name in self._names]) * self._sizes
-        self._result = self._call(self._solver, **start)
+        self._solver, self._result = self._solved(options, **start)
         report, result = self._solver.stats(), self._result
         status, x, g, objective = report["return_status"], result["x"], result["g"], result["f"]
         if status == ROUNDED and max(report["iterations"][name][-1] for name in ("inf_pr", "inf_du")) <= ACCEPTABLE:
             status = SUCCESSES[1]
         if status not in SUCCESSES and watcher.best is not None:
             _, x, g, objective = watcher.best
-        x, g = np.array(x).ravel(), np.array(g).ravel()
+        x, g, lam_x, lam = (np.array(values).ravel() for values in (x, g, result["lam_x"], result["lam_g"]))
         violation = _beyond(g, self._low, self._high)
         rows = np.split(np.arange(len(g)), np.cumsum([size for _, size in self._conditions])[:-1])
-        violations, slopes = dict[str, float](), self._apart(-np.array(result["lam_x"]).ravel() / self._sizes)
-        lam = np.array(result["lam_g"]).ravel()
+        violations, slopes = dict[str, float](), self._apart(-lam_x / self._sizes)
         for (name, _), row in zip(self._conditions, rows, strict=True):
             violations[name] = max(violations.get(name, 0.0), float(violation[row].max(initial=0.0)))
             slopes[name] = -lam[row]
-        scaled = self._apart(x)
-        sides = self._apart(self._low_x), self._apart(self._high_x)
+        of_points = [row for places in self._apart(np.arange(len(x))).values() if places.ndim > 1 for row in places]
         is_smooth = not any(
-            _is_partly_active(*row)
-            for name, value in scaled.items()
-            if value.ndim > 1
-            for row in zip(value, sides[0][name], sides[1][name], strict=True)
-        ) and not any(_is_partly_active(g[row], self._low[row], self._high[row]) for row in rows)
-        gap = _gap(np.array(result["lam_x"]).ravel(), x, self._low_x, self._high_x) + _gap(
-            lam, g, self._low, self._high
+            _is_partly_active(value[row], low[row], high[row])
+            for value, low, high, groups in (
+                (x, self._low_x, self._high_x, of_points),
+                (g, self._low, self._high, rows),
+            )
+            for row in groups
         )
+        gap = _gap(lam_x, x, self._low_x, self._high_x) + _gap(lam, g, self._low, self._high)
         values = self._apart(self._sizes * x)
         return Solution(values, float(objective), status, report["iter_count"], violations, slopes, gap, is_smooth)
 
@@ -236,16 +239,15 @@ class NonlinearProgram:
         known = {"hess_lag": "nlp_hess_l", "jac_g": "nlp_jac_g", "grad_f": "nlp_grad_f"}
         options: dict[str, Any] = {option: self._solver.get_function(name) for option, name in known.items()}
         options |= _warm(1e-12, 1e-11) | {"ipopt.max_iter": 1, "ipopt.tol": 1e-16, "ipopt.acceptable_iter": 0}
-        with redirect_stderr(io.StringIO()):
-            solver = ca.nlpsol("check", "ipopt", self._functions, _options(**options))
-        result = self._result
-        self._call(solver, x0=result["x"], lam_x0=result["lam_x"], lam_g0=result["lam_g"])
+        solver, _ = self._solved(options, **{f"{name}0": self._result[name] for name in ("x", "lam_x", "lam_g")})
         added = solver.stats()["iterations"]["regularization_size"]
         return len(added) > 1 and max(added) == 0.0
 
-    def _call(self, solver: ca.Function, **start: Any) -> Any:
+    def _solved(self, options: Mapping[str, Any], **start: Any) -> tuple[ca.Function, Any]:
+        """Return the solver with some options, and its result."""
         with redirect_stderr(io.StringIO()):
-            return solver(lbx=self._low_x, ubx=self._high_x, lbg=self._low, ubg=self._high, **start)
+            solver = ca.nlpsol("prediction", "ipopt", self._functions, {**_OPTIONS, **options})
+            return solver, solver(lbx=self._low_x, ubx=self._high_x, lbg=self._low, ubg=self._high, **start)
 
     def _apart(self, x: np.ndarray) -> dict[str, np.ndarray]:
         sizes = [int(np.prod(self._shapes[name])) for name in self._names]
@@ -266,11 +268,8 @@ class _Watcher(ca.Callback):
 
     def __init__(self, size: int, low: np.ndarray, high: np.ndarray, stop: Stop):
         super().__init__()
-        self._sizes, self._bounds, self._stop = (
-            {"x": size, "lam_x": size, "f": 1, "g": len(low), "lam_g": len(low)},
-            (low, high),
-            stop,
-        )
+        self._sizes = {"x": size, "lam_x": size, "f": 1, "g": len(low), "lam_g": len(low)}
+        self._bounds, self._stop = (low, high), stop
         self.best: tuple[tuple[float, float], Any, Any, float] | None = None
         self.construct("watcher", {})
 
@@ -295,22 +294,8 @@ class _Watcher(ca.Callback):
 def solve_pose(program: Any, **given: Any) -> np.ndarray:
     """Return the unknowns (n,) that solve a small program ``{"x", "f", "g"}`` of SX."""
     with redirect_stderr(io.StringIO()):
-        solver = ca.nlpsol("pose", "ipopt", program, {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"})
+        solver = ca.nlpsol("pose", "ipopt", program, _SILENT)
         return np.array(solver(**given)["x"]).ravel()
-
-
-def _options(**further: Any) -> dict[str, Any]:
-    """Return the options of the optimizer.
-
-    `calc_lam_x` computes multipliers of unknowns with equal bounds too, which the optimizer takes for constants.
-    `mumps_pivtol` is the default of the linear solver itself. With that of the optimizer, 1e-6, the inertia of the
-    matrix is wrong on meshes of 100 intervals or more, and the problem is regularized without need.
-    """
-    return {
-        "print_time": False, "show_eval_warnings": False, "calc_lam_x": True, "ipopt.print_level": 0,
-        "ipopt.sb": "yes", "ipopt.tol": PRECISION, "ipopt.bound_relax_factor": 0.0, "ipopt.mumps_pivtol": 0.01,
-        **further,
-    }  # fmt: skip
 
 
 def _warm(near: float, barrier: float) -> dict[str, Any]:
@@ -320,11 +305,6 @@ def _warm(near: float, barrier: float) -> dict[str, Any]:
         "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": barrier,
         **{f"ipopt.warm_start_{push}": near for push in pushes},
     }  # fmt: skip
-
-
-def _of_rows(x: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return an array of a shape with the same number in each row, given one for each row or one for all."""
-    return np.broadcast_to(np.reshape(x, (-1, *(1,) * (len(shape) - 1))), shape)
 
 
 def _flat(x: np.ndarray) -> np.ndarray:
@@ -351,20 +331,15 @@ def _is_partly_active(x: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
     return False
 
 
-def statuses() -> Mapping[str, tuple[str, str]]:
-    """Return code and sentence for each report of the optimizer that is no success."""
-    infeasible = "infeasible", "no motion was found that satisfies all conditions"
-    wrong_number = "not-solved", "an expression is not defined, or infinite, along the motion"
-    return {
-        "Infeasible_Problem_Detected": infeasible,
-        "Restoration_Failed": infeasible,
-        "Not_Enough_Degrees_Of_Freedom": ("infeasible", "there are more conditions than unknowns"),
-        "Maximum_Iterations_Exceeded": ("iteration-limit", f"no optimum was found in {MOST_ITERATIONS} iterations"),
-        "Diverging_Iterates": ("unbounded", "unknowns grow without limit; give bounds to what is free"),
-        "Invalid_Number_Detected": wrong_number,
-        ROUNDED: (
-            "not-solved",
-            "the optimizer makes no progress, although conditions of optimality are violated",
-        ),
-        "Error_In_Step_Computation": ("not-solved", "the linear equations of a step could not be solved"),
-    }
+_INFEASIBLE = "infeasible", "no motion was found that satisfies all conditions"
+STATUSES: Mapping[str, tuple[str, str]] = {
+    "Infeasible_Problem_Detected": _INFEASIBLE,
+    "Restoration_Failed": _INFEASIBLE,
+    "Not_Enough_Degrees_Of_Freedom": ("infeasible", "there are more conditions than unknowns"),
+    "Maximum_Iterations_Exceeded": ("iteration-limit", f"no optimum was found in {MOST_ITERATIONS} iterations"),
+    "Diverging_Iterates": ("unbounded", "unknowns grow without limit; give bounds to what is free"),
+    "Invalid_Number_Detected": ("not-solved", "an expression is not defined, or infinite, along the motion"),
+    ROUNDED: ("not-solved", "the optimizer makes no progress, although conditions of optimality are violated"),
+    "Error_In_Step_Computation": ("not-solved", "the linear equations of a step could not be solved"),
+}
+"""Code and sentence for each report of the optimizer that is no success."""

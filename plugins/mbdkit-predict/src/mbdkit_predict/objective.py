@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from mbdkit.base.units import Unit
 from mbdkit.expressions.operations import OPERATIONS, REDUCE
 from mbdkit.expressions.program import execute
 from mbdkit.measures.measure_compiler import MeasureCompiler
-from mbdkit.quantities.quantity import Quantity
+from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.symbols import Symbol, column
 
@@ -27,13 +27,14 @@ class Objective:
 
     Attributes
     ----------
-    functionals
-        Kind, INTEGRAL or FINAL, and integrand or final value, an expression in the symbols of the system.
+    integrands, finals
+        Integrands and final values (K, 1), expressions in the symbols of the system.
     value
-        Function of the values of the functionals, and of the duration.
+        Function of the integrals, the final values, and the duration.
     """
 
-    functionals: tuple[tuple[str, ca.SX], ...]
+    integrands: ca.SX
+    finals: ca.SX
     value: ca.Function
 
 
@@ -50,45 +51,30 @@ class _ObjectiveCompiler(MeasureCompiler):
             return None
 
 
-def objective_of(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -> Objective:
+def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
     """Return the objective of a spec.
-
-    Parameters
-    ----------
-    quantity
-        Function that returns a quantity as a symbol.
-    t
-        The time as a symbol.
 
     Raises
     ------
     SpecError
         If the expression is not valid, or contains a reduction that is not smooth.
     """
-    try:
-        return _objective(spec, quantity, t)
-    except SpecError as error:
-        raise SpecError(spec.with_controls(error.message), key="minimize") from None
-
-
-def _objective(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -> Objective:
     compiler = _ObjectiveCompiler(spec.with_states(spec.minimize), spec)
     program, _ = compiler.measure()
-    functionals: list[tuple[str, ca.SX]] = []
-    symbols: list[ca.SX] = []
+    found: dict[str, list[tuple[Any, Symbol]]] = {INTEGRAL: [], FINAL: []}
     duration = ca.SX.sym("duration")
 
     def functional(kind: str, x: Any) -> Symbol:
-        functionals.append((kind, column([x])))
-        symbols.append(ca.SX.sym(f"functional_{len(functionals)}"))
-        return Symbol(symbols[-1])
+        symbol = Symbol(ca.SX.sym(f"{kind}_{len(found[kind])}"))
+        found[kind].append((x, symbol))
+        return symbol
 
     def step(operation: str, number: float, *operands: Any) -> Any:
         if operation == "get":
-            found_quantity = compiler.quantities[int(number)]
-            return (quantity(found_quantity),) if found_quantity.is_vector else quantity(found_quantity)
+            quantity = compiler.quantities[int(number)]
+            return (system.quantity(quantity),) if quantity.is_vector else system.quantity(quantity)
         if operation in ("const", "t"):
-            return t if operation == "t" else number
+            return system.time if operation == "t" else number
         if operation == "norm" and isinstance(operands[0], tuple):
             return operands[0][0]
         if any(isinstance(operand, tuple) for operand in operands):
@@ -96,10 +82,8 @@ def _objective(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -
         reduction = operation.removeprefix(REDUCE)
         if reduction == operation:
             return OPERATIONS[operation].array(*operands, *(number,) * (operation == "powi"))
-        if reduction == INTEGRAL:
-            return functional(INTEGRAL, operands[0])
-        if reduction == FINAL:
-            return functional(FINAL, operands[0])
+        if reduction in (INTEGRAL, FINAL):
+            return functional(reduction, operands[0])
         if reduction in ("mean", "rms"):
             x = operands[0] if reduction == "mean" else operands[0] ** 2
             mean = functional(INTEGRAL, x) / Symbol(duration)
@@ -109,6 +93,6 @@ def _objective(spec: PredictSpec, quantity: Callable[[Quantity], Any], t: Any) -
         )
 
     value = column([execute(tuple(program), step)])
-    return Objective(
-        tuple(functionals), ca.Function("objective", [ca.vertcat(ca.SX(0, 1), *symbols), duration], [value])
-    )
+    given = [column([symbol for _, symbol in functionals]) for functionals in found.values()]
+    integrands, finals = (column([x for x, _ in functionals]) for functionals in found.values())
+    return Objective(integrands, finals, ca.Function("objective", [*given, duration], [value]))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
-from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, Solution, Stop, statuses
-from mbdkit_predict.predict_spec import PredictSpec
+from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution, Stop
 from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
 ROUNDING = 1e-8
@@ -34,18 +32,24 @@ conditions become active, methods of high order have no constant ratio.
 """
 
 
-@dataclass(frozen=True)
 class Optimum:
-    """The best motion that was found.
+    """The best motion that is found.
+
+    Parameters
+    ----------
+    transcription
+        The optimal control problem.
+    stop
+        When the search ends early.
 
     Attributes
     ----------
-    spec, transcription
-        The spec, and its optimal control problem.
+    spec
+        The spec of the problem.
     mesh
         The solution on the last mesh with an optimum; without one, the best iterate.
     meshes
-        Numbers of intervals of the phases, and objective, of each mesh.
+        The solutions on all meshes with an optimum.
     error
         Estimated error of the objective; nan without an optimum.
     reason
@@ -56,53 +60,9 @@ class Optimum:
         Whether the second-order condition holds.
     """
 
-    spec: PredictSpec
-    transcription: Transcription
-    mesh: Mesh
-    meshes: tuple[tuple[tuple[int, ...], float], ...]
-    error: float
-    reason: str
-    starts: tuple[float, ...]
-    is_minimum: bool
-
-    @property
-    def is_optimum(self) -> bool:
-        """Whether the motion is an optimum, on one mesh at least."""
-        return _solution(self.mesh).is_optimum
-
-    @property
-    def objective(self) -> float:
-        """Value of the objective."""
-        return _solution(self.mesh).objective
-
-    @property
-    def sensitivities(self) -> dict[str, float]:
-        """Derivatives of the optimum: by numbers of the model, fixed durations, and values at the start and the end."""
-        slopes, names = _solution(self.mesh).slopes, self.transcription.system.parameter_names
-        by_parameter = dict(zip(names, slopes["p"].tolist(), strict=True))
-        by_duration = {
-            phase.key("duration"): float(slope)
-            for phase, slope in zip(self.spec.whole, slopes["duration"], strict=True)
-            if isinstance(phase.duration, float)
-        }
-        by_condition = {
-            name: float(slope[0])
-            for name, slope in slopes.items()
-            if name.partition(":")[0].rpartition(".")[2] in ("initial", "final")
-        }
-        return {name: by_parameter[name] for name in self.spec.sensitivities} | by_duration | by_condition
-
-
-@dataclass
-class _Search:
-    spec: PredictSpec
-    transcription: Transcription
-    stop: Stop
-    meshes: list[Mesh] = field(default_factory=list)
-    starts: list[float] = field(default_factory=list)
-    reason: str = ""
-
-    def run(self) -> Optimum:
+    def __init__(self, transcription: Transcription, stop: Stop):
+        self.spec, self.transcription, self._stop = transcription.spec, transcription, stop
+        self.meshes, self.starts, self.reason = list[Mesh](), list[float](), ""
         mesh = self._first()
         error = np.nan
         while _solution(mesh).is_optimum:
@@ -118,26 +78,56 @@ class _Search:
                         f"{len(mesh.grid.phase)} intervals, which is more than `tolerance`"
                     )
                 break
-            mesh = self.transcription.solved(self.transcription.refined(mesh), self.stop)
+            mesh = self.transcription.solved(self.transcription.refined(mesh), self._stop)
         if not _solution(mesh).is_optimum:
             self.reason = self._failure(mesh)
-        best = self.meshes[-1] if self.meshes else mesh
-        is_minimum = bool(self.meshes) and best.program is not None and best.program.is_strict_minimum()
-        record = tuple((solved.grid.counts, _solution(solved).objective) for solved in self.meshes or [mesh])
-        error = error if np.isfinite(error) else np.nan
-        return Optimum(self.spec, self.transcription, best, record, error, self.reason, tuple(self.starts), is_minimum)
+        self.mesh = self.meshes[-1] if self.meshes else mesh
+        self.is_minimum = self.mesh.program is not None and self.is_optimum and self.mesh.program.is_strict_minimum()
+        self.error = error if np.isfinite(error) else np.nan
+
+    @property
+    def record(self) -> list[tuple[tuple[int, ...], float]]:
+        """Numbers of intervals of the phases, and objective, of each mesh."""
+        return [(mesh.grid.counts, _solution(mesh).objective) for mesh in self.meshes or [self.mesh]]
+
+    @property
+    def is_optimum(self) -> bool:
+        """Whether the motion is an optimum, on one mesh at least."""
+        return bool(self.meshes)
+
+    @property
+    def objective(self) -> float:
+        """Value of the objective."""
+        return _solution(self.mesh).objective
+
+    @property
+    def sensitivities(self) -> dict[str, float]:
+        """Derivatives of the optimum: by numbers of the model, fixed durations, and values at the start and the end."""
+        slopes, names = _solution(self.mesh).slopes, self.transcription.system.parameter_names
+        by_parameter = dict(zip(names, slopes["p"].tolist(), strict=True))
+        by_duration = {
+            f"{place}duration": float(slope)
+            for (place, phase), slope in zip(self.spec.whole.items(), slopes["duration"], strict=True)
+            if isinstance(phase.duration, float)
+        }
+        by_condition = {
+            name: float(slope[0])
+            for name, slope in slopes.items()
+            if name.partition(":")[0].rpartition(".")[2] in ("initial", "final")
+        }
+        return {name: by_parameter[name] for name in self.spec.sensitivities} | by_duration | by_condition
 
     def _first(self) -> Mesh:
         """Return the best solution on the first mesh."""
         random, best = np.random.default_rng(self.spec.seed), None
         for k in range(self.spec.starts):
             guess = self.transcription.guess(random if k else None)
-            mesh = self.transcription.solved(guess, self.stop, ITERATIONS_OF_START if k else MOST_ITERATIONS)
+            mesh = self.transcription.solved(guess, self._stop, ITERATIONS_OF_START if k else MOST_ITERATIONS)
             solution = _solution(mesh)
             self.starts.append(solution.objective if solution.is_optimum else np.nan)
             if best is None or _order(mesh) < _order(best):
                 best = mesh
-            if self.stop.now:
+            if self._stop.now:
                 break
         assert best is not None
         return best
@@ -167,14 +157,14 @@ class _Search:
 
     def _failure(self, mesh: Mesh) -> str:
         """Return code and sentence for a mesh without an optimum."""
-        if self.stop.interrupted:
+        if self._stop.interrupted:
             why = "interrupted: stopped by the user"
-        elif self.stop.now:
+        elif self._stop.now:
             assert self.spec.limits is not None
             why = f"wall-time: stopped after limits.wall_time = {self.spec.limits.wall_time:g} s"
         else:
             status = _solution(mesh).status
-            code, sentence = statuses().get(status, ("not-solved", f"the optimizer stopped: {status}"))
+            code, sentence = STATUSES.get(status, ("not-solved", f"the optimizer stopped: {status}"))
             largest = max(float(abs(mesh.values[name]).max(initial=0.0)) for name in OF_POINTS)
             if code == "iteration-limit" and largest > HUGE:
                 code, sentence = "unbounded", f"unknowns grow to {largest:.1e}; give bounds to what is free"
@@ -188,18 +178,15 @@ class _Search:
     def _cause(self, mesh: Mesh) -> str:
         """Return a clause on the condition that cannot hold."""
         guess = self.transcription.guess()
-        largest = max(self.transcription.nearest_violations(guess, self.stop).items(), key=lambda x: x[1], default=None)
+        largest = max(
+            self.transcription.nearest_violations(guess, self._stop).items(), key=lambda x: x[1], default=None
+        )
         if largest is not None and largest[1] > 1e-6:
             return f"; `{largest[0]}` cannot hold with the others: the nearest motion misses it by {largest[1]:.3g}"
         name, size = max(_solution(mesh).violations.items(), key=lambda x: x[1])
         if ": " in name:
             return f"; the largest violation is that of `{name}`, {size:.3g}"
         return "; motion does not lead from the start to the end within the bounds" if size > 1e-6 else ""
-
-
-def find_optimum(spec: PredictSpec, transcription: Transcription, stop: Stop) -> Optimum:
-    """Return the optimum on a mesh that is fine enough."""
-    return _Search(spec, transcription, stop).run()
 
 
 def extrapolated(changes: Sequence[float] | np.ndarray, order: int, accident: float) -> float:

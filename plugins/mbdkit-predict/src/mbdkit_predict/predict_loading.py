@@ -12,10 +12,11 @@ from mbdkit.base.plain_data import copied, parse_path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
-from mbdkit.spec.loading import example_names, exists, loaded, read_source
-from mbdkit.spec.reading import Document, put
+from mbdkit.spec.loading import loaded, read_source
+from mbdkit.spec.reading import put
 from mbdkit.spec.schema import DRAFT, described, model_schema
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
+from mbdkit_studies.study_loading import base_source
 
 PredictSource: TypeAlias = str | Path | Mapping[str, object] | PredictSpec
 """A file, the name of a packaged example, a mapping, or a validated spec of a prediction."""
@@ -100,12 +101,7 @@ def _base(given: Any, folder: Path) -> dict[str, Any]:
         return dict(copied(given))
     if not isinstance(given, str):
         raise SpecError(f"should be a file, the name of an example, or a run spec, not {value_text(given)}", key="base")
-    names = example_names("run")
-    if given not in names and not exists(folder / given):
-        hint = did_you_mean(given, names)
-        raise SpecError(f"there is no file and no example '{given}'{hint}; examples: {listed(names)}", key="base")
-    document: Document = read_source(folder / given if exists(folder / given) else given)
-    return document.data
+    return read_source(base_source(given, folder, "base", "prediction")).data
 
 
 def predict_schema(installed: Registry | None = None) -> dict[str, Any]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
@@ -40,11 +41,6 @@ def _some(controls: dict[str, Any]) -> dict[str, Any]:
     return controls
 
 
-def _check_start(start: float | None, bounds: tuple[float, float]) -> None:
-    if start is not None and not bounds[0] <= start <= bounds[1]:
-        raise SpecError(f"should be within the bounds, {bounds[0]:g} to {bounds[1]:g}, not {start:g}", key="start")
-
-
 Bounds = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 Wanted = Annotated[Number | tuple[Number, Number], AfterValidator(_ordered)]
 
@@ -61,24 +57,19 @@ class Variable(Section):
 
     @model_validator(mode="after")
     def _starts_within(self) -> Variable:
-        _check_start(self.start, self.bounds)
+        low, high = self.bounds
+        if self.start is not None and not low <= self.start <= high:
+            raise SpecError(f"should be within the bounds, {low:g} to {high:g}, not {self.start:g}", key="start")
         return self
 
 
-class Duration(Section):
+class Duration(Variable):
     """A free duration."""
-
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("start",)
 
     bounds: Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
     """Shortest and longest duration [s]."""
     start: Positive | None = None
     """Duration with which the optimization begins [s]; by default, the mean of the bounds."""
-
-    @model_validator(mode="after")
-    def _starts_within(self) -> Duration:
-        _check_start(self.start, self.bounds)
-        return self
 
 
 class PathCondition(Section):
@@ -127,21 +118,6 @@ class TimeLimit(Section):
 
     wall_time: Positive
     """Largest elapsed real time of the optimization [s]. The best motion so far is kept."""
-
-
-class PhaseOfMotion(NamedTuple):
-    """A phase, or the whole motion if there are none."""
-
-    number: int
-    prefix: str
-    duration: float | Duration
-    subject_to: Mapping[str, PathCondition]
-    final: Mapping[str, Any]
-    intervals: int | None
-
-    def key(self, name: str) -> str:
-        """Return the key path of one of its sections."""
-        return f"{self.prefix}{name}"
 
 
 class Collocation(Section):
@@ -231,14 +207,11 @@ class PredictSpec(ModelSpec):
         return self
 
     @property
-    def whole(self) -> list[PhaseOfMotion]:
-        """The phases; without `phases`, the whole motion is one."""
+    def whole(self) -> dict[str, Phase]:
+        """The phases by the beginning of the key paths in them; without `phases`, the whole motion is one."""
         if self.duration is not None:
-            return [PhaseOfMotion(0, "", self.duration, self.subject_to, self.final, None)]
-        return [
-            PhaseOfMotion(k, f"phases[{k}].", phase.duration, phase.subject_to, phase.final, phase.intervals)
-            for k, phase in enumerate(self.phases)
-        ]
+            return {"": Phase.model_construct(duration=self.duration, subject_to=self.subject_to, final=self.final)}
+        return {f"phases[{k}].": phase for k, phase in enumerate(self.phases)}
 
     @property
     def repeated_values(self) -> list[tuple[str, str]]:
@@ -282,17 +255,21 @@ class PredictSpec(ModelSpec):
 
         return re.sub(r"\bcontrols(?:\[([\"'])(.*?)\1\]|\.(\w+))", state, text)
 
-    def control(self, name: str) -> tuple[float, float, float | None]:
+    def control(self, name: str) -> Variable:
         """Return the bounds and the start of a control; of unknowns of fibres, they are free by default."""
-        if (own := self.controls.get(name)) is not None:
-            return *own.bounds, own.start
-        return (0.0, math.inf, 0.1) if name.endswith(UNKNOWNS[1]) else (-math.inf, math.inf, 0.0)
+        low, start = (0.0, 0.1) if name.endswith(UNKNOWNS[1]) else (-math.inf, 0.0)
+        return self.controls.get(name) or Variable.model_construct(bounds=(low, math.inf), start=start)
 
-    def with_controls(self, message: str) -> str:
-        """Return a message in which states that stand for controls are called controls."""
-        for name in self.controls:
-            message = message.replace(f"states[{name!r}]", f"controls[{name!r}]")
-        return message
+    @contextmanager
+    def blaming(self, key: str) -> Iterator[None]:
+        """Raise errors at a key, with messages in which states that stand for controls are called controls."""
+        try:
+            yield
+        except SpecError as error:
+            message = error.message
+            for name in self.controls:
+                message = message.replace(f"states[{name!r}]", f"controls[{name!r}]")
+            raise SpecError(message, key=key) from None
 
     _chosen: Any = PrivateAttr(default=None)
 
@@ -318,8 +295,3 @@ def predict_spec_type(installed: Registry) -> type[PredictSpec]:
     words = description(PredictSpec, "model")
     field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
     return create_model("PredictSpec", __base__=PredictSpec, __doc__=PredictSpec.__doc__, model=field)
-
-
-def bounds_of(wanted: Mapping[str, float | tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return the bounds of values; a number is both bounds."""
-    return {text: value if isinstance(value, tuple) else (value, value) for text, value in wanted.items()}

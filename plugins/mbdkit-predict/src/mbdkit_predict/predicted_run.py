@@ -18,6 +18,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.interrupts import interrupts_noted
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -27,14 +28,14 @@ from mbdkit.quantities.states import States
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.trust.criteria import Judgement
+from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.forward_run import Difference, forward_difference
 from mbdkit_predict.grid import weights
 from mbdkit_predict.nonlinear_program import Stop
 from mbdkit_predict.objective import objective_of
-from mbdkit_predict.optimum import Optimum, find_optimum
+from mbdkit_predict.optimum import Optimum
 from mbdkit_predict.predict_loading import compared_spec
 from mbdkit_predict.predict_spec import PredictSpec
-from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
 from mbdkit_predict.transcription import Transcription
 
 NO_OPTIMUM = "The motion is that of the best iterate: it is no optimum, and may violate conditions."
@@ -57,9 +58,9 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     other = transcribed(compared_spec(spec)) if spec.compare else None
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     stop = Stop(np.inf if spec.limits is None else wall + spec.limits.wall_time)
-    with one_thread_of_linear_algebra(), stop.noting():
-        result = find_optimum(spec, transcription, stop)
-        rival = None if other is None or stop.now else find_optimum(other.spec, other, stop)
+    with one_thread_of_linear_algebra(), interrupts_noted(stop.interrupt):
+        result = Optimum(transcription, stop)
+        rival = None if other is None or stop.now else Optimum(other, stop)
     timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
     held = _archive_of(result, rival, file, timings, overwrite=overwrite)
     if held is not None:
@@ -77,8 +78,10 @@ def transcribed(spec: PredictSpec) -> Transcription:
         If an expression is wrong, or the mechanism cannot be exported.
     """
     try:
-        symbolic = SymbolicMechanism(spec.chosen, 0.0)
-        return Transcription(spec, symbolic, objective_of(spec, symbolic.quantity, symbolic.time))
+        system = CasadiSystem(spec.chosen, 0.0)
+        with spec.blaming("minimize"):
+            objective = objective_of(spec, system)
+        return Transcription(spec, system, objective)
     except SpecError as error:
         raise spec.placed(error) from None
 
@@ -89,26 +92,20 @@ def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     The rows are the start, the collocation points, and the end if it is no such point.
     """
     mesh, method = result.mesh, result.transcription
-    values, n = mesh.values, len(mesh.values["q"])
-    begin, own_states = values["start"], slice(2 * n, None)
-    ends = [values["nodes"][:, -1]] if method.has_nodes else []
-    low, high = np.array([result.spec.control(name)[:2] for name in method.system.control_names]).T
-    first, last = values["u"][:, : len(method.c)], values["u"][:, -len(method.c) :]
-    columns = {
-        "q": (begin[:n], [end[:n] for end in ends]),
-        "v": (begin[n : 2 * n], [end[n : 2 * n] for end in ends]),
-        "z": (begin[own_states], [end[own_states] for end in ends]),
-        "u": (
-            np.clip(first @ weights(method.c, 0.0), low, high),
-            [np.clip(last @ weights(method.c, 1.0), low, high) for _ in ends],
-        ),
-    }
-    q, v, z, u = (np.column_stack([columns[name][0], values[name], *columns[name][1]]).T for name in "qvzu")
-    time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * len(ends)])
-    own, controls = iter(z.T), dict(zip(result.spec.chosen.control_states, u.T, strict=True))
-    compiled = [state.name for state in method.states]
-    states = [controls[name] if name in controls else next(own) for name in compiled]
-    return time, q, v, np.array(states).reshape(len(compiled), len(q)).T
+    values, nodes, s = mesh.values, method.nodes(mesh), len(method.c)
+    at_end = [nodes[:, -1]] * method.has_nodes
+    own = np.column_stack([nodes[:, 0], np.vstack([values[name] for name in "qvz"]), *at_end])
+    q, v, z = np.split(own, [len(values["q"]), 2 * len(values["q"])])
+    low, high, _ = method.limits["u"]
+    first, last = (
+        np.clip(values["u"][:, points] @ weights(method.c, at), low, high)
+        for points, at in ((slice(s), 0.0), (slice(-s, None), 1.0))
+    )
+    u = np.column_stack([first, values["u"], *[last] * method.has_nodes])
+    time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * method.has_nodes])
+    by_name = dict(zip([*method.system.state_names, *result.spec.chosen.control_states], [*z, *u], strict=True))
+    states = [by_name[name] for name in method.system.compiled_states]
+    return time, q.T, v.T, np.reshape(states, (len(states), len(time))).T
 
 
 def _archive_of(
@@ -142,7 +139,7 @@ def _archive_of(
     names = archive_names(mechanism)
     optional = [*layout.of_elements(names), *(["constraints/singularity_distance"] if mechanism.solved_rows else [])]
     optional += layout.FRICTION if mechanism.friction else ()
-    forward = _forward(result, equations, time, np.column_stack([q, v, z]))
+    forward = _forward(result, equations)
     results = _results(result, rival, forward)
     writer = ArchiveWriter(
         path,
@@ -167,30 +164,26 @@ def _archive_of(
         writer.abandon()
 
 
-def _forward(result: Optimum, equations: EquationsOfMotion, time: np.ndarray, states: np.ndarray) -> Difference:
-    """Return how a forward run with the controls differs from the rows of the prediction."""
-    method, s = result.transcription, len(result.transcription.c)
+def _forward(result: Optimum, equations: EquationsOfMotion) -> Difference:
+    """Return how a forward run with the controls differs from the prediction."""
+    method, mesh = result.transcription, result.mesh
     if not result.is_optimum:
         return Difference()
-    names, chosen = [state.name for state in method.states], result.spec.chosen.control_states
-    are_states = [name in names for name in chosen]  # unknowns of fibres are not
-    u = result.mesh.values["u"][are_states].reshape(sum(are_states), len(result.mesh.grid.phase), s)
+    names, chosen = method.system.compiled_states, result.spec.chosen.control_states
+    u = mesh.values["u"][[name in names for name in chosen]]  # unknowns of fibres are no states
     controls = np.array([names.index(name) for name in chosen if name in names])
-    ends = result.mesh.values["duration"] @ (result.mesh.grid.starts + result.mesh.grid.lengths)
-    if method.has_nodes:
-        nodes, own = result.mesh.values["nodes"].T, np.delete(np.arange(states.shape[1]), 2 * equations.n + controls)
-        at_ends = np.zeros((len(nodes), states.shape[1]))
-        at_ends[:, own] = nodes
-    else:
-        at_ends = states[s::s]
-    return forward_difference(equations, np.append(0.0, ends), np.vstack([states[0], at_ends]), u, method.c, controls)
+    nodes, size = method.nodes(mesh).T, 2 * equations.n + len(names)
+    states = np.zeros((len(nodes), size))
+    states[:, np.delete(np.arange(size), 2 * equations.n + controls)] = nodes
+    times = np.append(0.0, mesh.values["duration"] @ mesh.grid.ends)
+    return forward_difference(equations, times, states, u.reshape(len(u), -1, len(method.c)), method.c, controls)
 
 
 def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dict[str, str | int | float]:
     """Return what predictions record in addition to runs."""
     optimized = dict(zip(result.transcription.system.parameter_names, result.mesh.values["p"].tolist(), strict=True))
     texts = {
-        "mesh": [[counts[0] if len(counts) == 1 else counts, value] for counts, value in result.meshes],
+        "mesh": [[counts[0] if len(counts) == 1 else counts, value] for counts, value in result.record],
         "optimized": {name: optimized[name] for name in result.spec.optimized},
         "starts": [None if np.isnan(value) else value for value in result.starts],
         "sensitivities": result.sensitivities if result.is_optimum else {},

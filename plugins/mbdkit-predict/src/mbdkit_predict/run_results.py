@@ -33,9 +33,11 @@ class Gain(NamedTuple):
 
 
 def _recorded(run: Run, name: str) -> Any:
+    """Return what a prediction recorded: a number, or plain data."""
     if name not in run.provenance:
         raise RunError(f"the run has no {name}: it is no prediction")
-    return run.provenance[name]
+    value = run.provenance[name]
+    return json.loads(value) if isinstance(value, str) else value
 
 
 def objective(run: Run) -> float:
@@ -50,13 +52,13 @@ def objective_error(run: Run) -> float:
 
 def mesh(run: Run) -> list[tuple[int | tuple[int, ...], float]]:
     """Return the number of intervals, of each phase if there are several, and the objective of each mesh."""
-    meshes = json.loads(_recorded(run, "mesh"))
+    meshes = _recorded(run, "mesh")
     return [(tuple(count) if isinstance(count, list) else int(count), float(value)) for count, value in meshes]
 
 
 def parameters(run: Run) -> dict[str, float]:
     """Return the optimized numbers by their key path."""
-    return {name: float(value) for name, value in json.loads(_recorded(run, "optimized")).items()}
+    return {name: float(value) for name, value in _recorded(run, "optimized").items()}
 
 
 def controls(run: Run) -> dict[str, Any]:
@@ -69,13 +71,12 @@ def sensitivities(run: Run) -> dict[str, float]:
     """Return derivatives of the optimum from the multipliers: by the key paths in `sensitivities`, by fixed durations,
     and by the values of conditions at the start and the end, such as ``final: block.x``.
     """
-    values: dict[str, float] = json.loads(_recorded(run, "sensitivities"))
-    return values
+    return dict(_recorded(run, "sensitivities"))
 
 
 def starts(run: Run) -> list[float]:
     """Return the objective on the first mesh from each first guess; nan where no optimum was found."""
-    return [math.nan if value is None else float(value) for value in json.loads(_recorded(run, "starts"))]
+    return [math.nan if value is None else float(value) for value in _recorded(run, "starts")]
 
 
 def forward_run(run: Run) -> dict[str, float]:
@@ -84,8 +85,7 @@ def forward_run(run: Run) -> dict[str, float]:
     ``end`` and ``largest`` are the differences at the end and at most; ``of_intervals`` is the sum of those of all
     intervals, each of which starts on the motion. They are nan if there is no optimum, or the run stopped.
     """
-    values: dict[str, float] = json.loads(_recorded(run, "forward_run"))
-    return values
+    return dict(_recorded(run, "forward_run"))
 
 
 def gain(run: Run) -> Callable[..., Gain]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -88,18 +89,9 @@ def where(condition: Any, x: Any, y: Any) -> Any:
     return Symbol(ca.if_else(condition.sx, _expression(x), _expression(y)))
 
 
-def largest(first: Any, *others: Any) -> Any:
-    """Return the largest of several numbers or symbols, as `max` does."""
-    for other in others:
-        first = where(other > first, other, first)
-    return first
-
-
-def smallest(first: Any, *others: Any) -> Any:
-    """Return the smallest of several numbers or symbols, as `min` does."""
-    for other in others:
-        first = where(other < first, other, first)
-    return first
+def best(is_better: Callable[[Any, Any], Any], *values: Any) -> Any:
+    """Return the best of several numbers or symbols, as `max` and `min` do."""
+    return reduce(lambda known, other: where(is_better(other, known), other, known), values)
 
 
 def symbols(array: Any) -> np.ndarray:

@@ -18,7 +18,7 @@ States are continuous from phase to phase, because the end of an interval is the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -38,10 +38,9 @@ from mbdkit_predict.nonlinear_program import (
     Stop,
     solve_pose,
 )
-from mbdkit_predict.objective import INTEGRAL, Objective
+from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_hessian import PointHessian
-from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, bounds_of
-from mbdkit_predict.symbolic_mechanism import SymbolicMechanism
+from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
 
 OF_STATE = ("a", "lam", "u")
 """Symbols that are not known at the start and the end of a motion, only at collocation points."""
@@ -110,23 +109,28 @@ class Transcription:
     ----------
     spec
         The spec.
-    symbolic
-        Its mechanism with symbols.
+    system
+        Its mechanism.
     objective
         What is minimized.
     """
 
-    def __init__(self, spec: PredictSpec, symbolic: SymbolicMechanism, objective: Objective):
-        self.spec, self.objective = spec, objective
-        self.system: CasadiSystem = symbolic.system()
-        self.states = symbolic.states
+    def __init__(self, spec: PredictSpec, system: CasadiSystem, objective: Objective):
+        self.spec, self.system, self.objective = spec, system, objective
         self.fibers = ElasticFibers(spec.chosen, self.system)
+        durations = [phase.duration for phase in spec.whole.values()]
+        lengths = [float(np.mean(x.bounds)) if isinstance(x, Duration) else x for x in durations]
+        self.limits = {
+            "u": _limits(map(spec.control, self.system.control_names), self.system.u0),
+            "p": _limits(map(spec.optimized.get, self.system.parameter_names), self.system.p0),
+            "duration": _limits((x if isinstance(x, Duration) else None for x in durations), lengths),
+        }
         method = radau_iia if spec.collocation.method == "radau" else gauss
         self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
         self.has_nodes = spec.collocation.method == "gauss"
-        self._initial = self._conditions("initial", bounds_of(spec.initial))
-        self._ends = [self._conditions(phase.key("final"), bounds_of(phase.final)) for phase in spec.whole]
-        self._ends[-1] |= self._conditions("final", bounds_of(spec.final)) if spec.phases else {}
+        self._initial = self._conditions("initial", spec.initial)
+        self._ends = [self._conditions(f"{place}final", phase.final) for place, phase in spec.whole.items()]
+        self._ends[-1] |= self._conditions("final", spec.final) if spec.phases else {}
         self._periodic = [
             (
                 f"periodic: {last}" + f" = {first}" * (first != last),
@@ -136,14 +140,13 @@ class Transcription:
             for last, first in spec.repeated_values
         ]
         self._path: list[_Path] = []
-        self._limits: list[tuple[str, int, _Path]] = []
-        for phase in spec.whole:
-            self._add_path(phase.subject_to, phase.key("subject_to"), phase.number if spec.phases else None)
+        self._bounded: list[tuple[str, int, _Path]] = []
+        for k, (place, phase) in enumerate(spec.whole.items()):
+            self._add_path(phase.subject_to, f"{place}subject_to", k)
         if spec.phases:
             self._add_path(spec.subject_to, "subject_to", None)
         conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
-        states = _elements(self.system.z)
-        self._is_free = np.array([any(ca.depends_on(x, state) for x in conditions) for state in states], dtype=bool)
+        self._is_free = np.array(ca.which_depends(ca.vertcat(ca.SX(0, 1), *conditions), system.z, 1), dtype=bool)
         self._stage = self._stage_function()
         self._projection, self._weights = self._projection_function()
         self._idle = self._without_effect()
@@ -158,7 +161,7 @@ class Transcription:
             low, high = condition.bounds
             path = _Path(f"{key}: {name}", expression, low, high, phase)
             if expression.is_symbolic() and (unknown := unknowns.get(expression.element_hash())):
-                self._limits.append((*unknown, path))
+                self._bounded.append((*unknown, path))
             else:
                 self._path.append(path)
 
@@ -178,8 +181,8 @@ class Transcription:
         at the ends of phases; with `random`, by way of drawn poses, and with drawn controls.
         """
         system, spec = self.system, self.spec
-        grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole], self.c)
-        durations = np.array([_duration(phase.duration)[2] for phase in spec.whole])
+        grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c)
+        durations = self.limits["duration"][2]
         knots, poses = [0.0], [self._nearest(system.q0, self._initial, 0.0)]
         for index, (conditions, end) in enumerate(zip(self._ends, np.cumsum(durations), strict=True)):
             if index == len(durations) - 1:  # values at the end that follow from the pose at the start
@@ -191,12 +194,9 @@ class Transcription:
                 knots.append(float(end))
                 poses.append(self._nearest(poses[-1], conditions, float(end)))
         times, m = durations @ grid.points, len(system.constraint_names)
-        start = np.array(
-            [self._start_of(spec.control(k), x) for k, x in zip(system.control_names, system.u0, strict=True)]
-        )
+        low, high, start = self.limits["u"]
         u = np.repeat(start[:, None], len(times), axis=1)
         if random is not None:
-            low, high = np.array([spec.control(name)[:2] for name in system.control_names]).T
             high, low = np.where(np.isfinite(high - low), (high, low), start)  # unknowns of fibres are not drawn
             shares, end = np.linspace(0.0, 1.0, 5), knots[-1]
             drawn = np.clip(start + 0.25 * (high - low) * random.standard_normal((5, len(u))), low, high)
@@ -211,16 +211,10 @@ class Transcription:
         q = np.array([np.interp(times, knots, x) for x in np.array(poses).T])
         # velocities in other motions are zero: those on the line lead the swing-up of a pole to five times its effort
         v = np.gradient(q, times, axis=1) if spec.periodic and len(times) > 1 else 0.0 * q
-        p = [
-            self._start_of((*spec.optimized[name].bounds, spec.optimized[name].start), x)
-            if name in spec.optimized
-            else x
-            for name, x in zip(system.parameter_names, system.p0, strict=True)
-        ]
         z = np.repeat(system.z0[:, None], len(times), axis=1)
         z[self.fibers.states] = self.fibers.guess(q, system.p0)
         values = {
-            "duration": durations, "p": np.array(p), "start": np.concatenate([poses[0], v[:, 0], z[:, 0]]),
+            "duration": durations, "p": self.limits["p"][2], "start": np.concatenate([poses[0], v[:, 0], z[:, 0]]),
             "q": q, "v": v, "a": 0.0 * v, "lam": np.zeros((m, len(times))), "mu": np.zeros((m, len(times))),
             "z": z, "u": u,
         }  # fmt: skip
@@ -247,9 +241,7 @@ class Transcription:
         for name in OF_POINTS:
             parts, points = mesh.values[name].reshape(-1, count, s), self.c
             if name in self._rows:  # polynomials of states pass through the start of the interval
-                begins = np.concatenate(
-                    [mesh.values["start"][self._rows[name], None], self._at_ends(mesh, name)[:, :-1]], 1
-                )
+                begins = self.nodes(mesh)[self._rows[name], :-1]
                 parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
             within = {m: np.array([weights(points, (j + c) / m) for j in range(m) for c in self.c]).T for m in CUTS}
             columns = [parts[:, i] @ within[m] for i, m in enumerate(divided)]
@@ -303,28 +295,22 @@ class Transcription:
         violations; empty if it is not found.
         """
         unknowns, bounds, conditions, *_ = self._program(guess.grid)
-        total: Any = ca.MX(0)
-        values, rows = dict(guess.values), []
-        for k, row in enumerate(conditions):
-            if ": " not in row.name:
-                rows.append(row)
-                continue
-            over, under = f"over {k}", f"under {k}"
-            for name in (over, under):
-                unknowns[name] = ca.MX.sym(name, *row.value.shape)
-                bounds[name] = np.zeros(row.value.shape), np.full(row.value.shape, np.inf)
-                values[name] = np.zeros(row.value.shape)
-                weight = WEIGHT_OF_START if row.name.startswith("initial") else 1.0
-                total = total + weight * ca.sum2(ca.sum1(unknowns[name])) / row.value.numel()
-            rows.append(row._replace(value=row.value - unknowns[over] + unknowns[under]))
-        solution = NonlinearProgram(unknowns, bounds, rows, total, self._sizes()).solve(values, stop)
+        asked = [k for k, row in enumerate(conditions) if ": " in row.name]
+        sizes = [conditions[k].value.numel() for k in asked]
+        weight = [WEIGHT_OF_START if conditions[k].name.startswith("initial") else 1.0 for k in asked]
+        none, values = np.zeros(sum(sizes)), dict(guess.values)
+        for name in ("over", "under"):
+            unknowns[name], bounds[name], values[name] = ca.MX.sym(name, len(none)), (none, none + np.inf), none
+        parts = np.split(np.arange(len(none)), np.cumsum(sizes)[:-1])
+        for k, part in zip(asked, parts, strict=True):
+            missed = (unknowns["over"] - unknowns["under"])[part.tolist()]
+            conditions[k] = conditions[k]._replace(value=ca.vec(conditions[k].value) - missed)
+        total = ca.dot(np.repeat(np.divide(weight, sizes), sizes), unknowns["over"] + unknowns["under"])
+        solution = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes()).solve(values, stop)
         if not solution.is_optimum:
             return {}
-        return {
-            row.name: float(max(solution.values[f"{side} {k}"].max() for side in ("over", "under")))
-            for k, row in enumerate(conditions)
-            if ": " in row.name
-        }
+        misses = np.maximum(solution.values["over"], solution.values["under"])
+        return {conditions[k].name: float(misses[part].max()) for k, part in zip(asked, parts, strict=True)}
 
     def _stage_function(self) -> ca.Function:
         """Return the function of a collocation point: joints and fibres, q', z', integrands, forces, and path."""
@@ -333,10 +319,9 @@ class Transcription:
         given = list(system.symbols.values())
         position, velocity, _ = system.constraints(*given)
         turn = ca.mtimes(ca.jacobian(position, system.q).T, mu) if m else 0.0
-        integrands = [x for kind, x in self.objective.functionals if kind == INTEGRAL]
         results = [
             ca.vertcat(position, velocity, system.equilibrium(*given)), system.v + turn, system.rates(*given),
-            ca.vertcat(ca.SX(0, 1), *integrands), system.residual(*given) / self._weight,
+            self.objective.integrands, system.residual(*given) / self._weight,
             ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
         ]  # fmt: skip
         self._curvature = self._curvature_function(results, mu)
@@ -388,11 +373,10 @@ class Transcription:
     def _without_effect(self) -> np.ndarray:
         """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
         system, n = self.system, len(self.system.q0)
-        final = [x for kind, x in self.objective.functionals if kind != INTEGRAL]
         ends = [x for conditions in (self._initial, *self._ends) for x, _, _ in conditions.values()]
         results = self._stage(*system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)))
         known = [x for k, x in enumerate(results) if k != 1]  # without q'
-        everything = ca.vertcat(*known, *final, *ends, *(x for _, *both in self._periodic for x in both))
+        everything = ca.vertcat(*known, self.objective.finals, *ends, *(x for _, *both in self._periodic for x in both))
         of_q, of_v = (np.array(ca.which_depends(everything, system.symbols[name], 1)) for name in "qv")
         return np.concatenate([~of_q, ~(of_q | of_v)]) if n else np.zeros(0, dtype=bool)
 
@@ -425,7 +409,7 @@ class Transcription:
         ]
         if self.has_nodes:
             whole = ca.mtimes(slopes, ca.kron(each, ca.DM(self.b))) * ca.repmat(h, states.shape[0], 1)
-            at_ends = ca.mtimes(x["duration"].T, ca.DM(grid.starts + grid.lengths))
+            at_ends = ca.mtimes(x["duration"].T, ca.DM(grid.ends))
             moved, joined = self._projection.map(count)(
                 ends, ca.repmat(x["p"], 1, count), at_ends, ends - begins - whole, x["jumps"]
             )
@@ -442,8 +426,8 @@ class Transcription:
             conditions.append(Condition("the equilibrium of fibres at the start", balance))
         for name, (expression, low, high) in self._initial.items():
             conditions.append(Condition(name, self._at_node(expression)(start, x["p"], 0.0), low, high))
-        for phase, last, at_end in zip(self.spec.whole, grid.ends_of_phases(), self._ends, strict=True):
-            t = ca.sum1(x["duration"][: phase.number + 1])
+        for k, (last, at_end) in enumerate(zip(grid.ends_of_phases(), self._ends, strict=True)):
+            t = ca.sum1(x["duration"][: k + 1])
             for name, (expression, low, high) in at_end.items():
                 conditions.append(Condition(name, self._at_node(expression)(ends[:, last], x["p"], t), low, high))
         for name, at_last, at_first in self._periodic:
@@ -454,18 +438,11 @@ class Transcription:
             value = path[k, points.tolist()]
             conditions.append(Condition(condition.name, value, condition.low, condition.high, points))
         weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
-        values = iter(ca.vertsplit(ca.mtimes(integrands, weighted)))
-        functionals = [
-            next(values) if kind == INTEGRAL else self._at_node(expression)(end, x["p"], duration)
-            for kind, expression in self.objective.functionals
-        ]
-        objective = self.objective.value(ca.vertcat(ca.MX(0, 1), *functionals), duration)
+        finals = self._at_node(self.objective.finals)(end, x["p"], duration)
+        objective = self.objective.value(ca.mtimes(integrands, weighted), finals, duration)
         slope = self._slope_of_integrals()
         if slope is None or self.has_nodes:  # projections are curved, too
             return x, bounds, conditions, objective, None
-        others = [
-            0.0 if kind == INTEGRAL else x for (kind, _), x in zip(self.objective.functionals, functionals, strict=True)
-        ]
 
         variables = ca.vertcat(
             *(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, ca.mtimes(h, spread)
@@ -483,17 +460,14 @@ class Transcription:
             )
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
-        rest = self.objective.value(ca.vertcat(ca.MX(0, 1), *others), duration)
+        rest = self.objective.value(ca.MX.zeros(len(slope)), finals, duration)
         return x, bounds, conditions, objective, PointHessian(variables, blocks, names, rest)
 
     def _slope_of_integrals(self) -> np.ndarray | None:
         """Return the derivatives of the objective by its integrals; None if they are not constant."""
-        kinds = [kind for kind, _ in self.objective.functionals]
-        values, duration = ca.SX.sym("values", len(kinds)), ca.SX.sym("duration")
-        slope = ca.densify(ca.jacobian(self.objective.value(values, duration), values))
-        integrals = [k for k, kind in enumerate(kinds) if kind == INTEGRAL]
-        chosen = slope[0, integrals] if integrals else ca.SX(1, 0)
-        return np.array(ca.DM(chosen)).ravel() if chosen.is_constant() else None
+        given = self.objective.value.sx_in()
+        slope = ca.densify(ca.jacobian(self.objective.value(*given), given[0]))
+        return np.array(ca.DM(slope)).ravel() if slope.is_constant() else None
 
     def _points(self, grid: Grid, path: _Path) -> np.ndarray:
         """Return the indices of the collocation points at which a condition along the path is asked.
@@ -501,7 +475,11 @@ class Transcription:
         These are the points of its phase, except ends whose conditions fix the value within the bounds: no motion near
         the optimum would satisfy both conditions with slack, so that their multipliers were not unique.
         """
-        chosen = np.full(grid.points.shape[1], True) if path.phase is None else grid.point_phase == path.phase
+        chosen = (
+            np.full(grid.points.shape[1], True)
+            if path.phase is None
+            else np.repeat(grid.phase, len(self.c)) == path.phase
+        )
         for last, conditions in zip(grid.ends_of_phases(), self._ends, strict=True):
             for expression, low, high in conditions.values():
                 if low == high and path.low <= low <= path.high and ca.is_equal(expression, path.expression, 4):
@@ -510,7 +488,7 @@ class Transcription:
 
     def _bounds(self, grid: Grid) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return the bounds of the unknowns."""
-        system, spec = self.system, self.spec
+        system = self.system
         n, m, z, total = len(system.q0), len(system.constraint_names), len(system.z0), grid.points.shape[1]
         sizes = {"q": n, "v": n, "a": n, "lam": m, "mu": m, "z": z}
         free = {name: np.full((size, total), np.inf) for name, size in sizes.items()}
@@ -518,19 +496,13 @@ class Transcription:
         is_free[self.fibers.states] = True
         start = np.concatenate([np.where(self._idle, 0.0, np.inf), np.where(is_free, np.inf, 0.0)])
         at = np.concatenate([np.where(self._idle, [*system.q0, *system.v0], 0.0), np.where(is_free, 0.0, system.z0)])
-        known = dict(zip(system.parameter_names, system.p0, strict=True))
-        numbers = [spec.optimized[name].bounds if name in spec.optimized else (x, x) for name, x in known.items()]
         bounds = {
-            "duration": tuple(np.array([_duration(phase.duration)[:2] for phase in spec.whole]).T),
-            "p": tuple(np.array(numbers).reshape(-1, 2).T),
+            **{name: tuple(self.limits[name][:2]) for name in ("duration", "p")},
             "start": (at - start, at + start),
             **{name: (-limit, limit) for name, limit in free.items()},
-            "u": tuple(
-                np.repeat(side[:, None], total, axis=1)
-                for side in np.array([spec.control(name)[:2] for name in system.control_names]).reshape(-1, 2).T
-            ),
+            "u": tuple(np.repeat(side[:, None], total, axis=1) for side in self.limits["u"][:2]),
         }
-        for name, i, path in self._limits:
+        for name, i, path in self._bounded:
             columns = self._points(grid, path)
             lower, upper = bounds[name]
             lower[i, columns], upper[i, columns] = (
@@ -546,21 +518,17 @@ class Transcription:
                 bounds[name] = -limit, limit
         return bounds
 
-    @staticmethod
-    def _start_of(limits: tuple[float, float, float | None], present: float) -> float:
-        low, high, start = limits
-        return float(np.clip(present if start is None else start, low, high))
-
     @property
     def _rows(self) -> dict[str, slice]:
         """Rows of positions, velocities and first-order states in a state."""
         n = len(self.system.q0)
         return {"q": slice(n), "v": slice(n, 2 * n), "z": slice(2 * n, None)}
 
-    def _at_ends(self, mesh: Mesh, name: str) -> np.ndarray:
-        """Return positions, velocities or first-order states at the ends of intervals."""
-        s = len(self.c)
-        return mesh.values["nodes"][self._rows[name]] if self.has_nodes else mesh.values[name][:, s - 1 :: s]
+    def nodes(self, mesh: Mesh) -> np.ndarray:
+        """Return the states (2 n + Z, N + 1) at the start and at the ends of intervals."""
+        s, values = len(self.c), mesh.values
+        ends = values["nodes"] if self.has_nodes else np.vstack([values[name][:, s - 1 :: s] for name in "qvz"])
+        return np.column_stack([values["start"], ends])
 
     def _sizes(self) -> dict[str, np.ndarray]:
         """Return natural sizes: of controls and parameters the largest bound, of multipliers the weight.
@@ -568,12 +536,9 @@ class Transcription:
         The optimizer regularizes indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations,
         not 24.
         """
-        controls = [self.spec.control(name)[:2] for name in self.system.control_names]
-        own = [self.spec.optimized.get(name) for name in self.system.parameter_names]
-        numbers = [(0.0, 0.0) if variable is None else variable.bounds for variable in own]
         sizes = {"lam": np.full(len(self.system.constraint_names), self._weight)}
-        for name, bounds in (("u", controls), ("p", numbers)):
-            largest = np.max(np.abs(np.reshape(bounds, (-1, 2))), axis=1)
+        for name in "up":
+            largest = abs(self.limits[name][:2]).max(axis=0)
             sizes[name] = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)
         return sizes
 
@@ -592,10 +557,8 @@ class Transcription:
 
     def _expression(self, text: str, key: str, *, at_node: bool = False) -> ca.SX:
         """Return an expression in symbols; `at_node`, if it must be known at the start and the end of the motion."""
-        try:
+        with self.spec.blaming(key):
             expression = self.system.expression(self.spec.with_states(text))
-        except SpecError as error:
-            raise SpecError(self.spec.with_controls(error.message), key=key) from None
         unknown = [self.system.symbols[name] for name in OF_STATE]
         if at_node and any(x.numel() and ca.depends_on(expression, x) for x in unknown):
             raise SpecError(
@@ -605,9 +568,12 @@ class Transcription:
             )
         return expression
 
-    def _conditions(self, key: str, bounds: Mapping[str, tuple[float, float]]) -> dict[str, tuple[ca.SX, float, float]]:
-        """Return conditions on the state at the start or at the end, by key and text."""
-        return {f"{key}: {text}": (self._expression(text, key, at_node=True), *sides) for text, sides in bounds.items()}
+    def _conditions(self, key: str, wanted: Mapping[str, Any]) -> dict[str, tuple[ca.SX, float, float]]:
+        """Return conditions on the state at the start or at the end, by key and text; a number is both bounds."""
+        return {
+            f"{key}: {text}": (self._expression(text, key, at_node=True), *np.broadcast_to(value, 2).tolist())
+            for text, value in wanted.items()
+        }
 
     def _at_node(self, *expressions: ca.SX, further: tuple[ca.SX, ...] = ()) -> ca.Function:
         """Return expressions as a function of the state (2 n + Z,), the parameters, the time, and further symbols."""
@@ -640,13 +606,11 @@ class Transcription:
         )
 
 
-def _elements(vector: ca.SX) -> list[ca.SX]:
-    return ca.vertsplit(vector) if vector.numel() else []
-
-
-def _duration(given: float | Duration) -> tuple[float, float, float]:
-    """Return the bounds of a duration, and its first guess [s]."""
-    if isinstance(given, Duration):
-        least, most = given.bounds
-        return least, most, 0.5 * (least + most) if given.start is None else given.start
-    return given, given, given
+def _limits(variables: Iterable[Variable | None], present: Iterable[float]) -> np.ndarray:
+    """Return lower bounds, upper bounds, and starts within them (3, K); present values where a number is fixed."""
+    rows = [
+        (x, x, x) if own is None else (*own.bounds, x if own.start is None else own.start)
+        for own, x in zip(variables, present, strict=True)
+    ]
+    low, high, start = np.reshape(rows, (-1, 3)).T
+    return np.array([low, high, np.clip(start, low, high)])
