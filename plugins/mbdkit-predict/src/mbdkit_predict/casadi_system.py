@@ -140,11 +140,9 @@ class CasadiSystem:
         bundle: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
         self._run(applied_forces.take_states)(top, scratch, self._z)
         for muscle, _, force in self._fibers():
-            _, law = self._law_of(muscle)
-            place = int(top.laws[law, 1])
-            names = [name for name, _ in known.laws[law][1].parameters]
-            largest = scratch.law_values[place + 1 + names.index("max_force")]
-            self._run.known_forces[int(top.laws[law, 0]), int(top.laws[law, 3]), place] = largest * force
+            _, law, places = self._law_of(muscle)
+            program, place, _, argument = map(int, top.laws[law, :4])
+            self._run.known_forces[program, argument, place] = scratch.law_values[places["max_force"]] * force
         return bundle
 
     def _add_functions(self) -> None:
@@ -184,19 +182,20 @@ class CasadiSystem:
             if indices := self.chosen.fibers.get(muscle.force.name):
                 yield muscle, *(self._u[i] for i in indices)
 
-    def _law_of(self, muscle: ActingMuscle) -> tuple[int, int]:
-        """Return the segment and the law of a muscle."""
+    def _law_of(self, muscle: ActingMuscle) -> tuple[int, int, dict[str, int]]:
+        """Return the segment and the law of a muscle, and the places of the parameters of the law by name."""
         top = self._compiled.topology
         (segment,) = np.flatnonzero((top.force_place == muscle.place) & (top.springs[:, 5] > 0))
-        return int(segment), int(top.springs[segment, 3])
+        law = int(top.springs[segment, 3])
+        names = [name for name, _ in self._compiled.laws[law][1].parameters]
+        return int(segment), law, {name: k for k, name in enumerate(names, int(top.laws[law, 1]) + 1)}
 
     def _equilibrium(self) -> Iterator[Any]:
         """Yield the conditions of equilibrium of the fibres that have unknowns among the controls."""
-        w, top = self._equations.w, self._equations.top
+        w = self._equations.w
         for muscle, velocity, force in self._fibers():
-            segment, law = self._law_of(muscle)
-            names = [name for name, _ in self._compiled.laws[law][1].parameters]
-            values = dict(zip(names, w.law_values[top.laws[law, 1] + 1 :], strict=False))
+            segment, _, places = self._law_of(muscle)
+            values = {name: w.law_values[k] for name, k in places.items()}
             curves = CURVES[muscle.force.muscle.curves]
             yield fiber_pull(velocity, values, curves) - force
             yield tendon_gap(w.s[segment, 0], force, values, curves)

@@ -387,7 +387,6 @@ class Transcription:
         system, s = self.system, len(self.c)
         count = len(grid.phase)
         total = count * s
-        points = np.arange(total)
         bounds = self._bounds(grid)
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
@@ -400,11 +399,10 @@ class Transcription:
         begins = ca.horzcat(x["start"], ends[:, :-1])
         each = ca.DM.eye(count)
         spread = ca.kron(each, ca.DM.ones(1, s))
-        integrals = ca.mtimes(slopes, ca.kron(each, ca.DM(self.a.T))) * ca.repmat(
-            ca.mtimes(h, spread), states.shape[0], 1
-        )
+        lengths = ca.mtimes(h, spread)
+        integrals = ca.mtimes(slopes, ca.kron(each, ca.DM(self.a.T))) * ca.repmat(lengths, states.shape[0], 1)
         conditions = [
-            Condition(MOTION, ca.vertcat(balance, closed), points=points),
+            Condition(MOTION, ca.vertcat(balance, closed), points=np.arange(total)),
             Condition(COLLOCATION, states - ca.mtimes(begins, spread) - integrals),
         ]
         if self.has_nodes:
@@ -413,30 +411,24 @@ class Transcription:
             moved, joined = self._projection.map(count)(
                 ends, ca.repmat(x["p"], 1, count), at_ends, ends - begins - whole, x["jumps"]
             )
-            conditions.append(Condition(ENDS, moved))
-            conditions.append(Condition(JOINTS, joined))
+            conditions += [Condition(ENDS, moved), Condition(JOINTS, joined)]
         start, end, duration = x["start"], ends[:, -1], ca.sum1(x["duration"])
-        if len(system.constraint_names):
-            rows: Any = ca.vertcat(*system.constraints(*system.symbols.values())[:2])
-            joints = self._at_node(rows)
-            conditions.append(Condition("the joints at the start", joints(start, x["p"], 0.0)))
         at_rest = [x for x, k in zip(self.fibers.at_rest, self.fibers.states, strict=True) if not self._is_free[k]]
-        if at_rest:
-            balance = self._at_node(ca.vertcat(*at_rest))(start, x["p"], 0.0)
-            conditions.append(Condition("the equilibrium of fibres at the start", balance))
-        for name, (expression, low, high) in self._initial.items():
-            conditions.append(Condition(name, self._at_node(expression)(start, x["p"], 0.0), low, high))
-        for k, (last, at_end) in enumerate(zip(grid.ends_of_phases(), self._ends, strict=True)):
-            t = ca.sum1(x["duration"][: k + 1])
-            for name, (expression, low, high) in at_end.items():
-                conditions.append(Condition(name, self._at_node(expression)(ends[:, last], x["p"], t), low, high))
+        rows: Any = system.constraints(*system.symbols.values())[:2]
+        for name, zeros in (("the joints at the start", rows), ("the equilibrium of fibres at the start", at_rest)):
+            if any(one.numel() for one in zeros):
+                conditions.append(Condition(name, self._at_node(ca.vertcat(*zeros))(start, x["p"], 0.0)))
+        at: list[Any] = [ca.sum1(x["duration"][: k + 1]) for k in range(len(self._ends))]
+        nodes = [(start, 0.0), *((ends[:, k], t) for k, t in zip(grid.ends_of_phases(), at, strict=True))]
+        for (state, t), asked in zip(nodes, (self._initial, *self._ends), strict=True):
+            for name, (expression, low, high) in asked.items():
+                conditions.append(Condition(name, self._at_node(expression)(state, x["p"], t), low, high))
         for name, at_last, at_first in self._periodic:
             change = self._at_node(at_last)(end, x["p"], duration) - self._at_node(at_first)(start, x["p"], 0.0)
             conditions.append(Condition(name, change))
         for k, condition in enumerate(self._path):
             points = self._points(grid, condition)
-            value = path[k, points.tolist()]
-            conditions.append(Condition(condition.name, value, condition.low, condition.high, points))
+            conditions.append(Condition(condition.name, path[k, points.tolist()], *condition[2:4], points))
         weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
         finals = self._at_node(self.objective.finals)(end, x["p"], duration)
         objective = self.objective.value(ca.mtimes(integrands, weighted), finals, duration)
@@ -444,9 +436,7 @@ class Transcription:
         if slope is None or self.has_nodes:  # projections are curved, too
             return x, bounds, conditions, objective, None
 
-        variables = ca.vertcat(
-            *(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, ca.mtimes(h, spread)
-        )
+        variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
 
         def blocks(factor: ca.MX, multipliers: Mapping[str, ca.MX]) -> ca.MX:
             costates = ca.mtimes(multipliers[COLLOCATION], ca.kron(each, ca.DM(self.a)))
@@ -475,11 +465,8 @@ class Transcription:
         These are the points of its phase, except ends whose conditions fix the value within the bounds: no motion near
         the optimum would satisfy both conditions with slack, so that their multipliers were not unique.
         """
-        chosen = (
-            np.full(grid.points.shape[1], True)
-            if path.phase is None
-            else np.repeat(grid.phase, len(self.c)) == path.phase
-        )
+        phases = np.repeat(grid.phase, len(self.c))
+        chosen = phases == (phases if path.phase is None else path.phase)
         for last, conditions in zip(grid.ends_of_phases(), self._ends, strict=True):
             for expression, low, high in conditions.values():
                 if low == high and path.low <= low <= path.high and ca.is_equal(expression, path.expression, 4):
