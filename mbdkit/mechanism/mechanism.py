@@ -28,7 +28,6 @@ from mbdkit.mechanism.values import Motion, Point
 from mbdkit.registry.accessors import accessors, computed
 
 if TYPE_CHECKING:
-    from mbdkit_predict.casadi_system import CasadiSystem
     from mbdkit_statics.symbolic_system import SymbolicSystem
 
 AnyValue = TypeVar("AnyValue")
@@ -381,9 +380,7 @@ class Mechanism(ElementMethods, HtmlView):
         system: SymbolicSystem = higher_layers.symbolic_system(self, numbers=numbers)
         return system
 
-    def to_casadi(
-        self, *, controls: Sequence[str] = (), parameters: Sequence[str] = (), t0: float = 0.0
-    ) -> CasadiSystem:
+    def to_casadi(self, *, controls: Sequence[str] = (), parameters: Sequence[str] = (), t0: float = 0.0) -> Any:
         """Return equations of motion, constraints and quantities as functions of CasADi, for optimal control.
 
         Parameters
@@ -398,6 +395,11 @@ class Mechanism(ElementMethods, HtmlView):
         t0
             Time [s] at which the initial state is made consistent.
 
+        Returns
+        -------
+        mbdkit_predict.casadi_system.CasadiSystem
+            The functions, and their symbols.
+
         Raises
         ------
         MbdkitError
@@ -405,8 +407,7 @@ class Mechanism(ElementMethods, HtmlView):
         SpecError
             For the first error of the mechanism, for an element that cannot be exported, or for a key that is wrong.
         """
-        system: CasadiSystem = computed(self, "to_casadi", "mbdkit-predict")(controls, parameters, t0)
-        return system
+        return computed(self, "to_casadi", "mbdkit-predict")(controls, parameters, t0)
 
     # ---- private -------------------------------------------------------------------------------------------------
 
