@@ -25,21 +25,6 @@ class MechanismSource(Protocol):
 
 
 @dataclass(frozen=True)
-class GivenMechanism:
-    """A mechanism without a spec; errors about it stay as they are."""
-
-    whole: Mechanism
-
-    def mechanism(self) -> Mechanism:
-        """Return the mechanism."""
-        return self.whole
-
-    def placed(self, error: SpecError) -> SpecError:
-        """Return the error."""
-        return error
-
-
-@dataclass(frozen=True)
 class AssembledMechanism:
     """A mechanism at its consistent start, with the spec that contains its model."""
 

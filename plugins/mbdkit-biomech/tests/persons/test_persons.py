@@ -90,7 +90,7 @@ def test_landmarks_by_name_midpoints_and_regression_find_exact_centres_without_a
     other = loaded(
         data_of(walker, columns_of(walker, walker.markers(), HEADING)), motion={"centers": {"knee": midpoint}}
     )
-    for one in (person, other.person):
+    for one in (person, other.person):  # tolerances are small shares of the stated deviations, 5 mm
         assert one.lengths["thigh"].value == pytest.approx(THIGH, abs=1e-5)
         assert one.lengths["shank"].value == pytest.approx(SHANK, abs=1e-5)
         names = ("hip", "knee", "ankle")

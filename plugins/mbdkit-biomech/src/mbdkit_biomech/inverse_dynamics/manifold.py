@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, reactions_in_frames
 from mbdkit.engine.stacked_matrices import complete_qr, least_norms, products, solve_triangles
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 
 DEPENDENT = 1e-9
@@ -20,6 +22,21 @@ of the largest one. The constraint rows then count as linearly dependent.
 
 NEGLIGIBLE = 1e-12
 """Remainders of columns of the matrix of a fit below this share of the largest column count as zero."""
+
+
+@dataclass(frozen=True)
+class GivenMechanism:
+    """A mechanism without a spec; errors about it stay as they are."""
+
+    whole: Mechanism
+
+    def mechanism(self) -> Mechanism:
+        """Return the mechanism."""
+        return self.whole
+
+    def placed(self, error: SpecError) -> SpecError:
+        """Return the error."""
+        return error
 
 
 class Manifold:

@@ -13,8 +13,8 @@ from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.runs.assembled_mechanism import AssembledMechanism, GivenMechanism
-from mbdkit_biomech.inverse_dynamics.manifold import Manifold
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit_biomech.inverse_dynamics.manifold import GivenMechanism, Manifold
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 

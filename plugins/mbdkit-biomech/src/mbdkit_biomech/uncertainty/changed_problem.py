@@ -18,11 +18,11 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.runs.assembled_mechanism import AssembledMechanism, GivenMechanism
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.compute import Fitted, Inverse, InverseProblem, forces_of
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.loads import LoadSeries
-from mbdkit_biomech.inverse_dynamics.manifold import Manifold
+from mbdkit_biomech.inverse_dynamics.manifold import GivenMechanism, Manifold
 from mbdkit_biomech.inverse_dynamics.named_actuators import actuators_of
 from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, Motion, motion_of_series
