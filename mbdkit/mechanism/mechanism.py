@@ -380,35 +380,6 @@ class Mechanism(ElementMethods, HtmlView):
         system: SymbolicSystem = higher_layers.symbolic_system(self, numbers=numbers)
         return system
 
-    def to_casadi(self, *, controls: Sequence[str] = (), parameters: Sequence[str] = (), t0: float = 0.0) -> Any:
-        """Return equations of motion, constraints and quantities as functions of CasADi, for optimal control.
-
-        Parameters
-        ----------
-        controls
-            Key paths of the values that become controls: of a load (``forces.motor.value``, and
-            ``forces.push.value[0]`` of a component), the excitation of a muscle (``muscles.soleus.excitation``), or the
-            rate of a first-order state (``states.current.rate``).
-        parameters
-            Key paths of numbers that become parameters, such as ``forces.spring.stiffness``, ``bodies.rod.mass`` and
-            ``joints.A.points[1][0]``.
-        t0
-            Time [s] at which the initial state is made consistent.
-
-        Returns
-        -------
-        mbdkit_predict.casadi_system.CasadiSystem
-            The functions, and their symbols.
-
-        Raises
-        ------
-        MbdkitError
-            If CasADi is not installed.
-        SpecError
-            For the first error of the mechanism, for an element that cannot be exported, or for a key that is wrong.
-        """
-        return computed(self, "to_casadi", "mbdkit-predict")(controls, parameters, t0)
-
     # ---- private -------------------------------------------------------------------------------------------------
 
     def _of_elements(self, values: Callable[[Element], list[tuple[str, AnyValue]]]) -> list[tuple[str, AnyValue]]:

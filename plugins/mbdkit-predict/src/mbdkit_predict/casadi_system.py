@@ -56,7 +56,7 @@ class CasadiSystem:
     chosen
         Controls and parameters of the mechanism.
     t0
-        See `mbdkit.Mechanism.to_casadi`.
+        See `mbdkit_predict.export.exported`.
 
     Attributes
     ----------
