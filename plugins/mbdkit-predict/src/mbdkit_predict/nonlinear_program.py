@@ -20,8 +20,7 @@ PRECISION = 1e-10
 """Tolerance of the optimizer, to which it scales the conditions of optimality."""
 SCALE = 100.0
 """Factor of the objective for the optimizer, by which its last barrier parameter has less effect: the error of a squat
-due to it is 2e-11 instead of 2e-9. The barrier parameter of first meshes is adaptive, without which walking is not
-found."""
+due to it is 2e-11 instead of 2e-9."""
 NEAR, BARRIER = 1e-6, 1e-7
 """Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
 FEASIBLE = 1e-6
@@ -63,18 +62,12 @@ class Condition(NamedTuple):
 
 @dataclass
 class Stop:
-    """Says when an optimization stops early: on Ctrl-C, or after a limit of wall time.
-
-    Attributes
-    ----------
-    end
-        Time at which it stops, as returned by `time.perf_counter` [s].
-    interrupted
-        Whether the user interrupted it.
-    """
+    """Says when an optimization stops early: on Ctrl-C, or after a limit of wall time."""
 
     end: float = np.inf
+    """Time at which it stops, as returned by `time.perf_counter` [s]."""
     interrupted: bool = False
+    """Whether the user interrupted it."""
 
     @property
     def now(self) -> bool:
@@ -88,36 +81,24 @@ class Stop:
 
 @dataclass(frozen=True)
 class Solution:
-    """What the optimizer returned.
-
-    Attributes
-    ----------
-    values
-        Arrays of the unknowns by name.
-    objective
-        Value of the objective.
-    status, iterations
-        Report of the optimizer, and number of its iterations.
-    violations
-        Largest violation of each condition by name.
-    slopes
-        Derivatives of the objective by name of unknown or condition: by a change of both bounds. Arrays of the shape
-        of the unknown, or of the values of the condition.
-    gap
-        Bound of the error of the objective that is due to the tolerance of the optimizer: the sum of all products of
-        multipliers with slacks, or with violations.
-    is_smooth
-        Whether no bound of an unknown or a condition is active at some points only.
-    """
+    """What the optimizer returned."""
 
     values: Mapping[str, np.ndarray]
+    """Arrays of the unknowns by name."""
     objective: float
     status: str
+    """Report of the optimizer."""
     iterations: int
     violations: Mapping[str, float]
+    """Largest violation of each condition by name."""
     slopes: Mapping[str, np.ndarray]
+    """Derivatives of the objective by name of unknown or condition: by a change of both bounds. Arrays of the shape of
+    the unknown, or of the values of the condition."""
     gap: float
+    """Bound of the error of the objective that is due to the tolerance of the optimizer: the sum of all products of
+    multipliers with slacks, or with violations."""
     is_smooth: bool
+    """Whether no bound of an unknown or a condition is active at some points only."""
 
     @property
     def is_optimum(self) -> bool:

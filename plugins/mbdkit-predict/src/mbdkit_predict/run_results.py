@@ -15,21 +15,14 @@ SAME = 1e-4
 
 
 class Gain(NamedTuple):
-    """Difference of two optima.
-
-    Attributes
-    ----------
-    value
-        Objective of the other motion, minus that of this one.
-    error
-        Sum of the errors of both objectives.
-    share
-        The value as a share of the objective of the other motion.
-    """
+    """Difference of two optima."""
 
     value: float
+    """Objective of the other motion, minus that of this one."""
     error: float
+    """Sum of the errors of both objectives."""
     share: float
+    """The value as a share of the magnitude of the objective of the other motion."""
 
 
 def _recorded(run: Run, name: str) -> Any:
@@ -100,7 +93,7 @@ def gain(run: Run) -> Callable[..., Gain]:
         else:
             there, its_error = (float(_recorded(run, f"compared_{name}")) for name in ("objective", "error"))
         value = there - objective(run)
-        return Gain(value, its_error + objective_error(run), value / there if there else math.nan)
+        return Gain(value, its_error + objective_error(run), value / abs(there) if there else math.nan)
 
     return of
 

@@ -61,30 +61,20 @@ MOST_UNEVEN = 0.125
 
 @dataclass(frozen=True)
 class Mesh:
-    """A solution, or a first guess, on a grid.
-
-    Attributes
-    ----------
-    grid
-        The intervals.
-    values
-        Arrays of the unknowns by name: ``q``, ``v``, ``a``, ``lam``, ``mu``, ``z``, ``u`` have a column for each of the
-        N s points; ``start`` (2 n + Z,) is the state at the start, ``nodes`` are those at the ends of intervals, if
-        these are no points, and ``jumps`` (2 m, N) the multipliers nu and kappa there; ``duration`` (P,) and ``p``.
-    iterations
-        Number of iterations of the optimizer, on this mesh and those before.
-    solution, program
-        What the optimizer returned, and its program; None for a guess.
-    slopes
-        Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points.
-    """
+    """A solution, or a first guess, on a grid."""
 
     grid: Grid
     values: Mapping[str, np.ndarray]
+    """Arrays of the unknowns by name: ``q``, ``v``, ``a``, ``lam``, ``mu``, ``z``, ``u`` have a column for each of the
+    N s points; ``start`` (2 n + Z,) is the state at the start, ``nodes`` are those at the ends of intervals, if these
+    are no points, and ``jumps`` (2 m, N) the multipliers nu and kappa there; ``duration`` (P,) and ``p``."""
     iterations: int = 0
+    """Number of iterations of the optimizer, on this mesh and those before."""
     solution: Solution | None = None
     program: NonlinearProgram | None = None
+    """What the optimizer returned, and its program; None for a guess."""
     slopes: Mapping[str, np.ndarray] | None = None
+    """Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points."""
 
     @property
     def times(self) -> np.ndarray:
