@@ -88,7 +88,7 @@ def compared_spec(spec: PredictSpec) -> PredictSpec:
         if path[0] not in USED:
             raise SpecError(f"'{key}' has no effect, because only {listed(USED, 'and')} are compared", key="compare")
         put(data, path, value)
-        if any(name.startswith(path_text(path[1:])) for name in spec.controls):
+        if any(parse_path(name)[: len(path) - 1] == path[1:] for name in spec.controls):
             raise SpecError(f"'{key}' has no effect, because it is a control", key="compare")
         for name in list(data.get("optimized", {})):
             if path_text(path[1:]) == name:

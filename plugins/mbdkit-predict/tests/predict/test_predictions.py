@@ -18,7 +18,7 @@ import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
 from mbdkit_predict.nonlinear_program import Stop
-from mbdkit_predict.predict_loading import load_predict_spec
+from mbdkit_predict.predict_loading import compared_spec, load_predict_spec
 from mbdkit_predict.predicted_run import transcribed
 from mbdkit_predict.transcription import OF_POINTS, Mesh
 from predict.exact_optima import DRAG, EFFORT, EXACT, PUSH, block, of_states, swing_up
@@ -290,6 +290,12 @@ def test_the_gain_of_a_spring_has_an_error() -> None:
     assert run.gain(mbdkit.predict(block(minimize=minimize))).value == pytest.approx(12.0)
     assert "gain          12 +- " in run.summary()
     assert ", 13.64 % of the motion that is compared" in run.summary()  # 12 of 88
+
+
+def test_an_element_whose_name_begins_that_of_a_control_can_be_compared() -> None:
+    own = spring(3.0)["spring"]
+    spec = block(forces={"pus": own}, compare={"model.forces.pus": own | {"stiffness": 0.0}})
+    assert compared_spec(load_predict_spec(spec)).mechanism().forces["pus"].stiffness == 0.0
 
 
 @pytest.mark.parametrize(("frequency", "verdict"), [(3.0, "good"), (3.3, "doubtful")])

@@ -141,9 +141,8 @@ def _dual_newton(
     """Return solutions (T, N), certificates (T,) and multipliers (T, K) for p > 1 and weights of 1."""
     frames, equations, _ = programme.matrix.shape
     y = np.zeros((frames, equations)) if start is None else start.copy()
-    if (
-        p > 2 and start is None
-    ):  # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
+    if p > 2 and start is None:
+        # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
         cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
         y = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
