@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import io
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -33,6 +35,11 @@ SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 ROUNDED = "Search_Direction_Becomes_Too_Small"
 """Reports of the optimizer."""
 
+for _library in ("libcasadi-tp-openblas.so.0", "libcasadi-tp-openblas.dll"):  # threadpoolctl does not know this name
+    if (
+        _file := Path(ca.__file__).with_name(_library)
+    ).exists():  # blocks of the linear solver are too small for threads
+        ctypes.CDLL(str(_file)).openblas_set_num_threads(1)
 
 _SILENT: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
 _OPTIONS: dict[str, Any] = {
