@@ -243,8 +243,8 @@ class Transcription:
         """Return `Solution.slopes` on a finer grid.
 
         Multipliers of points are weights of the quadrature times functions of time, which are taken from the nearest
-        points. Those of the collocation follow from the costates: ``A^T slopes = b (costates - costates at the end)``,
-        the latter with nodes only. With its own estimate of the multipliers, the optimizer does not converge on fine
+        points. Those of the collocation follow from the costates: ``slopes = b (costates - costates at the end)``, the
+        latter with nodes only. With its own estimate of the multipliers, the optimizer does not converge on fine
         meshes where conditions are active, because the Hessian of the Lagrangian has the wrong inertia.
         """
         assert mesh.solution is not None
@@ -258,8 +258,7 @@ class Transcription:
             values[:, points] = np.reshape(slopes[name], (-1, len(points)), order="F") / old[points]
             slopes[name] = values[:, nearest] * new
         rows = len(mesh.values["start"])
-        costates = np.einsum("kj,rki->rji", self.a, slopes[COLLOCATION].reshape(rows, s, -1, order="F"))
-        costates /= self.b[:, None]
+        costates = slopes[COLLOCATION].reshape(rows, s, -1, order="F") / self.b[:, None]
         if self.has_nodes:
             costates += (self._weights * slopes[ENDS].reshape(rows, -1, order="F"))[:, None]
         costates = costates.reshape(rows, -1, order="F")[:, nearest].reshape(rows, s, -1, order="F")
@@ -267,7 +266,7 @@ class Transcription:
             slopes[ENDS], slopes["nodes"] = costates[:, -1] / self._weights, 0.0 * costates[:, -1]
             slopes[JOINTS] = slopes["jumps"] = np.zeros((2 * len(self.system.constraint_names), len(grid.phase)))
             costates = costates - costates[:, -1:]
-        slopes[COLLOCATION] = np.einsum("jk,rji->rki", np.linalg.inv(self.a), self.b[:, None] * costates)
+        slopes[COLLOCATION] = self.b[:, None] * costates
         return slopes
 
     def solved(self, guess: Mesh, stop: Stop, most_iterations: int = MOST_ITERATIONS) -> Mesh:
@@ -390,10 +389,12 @@ class Transcription:
         each = ca.DM.eye(count)
         spread = ca.kron(each, ca.DM.ones(1, s))
         lengths = ca.mtimes(h, spread)
-        integrals = ca.mtimes(slopes, ca.kron(each, ca.DM(self.a.T))) * ca.repmat(lengths, states.shape[0], 1)
+        inverse = np.linalg.inv(self.a)  # derivatives: nonlinear terms of a point stand in its rows only
+        changes = ca.mtimes(states, ca.kron(each, ca.DM(inverse.T)))
+        changes -= ca.mtimes(begins, ca.kron(each, ca.DM(inverse.sum(axis=1)).T))
         conditions = [
             Condition(MOTION, ca.vertcat(balance, closed), points=np.arange(total)),
-            Condition(COLLOCATION, states - ca.mtimes(begins, spread) - integrals),
+            Condition(COLLOCATION, changes - slopes * ca.repmat(lengths, states.shape[0], 1)),
         ]
         if self.has_nodes:
             whole = ca.mtimes(slopes, ca.kron(each, ca.DM(self.b))) * ca.repmat(h, states.shape[0], 1)
@@ -429,14 +430,13 @@ class Transcription:
         variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
 
         def blocks(factor: ca.MX, multipliers: Mapping[str, ca.MX]) -> ca.MX:
-            costates = ca.mtimes(multipliers[COLLOCATION], ca.kron(each, ca.DM(self.a)))
             of_path = [
                 ca.mtimes(multipliers[path.name], ca.DM.eye(total)[self._points(grid, path).tolist(), :])
                 for path in self._path
             ]
             weight = factor * ca.DM(np.outer(slope, np.tile(self.b, count)))
             return self._curvature.map(total)(
-                variables, costates, multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight
+                variables, multipliers[COLLOCATION], multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight
             )
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
