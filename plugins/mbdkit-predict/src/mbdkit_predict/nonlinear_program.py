@@ -23,8 +23,8 @@ PRECISION = 1e-10
 SCALE = 100.0
 """Factor of the objective for the optimizer, by which its last barrier parameter has less effect: the error of a squat
 due to it is 2e-11 instead of 2e-9."""
-NEAR, BARRIER = 1e-6, 1e-7
-"""Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
+NEAR = 1e-6
+"""Least distance from bounds at the start on a finer mesh."""
 FEASIBLE = 1e-6
 """Of two iterates with violations below this, that with the smaller objective is the better one."""
 ACTIVE = 1e-6
@@ -181,7 +181,7 @@ class NonlinearProgram:
         watcher = _Watcher(len(self._low_x), self._low, self._high, stop)
         options: dict[str, Any] = {
             "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": SCALE,
-            **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _warm(NEAR, BARRIER)), **self._hessian,
+            "ipopt.mu_strategy": "adaptive", **({} if slopes is None else _warm(NEAR)), **self._hessian,
         }  # fmt: skip
         start = {"x0": np.concatenate([_flat(guess[name]) for name in self._names]) / self._sizes}
         if slopes is not None:
@@ -226,7 +226,7 @@ class NonlinearProgram:
         """
         known = {"hess_lag": "nlp_hess_l", "jac_g": "nlp_jac_g", "grad_f": "nlp_grad_f"}
         options: dict[str, Any] = {option: self._solver.get_function(name) for option, name in known.items()}
-        options |= _warm(1e-12, 1e-11) | {"ipopt.max_iter": 1, "ipopt.tol": 1e-16, "ipopt.acceptable_iter": 0}
+        options |= _warm(1e-12) | {"ipopt.mu_init": 1e-11, "ipopt.max_iter": 1, "ipopt.tol": 1e-16}
         solver, _ = self._solved(options, **{f"{name}0": self._result[name] for name in ("x", "lam_x", "lam_g")})
         added = solver.stats()["iterations"]["regularization_size"]
         return len(added) > 1 and max(added) == 0.0
@@ -286,13 +286,10 @@ def solve_pose(program: Any, **given: Any) -> np.ndarray:
         return np.array(solver(**given)["x"]).ravel()
 
 
-def _warm(near: float, barrier: float) -> dict[str, Any]:
-    """Return the options of a start near an optimum: the least distance from bounds, and the barrier parameter."""
+def _warm(near: float) -> dict[str, Any]:
+    """Return the options of a start near an optimum, given the least distance from bounds."""
     pushes = "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
-    return {
-        "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": barrier,
-        **{f"ipopt.warm_start_{push}": near for push in pushes},
-    }  # fmt: skip
+    return {"ipopt.warm_start_init_point": "yes", **{f"ipopt.warm_start_{push}": near for push in pushes}}
 
 
 def _flat(x: np.ndarray) -> np.ndarray:
