@@ -35,10 +35,9 @@ SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 ROUNDED = "Search_Direction_Becomes_Too_Small"
 """Reports of the optimizer."""
 
-for _library in ("libcasadi-tp-openblas.so.0", "libcasadi-tp-openblas.dll"):  # threadpoolctl does not know this name
-    if (
-        _file := Path(ca.__file__).with_name(_library)
-    ).exists():  # blocks of the linear solver are too small for threads
+# OpenBLAS of CasADi, which threadpoolctl does not know: blocks of the linear solver are too small for several threads
+for _name in ("libcasadi-tp-openblas.so.0", "libcasadi-tp-openblas.dll"):
+    if (_file := Path(ca.__file__).with_name(_name)).exists():
         ctypes.CDLL(str(_file)).openblas_set_num_threads(1)
 
 _SILENT: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
@@ -52,6 +51,9 @@ _OPTIONS: dict[str, Any] = {
 `mumps_pivtol` is the default of the linear solver itself. With that of the optimizer, 1e-6, the inertia of the matrix
 is wrong on meshes of 100 intervals or more, and the problem is regularized without need.
 """
+_PUSHES = "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
+_WARM = {"ipopt.warm_start_init_point": "yes", **{f"ipopt.warm_start_{push}": NEAR for push in _PUSHES}}
+"""Options of a start near an optimum."""
 
 
 class Condition(NamedTuple):
@@ -106,6 +108,11 @@ class Solution:
     multipliers with slacks, or with violations."""
     is_smooth: bool
     """Whether no bound of an unknown or a condition is active at some points only."""
+    is_strict: bool
+    """Whether the second-order condition holds: the Hessian of the Lagrangian is positive definite on the null space of
+    the active conditions. The optimizer knows this from the inertia of its matrix (A. Waechter and L. T. Biegler,
+    Mathematical Programming 106:25-57, 2006, section 3.1): it adds a multiple of the identity otherwise, which it did
+    not in its last step."""
 
     @property
     def is_optimum(self) -> bool:
@@ -181,7 +188,7 @@ class NonlinearProgram:
         watcher = _Watcher(len(self._low_x), self._low, self._high, stop)
         options: dict[str, Any] = {
             "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": SCALE,
-            "ipopt.mu_strategy": "adaptive", **({} if slopes is None else _warm(NEAR)), **self._hessian,
+            "ipopt.mu_strategy": "adaptive", **({} if slopes is None else _WARM), **self._hessian,
         }  # fmt: skip
         start = {"x0": np.concatenate([_flat(guess[name]) for name in self._names]) / self._sizes}
         if slopes is not None:
@@ -189,8 +196,10 @@ class NonlinearProgram:
                     for name, _ in self._conditions]  # fmt: skip
             start["lam_g0"] = -np.concatenate([_flat(row) for row in rows])
             start["lam_x0"] = -np.concatenate([_flat(slopes[name]) for name in self._names]) * self._sizes
-        self._solver, self._result = self._solved(options, **start)
-        report, result = self._solver.stats(), self._result
+        with redirect_stderr(io.StringIO()):
+            solver = ca.nlpsol("prediction", "ipopt", self._functions, {**_OPTIONS, **options})
+            result: Any = solver(lbx=self._low_x, ubx=self._high_x, lbg=self._low, ubg=self._high, **start)
+        report = solver.stats()
         status, x, g, objective = report["return_status"], result["x"], result["g"], result["f"]
         if status == ROUNDED and max(report["iterations"][name][-1] for name in ("inf_pr", "inf_du")) <= ACCEPTABLE:
             status = SUCCESSES[1]
@@ -214,28 +223,9 @@ class NonlinearProgram:
         )
         gap = _gap(lam_x, x, self._low_x, self._high_x) + _gap(lam, g, self._low, self._high)
         values = self._apart(self._sizes * x)
-        return Solution(values, float(objective), status, report["iter_count"], violations, slopes, gap, is_smooth)
-
-    def is_strict_minimum(self) -> bool:
-        """Return whether the second-order condition holds at the last solution.
-
-        The Hessian of the Lagrangian must be positive definite on the null space of the active conditions. The
-        optimizer knows this from the inertia of its matrix (A. Waechter and L. T. Biegler, Mathematical Programming
-        106:25-57, 2006, section 3.1): it has to add a multiple of the identity otherwise. One iteration from the
-        solution, with a small barrier, shows whether it does.
-        """
-        known = {"hess_lag": "nlp_hess_l", "jac_g": "nlp_jac_g", "grad_f": "nlp_grad_f"}
-        options: dict[str, Any] = {option: self._solver.get_function(name) for option, name in known.items()}
-        options |= _warm(1e-12) | {"ipopt.mu_init": 1e-11, "ipopt.max_iter": 1, "ipopt.tol": 1e-16}
-        solver, _ = self._solved(options, **{f"{name}0": self._result[name] for name in ("x", "lam_x", "lam_g")})
-        added = solver.stats()["iterations"]["regularization_size"]
-        return len(added) > 1 and max(added) == 0.0
-
-    def _solved(self, options: Mapping[str, Any], **start: Any) -> tuple[ca.Function, Any]:
-        """Return the solver with some options, and its result."""
-        with redirect_stderr(io.StringIO()):
-            solver = ca.nlpsol("prediction", "ipopt", self._functions, {**_OPTIONS, **options})
-            return solver, solver(lbx=self._low_x, ubx=self._high_x, lbg=self._low, ubg=self._high, **start)
+        is_strict = status in SUCCESSES and report["iterations"]["regularization_size"][-1] == 0.0
+        counted = status, report["iter_count"]
+        return Solution(values, float(objective), *counted, violations, slopes, gap, is_smooth, is_strict)
 
     def _apart(self, x: np.ndarray) -> dict[str, np.ndarray]:
         sizes = [int(np.prod(self._shapes[name])) for name in self._names]
@@ -284,12 +274,6 @@ def solve_pose(program: Any, **given: Any) -> np.ndarray:
     with redirect_stderr(io.StringIO()):
         solver = ca.nlpsol("pose", "ipopt", program, _SILENT)
         return np.array(solver(**given)["x"]).ravel()
-
-
-def _warm(near: float) -> dict[str, Any]:
-    """Return the options of a start near an optimum, given the least distance from bounds."""
-    pushes = "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
-    return {"ipopt.warm_start_init_point": "yes", **{f"ipopt.warm_start_{push}": near for push in pushes}}
 
 
 def _flat(x: np.ndarray) -> np.ndarray:

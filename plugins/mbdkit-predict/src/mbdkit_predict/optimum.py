@@ -82,7 +82,7 @@ class Optimum:
         if not _solution(mesh).is_optimum:
             self.reason = self._failure(mesh)
         self.mesh = self.meshes[-1] if self.meshes else mesh
-        self.is_minimum = self.mesh.program is not None and self.is_optimum and self.mesh.program.is_strict_minimum()
+        self.is_minimum = self.is_optimum and _solution(self.mesh).is_strict
         self.error = error if np.isfinite(error) else np.nan
 
     @property
