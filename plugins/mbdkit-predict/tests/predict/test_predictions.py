@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import signal
 import sys
 import threading
@@ -382,3 +383,8 @@ def test_second_derivatives_of_points_and_ends_are_those_of_the_whole_program() 
     np.testing.assert_allclose(
         np.array(ca.DM(parts(at, [], 1.7, multipliers))), expected, atol=1e-13 * abs(expected).max()
     )
+
+
+def test_the_linear_solver_uses_one_thread() -> None:
+    blas = [file for file in Path(ca.__file__).parent.glob("*openblas*") if file.suffix in (".0", ".dll")]
+    assert all(ctypes.CDLL(str(file)).openblas_get_num_threads() == 1 for file in blas)
