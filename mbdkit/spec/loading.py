@@ -177,7 +177,7 @@ def read_source(source: Any) -> Document:
         # A copy omits keys that may be absent and have their default values: unlike in a file, `check: false` in a copy
         # is not a choice of the user.
         kept = {name: value for name, value in values.items() if name not in omitted or value != default[name]}
-        return Document(copied(kept), folder=Path() if source._document is None else source._document.folder)
+        return Document(copied(kept), folder=source.folder)
     if isinstance(source, Mapping):
         return Document(copied(source))
     if isinstance(source, Document):

@@ -11,6 +11,7 @@ import json
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, SerializerFunctionWrapHandler, model_serializer
@@ -223,6 +224,11 @@ class ModelSpec(StrictSpec):
         self._mechanism = mechanism
         for file in files:
             self._files.add(file)
+
+    @property
+    def folder(self) -> FilePath:
+        """Folder to which names of files are relative: the folder of the spec, or else the current folder."""
+        return FilePath() if self._document is None else self._document.folder
 
     @property
     def files_read(self) -> tuple[FileRead, ...]:

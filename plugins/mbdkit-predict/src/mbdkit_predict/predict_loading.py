@@ -13,7 +13,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import loaded, read_source
-from mbdkit.spec.reading import put
+from mbdkit.spec.reading import Document, put
 from mbdkit.spec.schema import DRAFT, described, model_schema
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
 from mbdkit_studies.study_loading import base_source
@@ -93,7 +93,7 @@ def compared_spec(spec: PredictSpec) -> PredictSpec:
         for name in list(data.get("optimized", {})):
             if path_text(path[1:]) == name:
                 del data["optimized"][name]
-    return load_predict_spec({**data, "sensitivities": []})
+    return load_predict_spec(Document(data | {"sensitivities": []}, folder=spec.folder))
 
 
 def _base(given: Any, folder: Path) -> dict[str, Any]:

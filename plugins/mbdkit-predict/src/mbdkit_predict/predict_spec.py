@@ -154,7 +154,7 @@ class PredictSpec(ModelSpec):
     model_config = ConfigDict(title="mbdkit spec of a prediction", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         "parameters", "optimized", "duration", "phases", "initial", "final", "subject_to", "periodic", "sensitivities",
-        "compare", "starts", "seed", "limits",
+        "compare", "guess", "starts", "seed", "limits",
     )  # fmt: skip
 
     mbdkit_predict: Literal[1]
@@ -191,6 +191,9 @@ class PredictSpec(ModelSpec):
     """Values in the model or its named parameters, by key path, such as `model.forces.spring.stiffness: 0`. The motion
     is optimized with them too, and the gain is the difference of both optima. Numbers in `parameters` that are given
     here are not optimized."""
+    guess: str | None = None
+    """An archive whose motion is the first guess, relative to the folder of the spec: an earlier prediction, a run, or
+    inverse dynamics. Its bodies, states and controls are found by name, and its duration is stretched."""
     starts: Count = 1
     """Number of first guesses; all but the first one are drawn."""
     seed: Annotated[int, Field(ge=0)] = 0

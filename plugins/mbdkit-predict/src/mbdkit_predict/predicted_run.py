@@ -184,6 +184,7 @@ def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dic
     optimized = dict(zip(result.transcription.system.parameter_names, result.mesh.values["p"].tolist(), strict=True))
     texts = {
         "mesh": [[counts[0] if len(counts) == 1 else counts, value] for counts, value in result.record],
+        "durations": result.mesh.values["duration"].tolist(),
         "optimized": {name: optimized[name] for name in result.spec.optimized},
         "starts": [None if np.isnan(value) else value for value in result.starts],
         "sensitivities": result.sensitivities if result.is_optimum else {},

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.archive.run import Run
+from mbdkit.spec.reading import Document
 from mbdkit_predict.export import require_casadi
 from mbdkit_predict.predict_loading import PredictSource, load_predict_spec
 from mbdkit_predict.predict_spec import PredictSpec
@@ -59,4 +60,5 @@ def computed(spec: PredictSpec, path: str | Path | None, *, overwrite: bool) -> 
 
 def repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: Any) -> Run:
     """Compute the prediction of an archive again."""
-    return computed(load_predict_spec(before.spec), output, overwrite=overwrite)
+    document = Document(dict(before.spec), folder=archive.parent)
+    return computed(load_predict_spec(document), output, overwrite=overwrite)

@@ -27,6 +27,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.methods import gauss, radau_iia
+from mbdkit_predict.archived_guess import ArchivedGuess
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.elastic_fibers import ElasticFibers
 from mbdkit_predict.grid import Grid, weights
@@ -108,6 +109,7 @@ class Transcription:
     def __init__(self, spec: PredictSpec, system: CasadiSystem, objective: Objective):
         self.spec, self.system, self.objective = spec, system, objective
         self.fibers = ElasticFibers(spec.chosen, self.system)
+        self._archived = None if spec.guess is None else ArchivedGuess(spec, system)
         durations = [phase.duration for phase in spec.whole.values()]
         lengths = [float(np.mean(x.bounds)) if isinstance(x, Duration) else x for x in durations]
         self.limits = {
@@ -167,12 +169,16 @@ class Transcription:
         return np.column_stack([np.zeros(len(rates)), within.reshape(len(rates), -1), *[whole[:, -1]] * self.has_nodes])
 
     def guess(self, random: np.random.Generator | None = None) -> Mesh:
-        """Return a first guess: positions on straight lines between poses that satisfy the conditions at the start and
-        at the ends of phases; with `random`, by way of drawn poses, and with drawn controls.
+        """Return a first guess: the motion in an archive or else positions on straight lines between poses that satisfy
+        the conditions at the start and at the ends of phases; with `random`, by way of drawn poses, and with drawn
+        controls.
         """
         system, spec = self.system, self.spec
         grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c)
-        durations = self.limits["duration"][2]
+        low, high, durations = self.limits["duration"]
+        archived = self._archived if random is None else None
+        if archived is not None:
+            durations = np.clip(archived.durations(durations), low, high)
         knots, poses = [0.0], [self._nearest(system.q0, self._initial, 0.0)]
         for index, (conditions, end) in enumerate(zip(self._ends, np.cumsum(durations), strict=True)):
             if index == len(durations) - 1:  # values at the end that follow from the pose at the start
@@ -183,7 +189,7 @@ class Transcription:
             if conditions or index == len(durations) - 1:
                 knots.append(float(end))
                 poses.append(self._nearest(poses[-1], conditions, float(end)))
-        times, m = durations @ grid.points, len(system.constraint_names)
+        times, m = np.append(0.0, durations @ grid.points), len(system.constraint_names)
         low, high, start = self.limits["u"]
         u = np.repeat(start[:, None], len(times), axis=1)
         if random is not None:
@@ -198,16 +204,23 @@ class Transcription:
                 place = int(np.searchsorted(knots, t))
                 knots.insert(place, t)
                 poses.insert(place, self._nearest(pose, {}, t))
-        q = np.array([np.interp(times, knots, x) for x in np.array(poses).T])
+
+        def filled(name: str, x: np.ndarray) -> np.ndarray:
+            return x if archived is None else archived.known(name, x, times, durations)
+
+        p = filled("p", np.repeat(self.limits["p"][2][:, None], len(times), axis=1))[:, 0]
+        q = filled("q", np.array([np.interp(times, knots, x) for x in np.array(poses).T]))
         # velocities in other motions are zero: those on the line lead the swing-up of a pole to five times its effort
-        v = np.gradient(q, times, axis=1) if spec.periodic and len(times) > 1 else 0.0 * q
+        v = filled("v", np.gradient(q, times, axis=1) if spec.periodic else 0.0 * q)
         z = np.repeat(system.z0[:, None], len(times), axis=1)
-        z[self.fibers.states] = self.fibers.guess(q, system.p0)
-        values = {
-            "duration": durations, "p": self.limits["p"][2], "start": np.concatenate([poses[0], v[:, 0], z[:, 0]]),
-            "q": q, "v": v, "a": 0.0 * v, "lam": np.zeros((m, len(times))), "mu": np.zeros((m, len(times))),
-            "z": z, "u": u,
+        z[self.fibers.states] = self.fibers.guess(q, p)
+        z, none = filled("z", z), np.zeros((m, len(times)))
+        columns = {
+            "q": q, "v": v, "a": filled("a", 0.0 * v), "lam": filled("lam", none), "mu": none, "z": z,
+            "u": filled("u", u),
         }  # fmt: skip
+        values = {name: x[:, 1:] for name, x in columns.items()}
+        values |= {"duration": durations, "p": p, "start": np.concatenate([q[:, 0], v[:, 0], z[:, 0]])}
         return Mesh(grid, self._with_nodes(values))
 
     def refined(self, mesh: Mesh) -> Mesh:

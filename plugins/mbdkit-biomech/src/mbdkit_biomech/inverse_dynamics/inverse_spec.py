@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
@@ -181,11 +180,6 @@ class InverseSpec(ModelSpec):
         found = [one for group in groups for one in actuators_of(self.actuators, names, group)]
         reserves = [] if self.recruitment is None else reserves_of(self.recruitment, found)
         return {one.name: one.unit for one in [*found, *(reserve.actuator for reserve in reserves)]}
-
-    @property
-    def folder(self) -> Path:
-        """Folder to which names of files are relative: the folder of the spec, or else the current folder."""
-        return Path() if self._document is None else self._document.folder
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the result."""

@@ -1,0 +1,127 @@
+"""The first guess from an archive: an earlier prediction, a run, or the inverse dynamics of a measured motion."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.files_read import check_readable, read_data
+from mbdkit.base.plain_data import parse_path
+from mbdkit.base.text import listed, shown
+from mbdkit_predict.casadi_system import CasadiSystem
+from mbdkit_predict.predict_spec import PredictSpec
+
+LARGEST_FILE = 2**31
+"""Largest size of an archive that is read [bytes]."""
+IN_PLACE = {"excitation": "activation", "fiber_velocity": "fiber_rate", "tendon_force": "force"}
+"""Quantities of muscles in archives that stand for controls."""
+
+
+class ArchivedGuess:
+    """Values of unknowns in an archive, found by the names of bodies, constraints, states and controls.
+
+    Parameters
+    ----------
+    spec, system
+        The spec of the problem, and its mechanism.
+
+    Raises
+    ------
+    SpecError
+        If the file is no archive, or contains no body of the mechanism.
+    """
+
+    def __init__(self, spec: PredictSpec, system: CasadiSystem):
+        path = spec.folder / str(spec.guess)
+        check_readable(path)
+        if not path.is_file():
+            raise SpecError(f"there is no such archive: {shown(str(path))}", key="guess")
+        with spec.recording_files():
+            read_data(path, LARGEST_FILE)
+        with load(path) as run:
+            self._time, bodies = run.time - run.time[0], list(run.bodies)
+            if not set(bodies) & set(system.bodies):
+                both = f"{listed(bodies, 'and')}; the mechanism has {listed(system.bodies, 'and')}"
+                raise SpecError(f"no body of {shown(path.name)} is one of the mechanism: it has {both}", key="guess")
+            self._known = {
+                name: _chosen(system.bodies, bodies, run.array(f"trajectory/{array}"))
+                for name, array in (("q", "position"), ("v", "velocity"), ("a", "acceleration"))
+            }
+            if run.records("constraints/multiplier"):
+                rows = run.array("constraints/constraint").tolist()
+                self._known["lam"] = _chosen(system.constraint_names, rows, run.array("constraints/multiplier"))
+            states = [_history(run, _of_state(name)) for name in system.state_names]
+            controls = [
+                _history(run, [("states", state, "value"), *_of_control(key)]) / _size(spec, key)
+                for key, state in zip(spec.chosen.controls, spec.chosen.control_states, strict=True)
+            ]
+            optimized = json.loads(str(run.provenance.get("optimized", "{}")))
+            parameters = [np.full(len(run.time), optimized.get(name, np.nan)) for name in system.parameter_names]
+            self._known |= {"z": np.array(states), "u": np.array(controls), "p": np.array(parameters)}
+            self._durations: list[float] = json.loads(str(run.provenance.get("durations", "[]")))
+
+    def durations(self, guess: np.ndarray) -> np.ndarray:
+        """Return the durations (P,) of the phases in the archive; by default in proportion to `guess`."""
+        return np.array(self._durations) if len(self._durations) == len(guess) else guess / guess.sum() * self._time[-1]
+
+    def known(self, name: str, guess: np.ndarray, times: np.ndarray, durations: np.ndarray) -> np.ndarray:
+        """Return the unknowns (K, T) with a name at `times` (T,); those of `guess` where the archive has none.
+
+        Each phase of the archive is stretched to the duration of that of the guess.
+        """
+        if name not in self._known:
+            return guess
+        archived = self.durations(durations)
+        here, there = (np.append(0.0, np.cumsum(x)) for x in (durations, archived))
+        at = np.interp(times, here, there)
+        values = np.array([np.interp(at, self._time, row) for row in self._known[name]]).reshape(guess.shape)
+        pace = (archived / durations)[np.searchsorted(here[1:-1], times)]
+        return np.where(np.isnan(values), guess, values * pace ** {"v": 1, "a": 2}.get(name, 0))
+
+
+def _chosen(wanted: Sequence[str], names: list[str], histories: np.ndarray) -> np.ndarray:
+    """Return rows (W ..., T) of histories (T, N, ...) with the wanted names; nan for those without one."""
+    padded = np.concatenate([histories, np.full_like(histories[:, :1], np.nan)], axis=1)
+    places = [names.index(name) if name in names else len(names) for name in wanted]
+    return padded[:, places].reshape(len(padded), -1).T
+
+
+def _of_state(name: str) -> list[tuple[str, str, str]]:
+    """Return where the values of a first-order state are: kind, name and attribute of histories."""
+    owner, _, attribute = name.rpartition(".")
+    return [("states", name, "value"), ("muscles", owner, attribute)]
+
+
+def _of_control(key: str) -> list[tuple[str, str, str]]:
+    """Return where values are that stand for those of a control."""
+    path = parse_path(key)
+    if len(path) != 3:
+        return []
+    kind, name, attribute = map(str, path)
+    return [("actuators", name, attribute), (kind, name, attribute), (kind, name, IN_PLACE.get(attribute, attribute))]
+
+
+def _size(spec: PredictSpec, key: str) -> float:
+    """Return the quotient of the quantity in archives, see `IN_PLACE`, and the control."""
+    for name, (velocity, force) in spec.chosen.fibers.items():
+        muscle = spec.mechanism().muscles[name]
+        sizes = {velocity: muscle.max_velocity * muscle.optimal_length, force: muscle.max_force}
+        if (index := spec.chosen.controls.index(key)) in sizes:
+            return float(sizes[index])
+    return 1.0
+
+
+def _history(run: Run, sources: Iterable[tuple[str, str, str]]) -> np.ndarray:
+    """Return the first history (T,) that the run has; nan without one."""
+    for kind, name, attribute in sources:
+        with suppress(AttributeError, LookupError, MbdkitError):
+            values = np.asarray(getattr(getattr(run, kind)[name], attribute))
+            if values.shape == run.time.shape and np.isfinite(values).any():
+                return values
+    return np.full(run.time.shape, np.nan)

@@ -1,0 +1,97 @@
+"""First guesses from archives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit.cli import app
+from mbdkit.spec.loading import example_text
+from mbdkit_predict.predict_loading import load_predict_spec
+from mbdkit_predict.predicted_run import transcribed
+from mbdkit_predict.transcription import Transcription
+from predict.exact_optima import block
+
+
+def problem_of(spec: dict[str, Any], archive: Path) -> Transcription:
+    return transcribed(load_predict_spec(spec | {"guess": str(archive)}))
+
+
+def test_a_warm_start_reaches_the_same_optimum_in_fewer_iterations(tmp_path: Path) -> None:
+    path = tmp_path / "first.h5"
+    cold = mbdkit.predict("cart-pole", tolerance=1e-2, archive=path)
+    warm = mbdkit.predict("cart-pole", tolerance=1e-2, guess=path)
+    assert 2 * warm.stats["newton_iterations"] < cold.stats["newton_iterations"]
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
+
+
+def test_phases_of_an_archive_are_stretched(tmp_path: Path) -> None:
+    # the least 12 / T^3 + 36 T is at T = 1 s, with x = 3 t^2 - 2 t^3; the first phase, 0.25 s, becomes 0.5 s
+    last = {"duration": {"bounds": [0.1, 1.5]}, "final": {"block.x": 1, "block.vx": 0}}
+    spec = block(duration=None, final={}, phases=[{"duration": 0.25}, last])
+    mbdkit.predict(spec, archive=tmp_path / "block.h5", minimize="integral(forces.push.value**2 + 36)")
+    spec["base"]["model"]["bodies"]["other"] = {"mass": 1.0, "position": [3, 0]}
+    guess = problem_of(spec | {"phases": [{"duration": 0.5}, last]}, tmp_path / "block.h5").guess()
+    s, pace = np.where(guess.times < 0.5, guess.times / 2, guess.times - 0.25), np.where(guess.times < 0.5, 0.5, 1.0)
+    np.testing.assert_allclose(guess.values["duration"], [0.5, 0.75], rtol=1e-6)
+    for name, exact in (("q", 3 * s**2 - 2 * s**3), ("v", pace * 6 * (s - s**2)), ("a", pace**2 * (6 - 12 * s))):
+        np.testing.assert_allclose(guess.values[name][0], exact, atol=1e-3, err_msg=name)
+    np.testing.assert_allclose(guess.values["u"][0], 6 - 12 * s, atol=1e-3)
+    np.testing.assert_array_equal(guess.values["q"][3], 3.0)
+
+
+def test_an_inverse_analysis_is_a_guess(tmp_path: Path) -> None:
+    m = mbdkit.Mechanism()
+    rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.0, -0.5))
+    m.revolute("hip", m.ground, rod, at=(0, 0))
+    t = np.linspace(0.0, 2.0, 401)
+    motion = {"data": {"time": t, "hip": 0.5 * np.sin(3 * t)}, "columns": {"hip.angle": "hip"}}
+    mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion}, archive=tmp_path / "rod.h5")
+    m.torque("hip", rod, value=0.0)
+    problem = problem_of(
+        {
+            "mbdkit_predict": 1, "base": {"model": m.to_spec()}, "duration": {"bounds": [0.5, 9]},
+            "controls": {"forces.hip.value": {"bounds": [-9, 9]}}, "minimize": "integral(forces.hip.value**2)",
+        },
+        tmp_path / "rod.h5",
+    )  # fmt: skip
+    guess = problem.guess()
+    assert guess.values["duration"] == pytest.approx(2.0)
+    angle = 0.5 * np.sin(3 * guess.times)
+    expected = {
+        "q": (2, angle), "v": (2, 1.5 * np.cos(3 * guess.times)), "a": (2, -9.0 * angle),
+        "u": (0, -0.35 * 9.0 * angle + 0.5 * 9.81 * np.sin(angle)),
+    }  # fmt: skip
+    for name, (row, exact) in expected.items():
+        np.testing.assert_allclose(guess.values[name][row], exact, atol=2e-3 * abs(exact).max(), err_msg=name)
+    values = [guess.values[name] for name in ("q", "v", "a", "lam", "z", "u")]
+    balance = np.array(problem.system.residual(*values, [], guess.times[None]))
+    assert abs(balance).max() < 0.01  # N, with reactions of up to 15 N
+
+
+def test_a_wrong_archive_is_one_sentence(tmp_path: Path) -> None:
+    mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}).save(tmp_path / "pendulum.h5")
+    for name, text in (("no.h5", "there is no such archive"), ("pendulum.h5", "it has rod1; the mechanism has block")):
+        with pytest.raises(SpecError, match=text) as caught:
+            problem_of(block(), tmp_path / name)
+        assert caught.value.key == "guess"
+
+
+def test_an_archive_is_repeated_with_the_same_guess_only(tmp_path: Path) -> None:
+    def command(*words: str) -> Any:
+        return CliRunner().invoke(app, list(words), prog_name="mbdkit")
+
+    first, second = tmp_path / "first.h5", str(tmp_path / "second.h5")
+    mbdkit.predict("block", archive=first)
+    (tmp_path / "block.yaml").write_text(example_text("block") + "guess: first.h5\n")
+    assert command("predict", str(tmp_path / "block.yaml"), "-o", second).exit_code == 0
+    assert "only with --files" in command("rerun", second).stderr
+    assert command("rerun", second, "--files").exit_code == 0
+    mbdkit.predict("block", tolerance=1e-2, archive=first, overwrite=True)
+    assert "its SHA-256 differs" in command("rerun", second, "--files").stderr
