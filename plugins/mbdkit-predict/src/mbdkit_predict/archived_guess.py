@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
 
-from mbdkit.archive.reader import load
-from mbdkit.archive.run import Run
-from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.files_read import check_readable, read_data
-from mbdkit.base.plain_data import parse_path
-from mbdkit.base.text import listed, shown
+from mbdkit.plugin import MbdkitError, Run, SpecError, listed, load, parse_path, shown
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 
@@ -24,12 +20,7 @@ IN_PLACE = {"excitation": "activation", "fiber_velocity": "fiber_rate", "tendon_
 
 
 class ArchivedGuess:
-    """Values of unknowns in an archive, found by the names of bodies, constraints, states and controls.
-
-    Parameters
-    ----------
-    spec, system
-        The spec of the problem, and its mechanism.
+    """Values of unknowns in the archive that a spec names, found by bodies, constraints, states and controls.
 
     Raises
     ------
@@ -56,14 +47,17 @@ class ArchivedGuess:
             if run.records("constraints/multiplier"):
                 rows = run.array("constraints/constraint").tolist()
                 self._known["lam"] = _chosen(system.constraint_names, rows, run.array("constraints/multiplier"))
-            states = [_history(run, _of_state(name)) for name in system.state_names]
-            controls = [
-                _history(run, [("states", state, "value"), *_of_control(key)]) / _size(spec, key)
-                for key, state in zip(spec.chosen.controls, spec.chosen.control_states, strict=True)
-            ]
+            chosen, muscles = spec.chosen, spec.mechanism().muscles
+            sizes = {chosen.controls[i]: muscles[name].max_force for name, (_, i) in chosen.fibers.items()}
+            for name, (i, _) in chosen.fibers.items():
+                sizes[chosen.controls[i]] = muscles[name].max_velocity * muscles[name].optimal_length
+            controls = zip(chosen.controls, chosen.control_states, strict=True)
             optimized = json.loads(str(run.provenance.get("optimized", "{}")))
-            parameters = [np.full(len(run.time), optimized.get(name, np.nan)) for name in system.parameter_names]
-            self._known |= {"z": np.array(states), "u": np.array(controls), "p": np.array(parameters)}
+            self._known |= {
+                "z": np.array([_history(run, name) for name in system.state_names]),
+                "u": np.array([_history(run, state, key) / sizes.get(key, 1.0) for key, state in controls]),
+                "p": np.array([np.full(len(run.time), optimized.get(key, np.nan)) for key in system.parameter_names]),
+            }
             self._durations: list[float] = json.loads(str(run.provenance.get("durations", "[]")))
 
     def durations(self, guess: np.ndarray) -> np.ndarray:
@@ -92,36 +86,16 @@ def _chosen(wanted: Sequence[str], names: list[str], histories: np.ndarray) -> n
     return padded[:, places].reshape(len(padded), -1).T
 
 
-def _of_state(name: str) -> list[tuple[str, str, str]]:
-    """Return where the values of a first-order state are: kind, name and attribute of histories."""
-    owner, _, attribute = name.rpartition(".")
-    return [("states", name, "value"), ("muscles", owner, attribute)]
-
-
-def _of_control(key: str) -> list[tuple[str, str, str]]:
-    """Return where values are that stand for those of a control."""
-    path = parse_path(key)
-    if len(path) != 3:
-        return []
-    kind, name, attribute = map(str, path)
-    return [("actuators", name, attribute), (kind, name, attribute), (kind, name, IN_PLACE.get(attribute, attribute))]
-
-
-def _size(spec: PredictSpec, key: str) -> float:
-    """Return the quotient of the quantity in archives, see `IN_PLACE`, and the control."""
-    for name, (velocity, force) in spec.chosen.fibers.items():
-        muscle = spec.mechanism().muscles[name]
-        sizes = {velocity: muscle.max_velocity * muscle.optimal_length, force: muscle.max_force}
-        if (index := spec.chosen.controls.index(key)) in sizes:
-            return float(sizes[index])
-    return 1.0
-
-
-def _history(run: Run, sources: Iterable[tuple[str, str, str]]) -> np.ndarray:
-    """Return the first history (T,) that the run has; nan without one."""
-    for kind, name, attribute in sources:
+def _history(run: Run, state: str, control: str = "") -> np.ndarray:
+    """Return the values (T,) of a state, or of what stands for a control; nan if the run has none."""
+    owner, _, attribute = state.rpartition(".")
+    sources = [("states", state, "value"), ("muscles", owner, attribute)]
+    if control and len(path := parse_path(control)) == 3:
+        kind, name, value = map(str, path)
+        sources[1:] = [("actuators", name, value), (kind, name, value), (kind, name, IN_PLACE.get(value, value))]
+    for kind, name, value in sources:
         with suppress(AttributeError, LookupError, MbdkitError):
-            values = np.asarray(getattr(getattr(run, kind)[name], attribute))
+            values = np.asarray(getattr(getattr(run, kind)[name], value))
             if values.shape == run.time.shape and np.isfinite(values).any():
                 return values
     return np.full(run.time.shape, np.nan)

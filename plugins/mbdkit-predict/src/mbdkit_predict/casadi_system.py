@@ -11,20 +11,14 @@ import casadi as ca
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import listed
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.frames import Reactions
-from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.workspace import Workspace
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.expressions.program import value_of
-from mbdkit.quantities.names import archive_names
+from mbdkit.plugin import CompiledMechanism, Observed, SpecError, States, Workspace, archive_names, listed
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.quantities.states import States
 from mbdkit.quantities.table import KINDS
 from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
 from mbdkit_biomech.muscles.force_curves import CURVES
@@ -50,13 +44,6 @@ class CasadiSystem:
 
     Functions have the arguments ``(q, v, a, lam, z, u, p, t)``. Q depends on lam only with friction in joints.
     Jacobians are those of CasADi; at corners of the model, such as the beginning of contact, they are one-sided.
-
-    Parameters
-    ----------
-    chosen
-        Controls and parameters of the mechanism.
-    t0
-        See `mbdkit_predict.export.exported`.
 
     Attributes
     ----------
@@ -126,9 +113,8 @@ class CasadiSystem:
 
     def function(self, name: str, results: Mapping[str, ca.SX]) -> ca.Function:
         """Return a function of ``(q, v, a, lam, z, u, p, t)`` with named results, expressions in these symbols."""
-        return ca.Function(
-            name, list(self.symbols.values()), ca.cse(list(results.values())), list(self.symbols), list(results)
-        )
+        given, values = list(self.symbols.values()), ca.cse(list(results.values()))
+        return ca.Function(name, given, values, list(self.symbols), list(results))
 
     def _new_equations(self) -> equations.Equations:
         """Return the arrays of the engine, with numbers and symbols as objects."""
@@ -264,11 +250,8 @@ class CasadiSystem:
         """Yield the names of all quantities that have one value at each time."""
         names = archive_names(self._compiled)
         for kind in KINDS:
-            attributes = [
-                attribute
-                for attribute in kind.attributes.values()
-                if attribute.in_events and not (attribute.is_vector or attribute.array.is_of_steps)
-            ]
+            every = kind.attributes.values()
+            attributes = [x for x in every if x.in_events and not (x.is_vector or x.array.is_of_steps)]
             axis = next((array for array in kind.arrays if kind.axis and array.path == kind.named_by), None)
             elements = [""] if axis is None or axis.texts is None else list(axis.texts(names))
             for element in dict.fromkeys(elements):
@@ -323,11 +306,8 @@ def _check(mechanism: CompiledMechanism) -> None:
     """Raise SpecError for a rigid contact."""
     for contact in mechanism.extensions.get("contacts", ()):
         if contact.first_state >= 0:
-            raise SpecError(
-                f"contact '{contact.pair.name}' is rigid, so that its force is not a function of the state; give it a "
-                "`compliance`",
-                key=contact.pair.key,
-            )
+            why = "is rigid, so that its force is not a function of the state; give it a `compliance`"
+            raise SpecError(f"contact '{contact.pair.name}' {why}", key=contact.pair.key)
 
 
 def _elements(vector: ca.SX) -> list[Symbol]:

@@ -17,13 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, copied, parse_path, path_text, plain, quoted
-from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.mechanism.element_kinds import element_kinds
-from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plugin import Mechanism, SpecError, did_you_mean, listed
 
 STEP = 0.25
 """Change of parameters, relative to their values, by which linear functions are recognized, together with its half."""

@@ -8,15 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from mbdkit.base.terminal import show
-from mbdkit.cli.common_options import (
-    MotionSet,
-    Overwrite,
-    Printing,
-    check_new,
-    grouped,
-    output_to,
-    stem,
-)
+from mbdkit.cli.common_options import MotionSet, Overwrite, Printing, check_new, grouped, output_to, stem
 from mbdkit.cli.outcome import tell
 
 
@@ -44,9 +36,7 @@ def validate_predict(source: Any, name: str, assignments: list[str]) -> None:
 def predict(
     spec: Annotated[
         str,
-        typer.Argument(
-            metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as block."
-        ),
+        typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or an example such as block."),
     ],
     *,
     output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,

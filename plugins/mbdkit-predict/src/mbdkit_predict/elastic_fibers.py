@@ -20,13 +20,6 @@ from mbdkit_predict.chosen_numbers import ChosenNumbers
 class ElasticFibers:
     """The fibres of a mechanism whose velocities and forces are unknowns.
 
-    Parameters
-    ----------
-    chosen
-        Controls of the mechanism.
-    system
-        The mechanism.
-
     Attributes
     ----------
     states

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from mbdkit.base.errors import StepError
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.plugin import EquationsOfMotion, StepError
+from mbdkit_predict.transcription import Mesh, Transcription
 
 Rates = Callable[[float, np.ndarray], np.ndarray]
 
@@ -44,31 +44,17 @@ class Difference:
     of_intervals: float = np.nan
 
 
-def forward_difference(
-    equations: EquationsOfMotion,
-    times: np.ndarray,
-    predicted: np.ndarray,
-    controls: np.ndarray,
-    points: np.ndarray,
-    rows: np.ndarray,
-) -> Difference:
-    """Integrate the controls from the start on, and also each interval on its own.
-
-    Parameters
-    ----------
-    equations
-        The equations of motion.
-    times, predicted
-        Times (N + 1,) and states q, v, z (N + 1, 2 n + Z) of the prediction at the ends of intervals.
-    controls
-        Values (K, N, s) of the controls at the collocation points.
-    points
-        These points (s,) as shares of an interval.
-    rows
-        Indices (K,) of the controls among the first-order states z.
-    """
-    n, scale = equations.n, _scale(predicted, equations.n)
-    checked = np.delete(np.arange(predicted.shape[1]), np.concatenate([np.arange(n, 2 * n), 2 * n + rows]))
+def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh: Mesh) -> Difference:
+    """Integrate the controls of a solution from the start on, and also each interval on its own."""
+    names, chosen, points = method.system.compiled_states, method.spec.chosen.control_states, method.c
+    n, size, nodes = equations.n, 2 * equations.n + len(names), method.nodes(mesh).T
+    rows = np.array([names.index(name) for name in chosen if name in names])  # unknowns of fibres are no states
+    u = mesh.values["u"][[name in names for name in chosen]]
+    controls, times = u.reshape(len(u), -1, len(points)), np.append(0.0, mesh.values["duration"] @ mesh.grid.ends)
+    predicted = np.zeros((len(nodes), size))
+    predicted[:, np.delete(np.arange(size), 2 * n + rows)] = nodes
+    scale = _scale(predicted, n)
+    checked = np.delete(np.arange(size), np.concatenate([np.arange(n, 2 * n), 2 * n + rows]))
     state, differences, defects = predicted[0], list[float](), 0.0
     powers, matrix = np.arange(len(points)), np.vander(points, increasing=True)
     try:

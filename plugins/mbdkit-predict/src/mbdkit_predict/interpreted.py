@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels import angles, equations, law_programs, motions
 from mbdkit.engine.kernels.law_programs import OPCODES
@@ -25,7 +24,7 @@ from mbdkit.engine.native import arithmetic, calls
 from mbdkit.engine.native.functions import LAWS
 from mbdkit.engine.native.kernel import Entry, Kernel, LawFunction
 from mbdkit.expressions import operations
-from mbdkit.mechanism.force_law import FunctionLaw
+from mbdkit.plugin import FunctionLaw, SpecError
 from mbdkit_contact.kernels import contact_laws, uneven_ground
 from mbdkit_predict.merged_branches import Numbers, merged, select
 from mbdkit_predict.symbols import BranchError, Symbol, apply, best, every_branch, where
@@ -97,11 +96,6 @@ _MATH = SimpleNamespace(**{name: _of_math(name) for name in vars(math) if not na
 
 class Interpreter:
     """Executes kernels with symbols.
-
-    Parameters
-    ----------
-    laws
-        Names and compiled laws of the elements of a mechanism.
 
     Attributes
     ----------

@@ -9,11 +9,10 @@ from typing import Any
 
 import casadi as ca
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.units import Unit
 from mbdkit.expressions.operations import OPERATIONS, REDUCE
 from mbdkit.expressions.program import execute
 from mbdkit.measures.measure_compiler import MeasureCompiler
+from mbdkit.plugin import SpecError, Unit
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.symbols import Symbol, column
@@ -23,19 +22,13 @@ INTEGRAL, FINAL = "integral", "final"
 
 @dataclass(frozen=True)
 class Objective:
-    """What is minimized, as a function of functionals of the motion.
-
-    Attributes
-    ----------
-    integrands, finals
-        Integrands and final values (K, 1), expressions in the symbols of the system.
-    value
-        Function of the integrals, the final values, and the duration.
-    """
+    """What is minimized, as a function of functionals of the motion."""
 
     integrands: ca.SX
     finals: ca.SX
+    """Integrands and final values, (K, 1), expressions in the symbols of the system."""
     value: ca.Function
+    """Function of the integrals, the final values, and the duration."""
 
 
 class _ObjectiveCompiler(MeasureCompiler):

@@ -35,13 +35,6 @@ conditions become active, methods of high order have no constant ratio.
 class Optimum:
     """The best motion that is found.
 
-    Parameters
-    ----------
-    transcription
-        The optimal control problem.
-    stop
-        When the search ends early.
-
     Attributes
     ----------
     spec

@@ -5,18 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import (
-    Accessor,
-    Command,
-    Example,
-    GuidePage,
-    Item,
-    ReportSection,
-    SpecKind,
-    SummaryLine,
-    Target,
-    hookimpl,
-)
+from mbdkit.plugin import Accessor, Command, Example, GuidePage, ReportSection, SpecKind, SummaryLine, Target, hookimpl
+from mbdkit.registry.item import Item
 
 _HERE = Path(__file__).parent
 _RESULTS = {

@@ -7,13 +7,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied, parse_path, path_text, value_text
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.plugin import Document, SpecError, did_you_mean, listed, loaded, put, read_source
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
-from mbdkit.spec.loading import loaded, read_source
-from mbdkit.spec.reading import Document, put
 from mbdkit.spec.schema import DRAFT, described, model_schema
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
 from mbdkit_studies.study_loading import base_source
@@ -32,15 +29,7 @@ KEYS = (*OF_BASE, *(key for key in PredictSpec.model_fields if key not in ("mbdk
 def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> PredictSpec:
     """Load and validate a spec of a prediction, build its mechanism, and return the spec.
 
-    Parameters
-    ----------
-    source, overrides, sections
-        See `load_spec`; the source may also be a `PredictSpec`.
-
-    Raises
-    ------
-    SpecError
-        If the spec is not valid, with the file, line and key path if known.
+    Arguments and errors are those of `load_spec`; the source may also be a `PredictSpec`.
     """
     if not isinstance(source, PredictSpec):
         document = read_source(source)
@@ -60,20 +49,22 @@ def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
             raise SpecError(f"unknown key{did_you_mean(key, KEYS)}; known here: {listed(KEYS)}", key=key)
     if "base" not in sections:
         if "model" not in sections:
-            raise SpecError(
-                "is missing: a run spec whose model is used, its file, or the name of an example", key="base"
-            )
+            raise SpecError("is missing: a file or an example, whose model is used, or a run spec", key="base")
         return sections
-    base = _base(sections.pop("base"), folder)
+    base = sections.pop("base")
+    if not isinstance(base, str | Mapping):
+        wanted = "a file, the name of an example, or a run spec"
+        raise SpecError(f"should be {wanted}, not {value_text(base)}", key="base")
+    if isinstance(base, str):
+        base = read_source(base_source(base, folder, "base", "prediction")).data
+    base = copied(base)
     overrides = sections.pop("overrides", {})
     if not isinstance(overrides, Mapping):
         raise SpecError(f"should be a mapping of key paths and values, not {value_text(overrides)}", key="overrides")
     for key, value in overrides.items():
         path = parse_path(str(key))
         if path[0] not in USED:
-            raise SpecError(
-                f"'{key}' has no effect, because only {listed(USED, 'and')} of the base are used", key="overrides"
-            )
+            raise SpecError(f"'{key}' has no effect: only {listed(USED, 'and')} of the base are used", key="overrides")
         put(base, path, value)
     if "parameters" in sections:
         sections["optimized"] = sections.pop("parameters")
@@ -90,41 +81,22 @@ def compared_spec(spec: PredictSpec) -> PredictSpec:
         put(data, path, value)
         if any(parse_path(name)[: len(path) - 1] == path[1:] for name in spec.controls):
             raise SpecError(f"'{key}' has no effect, because it is a control", key="compare")
-        for name in list(data.get("optimized", {})):
-            if path_text(path[1:]) == name:
-                del data["optimized"][name]
+        data.get("optimized", {}).pop(path_text(path[1:]), None)
     return load_predict_spec(Document(data | {"sensitivities": []}, folder=spec.folder))
 
 
-def _base(given: Any, folder: Path) -> dict[str, Any]:
-    if isinstance(given, Mapping):
-        return dict(copied(given))
-    if not isinstance(given, str):
-        raise SpecError(f"should be a file, the name of an example, or a run spec, not {value_text(given)}", key="base")
-    return read_source(base_source(given, folder, "base", "prediction")).data
-
-
 def predict_schema(installed: Registry | None = None) -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of the spec of a prediction, with a `base` or with its model.
-
-    Parameters
-    ----------
-    installed
-        Registry of the models and force laws to include; by default, all that are installed.
+    """Return the JSON schema (draft 2020-12) of the spec of a prediction, with a `base` or with its model, for the
+    models and force laws of a registry; by default, for all that are installed.
     """
     chosen = installed if installed is not None else registry()
     schema = described(model_schema(predict_spec_type(chosen), chosen))
     fields = schema["properties"]
-    fields["base"] = {
-        "anyOf": [{"type": "string"}, {"type": "object"}],
-        "description": "A run spec, whose model and named parameters are used: a file, the name of an example, or the "
-        "spec itself.",
-    }
+    words = "A run spec, whose model and named parameters are used: a file, the name of an example, or the spec itself."
+    fields["base"] = {"anyOf": [{"type": "string"}, {"type": "object"}], "description": words}
     fields["overrides"] = {"type": "object", "description": "Values in the base by key path."}
-    fields["parameters"] = {
-        "anyOf": [fields["parameters"], fields["optimized"]],
-        "description": fields["parameters"]["description"]
-        + " With a `base`: numbers that are optimized, by their key path in the model.",
-    }
+    words = fields["parameters"]["description"]
+    words += " With a `base`: numbers that are optimized, by their key path in the model."
+    fields["parameters"] = {"anyOf": [fields["parameters"], fields["optimized"]], "description": words}
     schema["required"] = [name for name in schema["required"] if name not in ("mbdkit", "model")]
     return {"$schema": DRAFT, **schema}

@@ -5,22 +5,20 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
-from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import description
-from mbdkit.base.text import did_you_mean, listed
-from mbdkit.mechanism.values import Number, Positive
+from mbdkit.mechanism.checks import check_name, check_tables
+from mbdkit.mechanism.values import Number, Positive, Table, curve_of
+from mbdkit.plugin import Count, DefinedMeasure, ModelSpec, Section, SpecError, did_you_mean, listed, path_text, quoted
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
-from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.sections import Count, Section
-from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit_predict.chosen_numbers import UNKNOWNS, ChosenNumbers, elastic_muscles, unknowns_of
+from mbdkit_predict.measured_functions import MeasuredFunction
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
@@ -33,12 +31,6 @@ def _ordered(bounds: Any) -> Any:
     if isinstance(bounds, tuple) and bounds[0] > bounds[1]:
         raise SpecError(f"the lower bound {bounds[0]:g} is above the upper bound {bounds[1]:g}")
     return bounds
-
-
-def _some(controls: dict[str, Any]) -> dict[str, Any]:
-    if not controls:
-        raise SpecError("needs at least one control, which moves the mechanism")
-    return controls
 
 
 Bounds = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
@@ -133,10 +125,8 @@ class Collocation(Section):
     @model_validator(mode="after")
     def _has_points(self) -> Collocation:
         if self.points not in STAGES[self.method]:
-            raise SpecError(
-                f"{self.method} has {listed(map(str, STAGES[self.method]), 'or')} points, not {self.points}",
-                key="points",
-            )
+            known = listed(map(str, STAGES[self.method]), "or")
+            raise SpecError(f"{self.method} has {known} points, not {self.points}", key="points")
         return self
 
 
@@ -144,22 +134,17 @@ class PredictSpec(ModelSpec):
     """The complete input of a prediction: a motion that nobody measured, by optimal control.
 
     The controls are first-order states of its mechanism, whose values are optimized.
-
-    Raises
-    ------
-    SpecError
-        If the spec is not valid, with the key path.
     """
 
     model_config = ConfigDict(title="mbdkit spec of a prediction", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        "parameters", "optimized", "duration", "phases", "initial", "final", "subject_to", "periodic", "sensitivities",
-        "compare", "guess", "starts", "seed", "limits",
+        "parameters", "optimized", "duration", "phases", "initial", "final", "subject_to", "periodic", "measured",
+        "sensitivities", "compare", "guess", "starts", "seed", "limits",
     )  # fmt: skip
 
     mbdkit_predict: Literal[1]
     """Version of the format of predictions."""
-    controls: Annotated[dict[str, Variable], AfterValidator(_some)]
+    controls: dict[str, Variable]
     """Functions of time that are optimized, by the key path of the value in the model that they replace, such as
     `forces.motor.value` and `muscles.soleus.excitation`."""
     optimized: dict[str, Variable] = Field(default_factory=dict)
@@ -178,6 +163,9 @@ class PredictSpec(ModelSpec):
     periodic: list[str | dict[str, str]] = Field(default_factory=list)
     """Expressions of quantities whose values are equal at the start and at the end. With `{FIRST: SECOND}`, the
     value of each at the end is that of the other one at the start, as for left and right after half a step."""
+    measured: dict[str, MeasuredFunction] = Field(default_factory=dict)
+    """Functions of time by name, such as a measured angle: expressions of conditions and of `minimize` may contain
+    `measured.NAME`. The duration must be a number, and the tables must cover it."""
     minimize: str
     """What is minimized: an expression of measures such as `integral(forces.motor.value**2)` and `final(t)`."""
     collocation: Collocation = Collocation()
@@ -202,11 +190,15 @@ class PredictSpec(ModelSpec):
     """When the optimization is stopped."""
 
     @model_validator(mode="after")
-    def _has_duration(self) -> PredictSpec:
+    def _is_complete(self) -> PredictSpec:
+        if not self.controls:
+            raise SpecError("needs at least one control, which moves the mechanism", key="controls")
         if self.duration is None and not self.phases:
             raise SpecError("is missing: a number [s], `bounds`, or `phases` with a duration each", key="duration")
         if self.duration is not None and self.phases:
             raise SpecError("has no effect, because each of the `phases` has its own", key="duration")
+        for name in self.measured:
+            check_name(name, f"measured.{quoted(name)}")
         return self
 
     @property
@@ -246,17 +238,25 @@ class PredictSpec(ModelSpec):
         chosen: ChosenNumbers = self._chosen
         return chosen
 
-    def with_states(self, text: str) -> str:
-        """Return an expression in which controls, ``controls["forces.motor.value"]``, are states of the mechanism."""
-        states = dict(zip(self.chosen.controls, self.chosen.control_states, strict=True))
+    def with_states(self, text: str, at: float | None = None) -> str:
+        """Return an expression in which controls, ``controls["forces.motor.value"]``, and measured functions are states
+        of the mechanism; the latter are numbers if the time `at` is given.
+        """
+        names = {
+            "controls": dict(zip(self.chosen.controls, self.chosen.control_states, strict=True)),
+            "measured": {name: f"measured.{name}" for name in self.measured},
+        }
 
         def state(match: re.Match[str]) -> str:
-            name = match[2] or match[3]
-            if name not in states:
-                raise SpecError(f"there is no control '{name}'{did_you_mean(name, states)}")
-            return f"states[{json.dumps(states[name])}].value"
+            kind, name = match[1], match[3] or match[4]
+            if name not in names[kind]:
+                what = {"controls": "control", "measured": "measured function"}[kind]
+                raise SpecError(f"there is no {what} '{name}'{did_you_mean(name, names[kind])}")
+            if kind == "measured" and at is not None:
+                return f"({float(curve_of(self.tables[name])(at))!r})"
+            return f"states[{json.dumps(names[kind][name])}].value"
 
-        return re.sub(r"\bcontrols(?:\[([\"'])(.*?)\1\]|\.(\w+))", state, text)
+        return re.sub(r"\b(controls|measured)(?:\[([\"'])(.*?)\2\]|\.(\w+))", state, text)
 
     def control(self, name: str) -> Variable:
         """Return the bounds and the start of a control; of unknowns of fibres, they are free by default."""
@@ -272,15 +272,40 @@ class PredictSpec(ModelSpec):
             message = error.message
             for name in self.controls:
                 message = message.replace(f"states[{name!r}]", f"controls[{name!r}]")
+            message = message.replace("states['measured.", "measured['")
             raise SpecError(message, key=key) from None
 
     _chosen: Any = PrivateAttr(default=None)
+    _tables: dict[str, Table] = PrivateAttr(default_factory=dict)
+
+    @property
+    def tables(self) -> Mapping[str, Table]:
+        """The measured functions by name, which are read together with the model."""
+        return self._tables
+
+    def _accept(self, mechanism: Mechanism) -> None:
+        if not self.measured or self._tables:
+            return
+        lengths = [phase.duration for phase in self.whole.values() if isinstance(phase.duration, float)]
+        if len(lengths) < len(self.whole):
+            raise SpecError("measured functions of time need a duration that is a number", key="measured")
+        with self.recording_files():
+            for name, given in self.measured.items():
+                key = f"measured.{quoted(name)}"
+                try:
+                    self._tables[name] = given.read(self.folder)
+                except SpecError as error:
+                    raise error.located(prefix=key) from None
+                check_tables([(key, self._tables[name])], 0.0, sum(lengths))
 
     def _built(self) -> Mechanism:
         mechanism = super()._built()
         unknowns = [key for name in elastic_muscles(mechanism) for key in unknowns_of(name)]
         fixed = [key for key in self.sensitivities if key not in self.optimized]
-        controls = list(dict.fromkeys([*self.controls, *unknowns]))
+        for name in self.measured:
+            mechanism.state(f"measured.{name}", rate="0")
+        functions = [path_text(("states", f"measured.{name}")) for name in self.measured]
+        controls = list(dict.fromkeys([*self.controls, *unknowns, *functions]))
         chosen = ChosenNumbers(mechanism, controls, [*self.optimized, *fixed])
         self._chosen = chosen
         for i, (name, variable) in enumerate(self.optimized.items()):

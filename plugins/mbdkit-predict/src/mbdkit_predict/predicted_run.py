@@ -13,21 +13,15 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.part_file import check_target
-from mbdkit.archive.reader import load
-from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.interrupts import interrupts_noted
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.observed_states import StateObserver
-from mbdkit.quantities.names import archive_names
-from mbdkit.quantities.states import States
+from mbdkit.plugin import EquationsOfMotion, Judgement, Run, StateObserver, States, archive_names, load
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
-from mbdkit.trust.criteria import Judgement
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.forward_run import Difference, forward_difference
 from mbdkit_predict.grid import weights
@@ -41,10 +35,7 @@ from mbdkit_predict.transcription import Transcription
 NO_OPTIMUM = "The motion is that of the best iterate: it is no optimum, and may violate conditions."
 INACCURATE = "The objective is less accurate than `tolerance`."
 UNKNOWN = "The motion is the optimum on the first mesh only, so that the error of the objective is not known."
-NO_MINIMUM = (
-    "The second-order condition of a minimum does not hold: the motion is stationary, but others near it may have the "
-    "same or a smaller objective."
-)
+NO_MINIMUM = "The second-order condition does not hold: motions near it may have the same or a smaller objective."
 ESTIMATED = "The error of the objective is estimated, a forward run confirms the motion, and it is a local minimum."
 """Verdicts on motions."""
 
@@ -63,10 +54,7 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
         rival = None if other is None or stop.now else Optimum(other, stop)
     timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
     held = _archive_of(result, rival, file, timings, overwrite=overwrite)
-    if held is not None:
-        return Run(held)
-    assert file is not None
-    return load(file)
+    return load(str(file)) if held is None else Run(held)
 
 
 def transcribed(spec: PredictSpec) -> Transcription:
@@ -139,16 +127,11 @@ def _archive_of(
     names = archive_names(mechanism)
     optional = [*layout.of_elements(names), *(["constraints/singularity_distance"] if mechanism.solved_rows else [])]
     optional += layout.FRICTION if mechanism.friction else ()
-    forward = _forward(result, equations)
+    forward = forward_difference(equations, method, result.mesh) if result.is_optimum else Difference()
     results = _results(result, rival, forward)
-    writer = ArchiveWriter(
-        path,
-        names,
-        Origin.of(spec, model_provenance(spec) | results),
-        arrays=layout.recorded_by(names, layout.QUANTITIES, frozenset(optional)),
-        overwrite=overwrite,
-        shared=shared_forces(mechanism),
-    )
+    arrays = layout.recorded_by(names, layout.QUANTITIES, frozenset(optional))
+    origin, shared = Origin.of(spec, model_provenance(spec) | results), shared_forces(mechanism)
+    writer = ArchiveWriter(path, names, origin, arrays=arrays, overwrite=overwrite, shared=shared)
     try:
         writer.append({key: array.take(states) for key, array in writer.recorded.items()})
         none = np.zeros(len(time) - 1, dtype=np.int64)
@@ -162,21 +145,6 @@ def _archive_of(
         return writer.finish(ending)
     finally:
         writer.abandon()
-
-
-def _forward(result: Optimum, equations: EquationsOfMotion) -> Difference:
-    """Return how a forward run with the controls differs from the prediction."""
-    method, mesh = result.transcription, result.mesh
-    if not result.is_optimum:
-        return Difference()
-    names, chosen = method.system.compiled_states, result.spec.chosen.control_states
-    u = mesh.values["u"][[name in names for name in chosen]]  # unknowns of fibres are no states
-    controls = np.array([names.index(name) for name in chosen if name in names])
-    nodes, size = method.nodes(mesh).T, 2 * equations.n + len(names)
-    states = np.zeros((len(nodes), size))
-    states[:, np.delete(np.arange(size), 2 * equations.n + controls)] = nodes
-    times = np.append(0.0, mesh.values["duration"] @ mesh.grid.ends)
-    return forward_difference(equations, times, states, u.reshape(len(u), -1, len(method.c)), method.c, controls)
 
 
 def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dict[str, str | int | float]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mbdkit.archive.run import Run
-from mbdkit.spec.reading import Document
+from mbdkit.plugin import Document, Run
 from mbdkit_predict.export import require_casadi
 from mbdkit_predict.predict_loading import PredictSource, load_predict_spec
 from mbdkit_predict.predict_spec import PredictSpec

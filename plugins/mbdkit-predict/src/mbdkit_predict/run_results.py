@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from mbdkit.base.plain_data import parse_path
-from mbdkit.plugin import Run, RunError
+import numpy as np
+
+from mbdkit.plugin import Run, RunError, parse_path
 
 SAME = 1e-4
 """Optima on the first mesh whose relative difference is below this count as one."""
@@ -57,7 +58,9 @@ def parameters(run: Run) -> dict[str, float]:
 def controls(run: Run) -> dict[str, Any]:
     """Return the controls by their key path; `value` (T,) of each is its history."""
     _recorded(run, "objective")
-    return {name: run.states[_state_of(name)] for name in run.spec["controls"]}
+    paths = {name: parse_path(name) for name in run.spec["controls"]}
+    states = {name: path[1] for name, path in paths.items() if path[0] == "states" and len(path) == 2}
+    return {name: run.states[states.get(name, name)] for name in paths}
 
 
 def sensitivities(run: Run) -> dict[str, float]:
@@ -98,31 +101,21 @@ def gain(run: Run) -> Callable[..., Gain]:
     return of
 
 
-def _state_of(control: str) -> str:
-    kind, *path = parse_path(control)
-    return str(path[0]) if kind == "states" and len(path) == 1 else control
-
-
 def lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary."""
-    count, _ = mesh(run)[-1]
-    value, error = objective(run), objective_error(run)
-    counts = " + ".join(map(str, count)) if isinstance(count, tuple) else str(count)
+    counts = " + ".join(map(str, np.atleast_1d(mesh(run)[-1][0])))
+    value, error, ended, slopes = objective(run), objective_error(run), starts(run), sensitivities(run)
     of_optimum = f"{value:.10g} +- {'unknown' if math.isnan(error) else f'{error:.2g}'} on {counts} intervals"
     of_iterate = f"{value:.10g} at the best iterate, which is no optimum"
     method, forward = run.spec["collocation"], forward_run(run)
     entries = [
         ("collocation", f"{method['method']}, {method['points']} points in each of {counts} intervals"),
-        ("objective", of_optimum if any(map(math.isfinite, starts(run))) else of_iterate),
+        ("objective", of_optimum if any(map(math.isfinite, ended)) else of_iterate),
+        *([("starts", _of_starts(ended))] if len(ended) > 1 else []),
+        *((name, f"{value:.6g}") for name, value in parameters(run).items()),
     ]
-    if len(starts(run)) > 1:
-        entries.append(("starts", _of_starts(starts(run))))
-    entries += [(name, f"{value:.6g}") for name, value in parameters(run).items()]
-    entries += [
-        (f"d/d {name}", f"{sensitivities(run)[name]:.6g}, derivative of the objective")
-        for name in run.spec.get("sensitivities", ())
-        if name in sensitivities(run)
-    ]
+    named = filter(slopes.__contains__, run.spec.get("sensitivities", ()))
+    entries += [(f"d/d {name}", f"{slopes[name]:.6g}, derivative of the objective") for name in named]
     if "compared_objective" in run.provenance:
         found = gain(run)()
         share = f"{100 * found.share:.4g} % of the motion that is compared"
@@ -134,18 +127,9 @@ def lines(run: Run) -> list[tuple[str, str]]:
 
 
 def _of_starts(values: list[float]) -> str:
-    """Return where several starts ended, on the first mesh."""
-    groups, none = counted(values), sum(map(math.isnan, values))
-    ended = [f"{count} at {value:.6g}" for value, count in groups] + [f"{none} without an optimum"] * bool(none)
-    return f"of {len(values)}, {', '.join(ended)}"
-
-
-def counted(starts: Sequence[float]) -> list[tuple[float, int]]:
-    """Return the different optima of several starts, the smallest one first, and how many ended there."""
-    groups: list[tuple[float, int]] = []
-    for value in sorted(value for value in starts if math.isfinite(value)):
-        if groups and value - groups[-1][0] <= SAME * abs(value) + 1e-9:
-            groups[-1] = groups[-1][0], groups[-1][1] + 1
-        else:
-            groups.append((value, 1))
-    return groups
+    """Return where several starts ended, on the first mesh: different optima, the smallest one first."""
+    optima = np.sort([value for value in values if math.isfinite(value)])
+    groups = np.split(optima, 1 + np.flatnonzero(np.diff(optima) > SAME * abs(optima[1:]) + 1e-9))
+    ended = [f"{len(group)} at {group[0]:.6g}" for group in groups if len(group)]
+    none = len(values) - len(optima)
+    return f"of {len(values)}, {', '.join(ended + [f'{none} without an optimum'] * bool(none))}"

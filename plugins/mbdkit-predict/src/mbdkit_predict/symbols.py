@@ -203,15 +203,8 @@ _used: list[int] = []
 def every_branch(function: Callable[[], Sequence[Any]]) -> list[Any]:
     """Return the numbers that a function returns, each selected by the conditions on which the function branches.
 
-    Parameters
-    ----------
-    function
-        Function that returns the same number of values in all branches. It must not change anything outside.
-
-    Raises
-    ------
-    BranchError
-        If there are more than `MOST_BRANCHES` branches.
+    The function returns the same number of values in all branches, and must not change anything outside. Raises
+    BranchError if there are more than `MOST_BRANCHES` branches.
     """
     count = 0
 

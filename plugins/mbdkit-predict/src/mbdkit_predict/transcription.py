@@ -26,19 +26,13 @@ import casadi as ca
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
 from mbdkit_predict.archived_guess import ArchivedGuess
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.elastic_fibers import ElasticFibers
 from mbdkit_predict.grid import Grid, weights
-from mbdkit_predict.nonlinear_program import (
-    MOST_ITERATIONS,
-    Condition,
-    NonlinearProgram,
-    Solution,
-    Stop,
-    solve_pose,
-)
+from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, Condition, NonlinearProgram, Solution, Stop, solve_pose
 from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_hessian import PointHessian
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
@@ -94,17 +88,7 @@ class _Path(NamedTuple):
 
 
 class Transcription:
-    """The optimal control problem of a spec, for any grid.
-
-    Parameters
-    ----------
-    spec
-        The spec.
-    system
-        Its mechanism.
-    objective
-        What is minimized.
-    """
+    """The optimal control problem of a spec, for any grid."""
 
     def __init__(self, spec: PredictSpec, system: CasadiSystem, objective: Objective):
         self.spec, self.system, self.objective = spec, system, objective
@@ -120,17 +104,18 @@ class Transcription:
         method = radau_iia if spec.collocation.method == "radau" else gauss
         self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
         self.has_nodes = spec.collocation.method == "gauss"
-        self._initial = self._conditions("initial", spec.initial)
-        self._ends = [self._conditions(f"{place}final", phase.final) for place, phase in spec.whole.items()]
-        self._ends[-1] |= self._conditions("final", spec.final) if spec.phases else {}
-        self._periodic = [
-            (
-                f"periodic: {last}" + f" = {first}" * (first != last),
-                self._expression(last, "periodic", at_node=True),
-                self._expression(first, "periodic", at_node=True),
-            )
-            for last, first in spec.repeated_values
+        ends = np.cumsum(lengths).tolist()
+        self._initial = self._conditions("initial", spec.initial, 0.0)
+        self._ends = [
+            self._conditions(f"{place}final", phase.final, at)
+            for (place, phase), at in zip(spec.whole.items(), ends, strict=True)
         ]
+        self._ends[-1] |= self._conditions("final", spec.final, ends[-1]) if spec.phases else {}
+        self._periodic = [
+            (f"periodic: {last}" + f" = {first}" * (first != last), self._expression(last, "periodic", ends[-1]),
+             self._expression(first, "periodic", 0.0))
+            for last, first in spec.repeated_values
+        ]  # fmt: skip
         self._path: list[_Path] = []
         self._bounded: list[tuple[str, int, _Path]] = []
         for k, (place, phase) in enumerate(spec.whole.items()):
@@ -214,11 +199,8 @@ class Transcription:
         v = filled("v", np.gradient(q, times, axis=1) if spec.periodic else 0.0 * q)
         z = np.repeat(system.z0[:, None], len(times), axis=1)
         z[self.fibers.states] = self.fibers.guess(q, p)
-        z, none = filled("z", z), np.zeros((m, len(times)))
-        columns = {
-            "q": q, "v": v, "a": filled("a", 0.0 * v), "lam": filled("lam", none), "mu": none, "z": z,
-            "u": filled("u", u),
-        }  # fmt: skip
+        a, z, u, mu = filled("a", 0.0 * v), filled("z", z), filled("u", u), np.zeros((m, len(times)))
+        columns = {"q": q, "v": v, "a": a, "lam": filled("lam", mu), "mu": mu, "z": z, "u": u}
         values = {name: x[:, 1:] for name, x in columns.items()}
         values |= {"duration": durations, "p": p, "start": np.concatenate([q[:, 0], v[:, 0], z[:, 0]])}
         return Mesh(grid, self._with_nodes(values))
@@ -287,10 +269,8 @@ class Transcription:
         unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)
         program = NonlinearProgram(unknowns, bounds, conditions, objective, self._sizes(), hessian)
         solution = program.solve(guess.values, stop, most_iterations, guess.slopes)
-        return replace(
-            guess, values=solution.values, iterations=guess.iterations + solution.iterations, solution=solution,
-            program=program,
-        )  # fmt: skip
+        done = guess.iterations + solution.iterations
+        return replace(guess, values=solution.values, iterations=done, solution=solution, program=program)
 
     def nearest_violations(self, guess: Mesh, stop: Stop) -> Mapping[str, float]:
         """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of
@@ -347,10 +327,8 @@ class Transcription:
         pushes = ca.mtimes(jacobian.T, ca.reshape(jumps, m, 2)) if m else ca.SX.zeros(n, 2)
         moved = weight * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
         start = np.concatenate([system.q0, system.v0, system.z0]), system.p0, 0.0
-        return (
-            self._at_node(moved, ca.vertcat(position, velocity), further=(shift, jumps)),
-            np.array(self._at_node(weight)(*start)),
-        )
+        projection = self._at_node(moved, ca.vertcat(position, velocity), further=(shift, jumps))
+        return projection, np.array(self._at_node(weight)(*start))
 
     def _curvature_function(self, results: Sequence[ca.SX], mu: ca.SX) -> ca.Function:
         """Return the function of a collocation point that is the Hessian of its part of the Lagrangian, by `OF_POINTS`,
@@ -492,6 +470,10 @@ class Transcription:
             **{name: (-limit, limit) for name, limit in free.items()},
             "u": tuple(np.repeat(side[:, None], total, axis=1) for side in self.limits["u"][:2]),
         }
+        for name, table in self.spec.tables.items():
+            row = self.spec.chosen.control_states.index(f"measured.{name}")
+            for side in bounds["u"]:
+                side[row] = curve_of(table)(self.limits["duration"][2] @ grid.points)
         for name, i, path in self._bounded:
             columns = self._points(grid, path)
             lower, upper = bounds[name]
@@ -545,23 +527,20 @@ class Transcription:
             values["jumps"] = np.zeros((2 * len(values["lam"]), values["nodes"].shape[1]))
         return values
 
-    def _expression(self, text: str, key: str, *, at_node: bool = False) -> ca.SX:
-        """Return an expression in symbols; `at_node`, if it must be known at the start and the end of the motion."""
+    def _expression(self, text: str, key: str, at: float | None = None) -> ca.SX:
+        """Return an expression in symbols, which must be known at a time `at` the start or an end if that is given."""
         with self.spec.blaming(key):
-            expression = self.system.expression(self.spec.with_states(text))
+            expression = self.system.expression(self.spec.with_states(text, at))
         unknown = [self.system.symbols[name] for name in OF_STATE]
-        if at_node and any(x.numel() and ca.depends_on(expression, x) for x in unknown):
-            raise SpecError(
-                f"'{text}' depends on accelerations, reactions or controls, which are not known at the start and the "
-                "end of the motion; use positions, velocities and states",
-                key=key,
-            )
+        if at is not None and any(x.numel() and ca.depends_on(expression, x) for x in unknown):
+            why = "depends on accelerations, reactions or controls, which are not known at the start and the end"
+            raise SpecError(f"'{text}' {why}; use positions, velocities and states", key=key)
         return expression
 
-    def _conditions(self, key: str, wanted: Mapping[str, Any]) -> dict[str, tuple[ca.SX, float, float]]:
+    def _conditions(self, key: str, wanted: Mapping[str, Any], at: float) -> dict[str, tuple[ca.SX, float, float]]:
         """Return conditions on the state at the start or at the end, by key and text; a number is both bounds."""
         return {
-            f"{key}: {text}": (self._expression(text, key, at_node=True), *np.broadcast_to(value, 2).tolist())
+            f"{key}: {text}": (self._expression(text, key, at), *np.broadcast_to(value, 2).tolist())
             for text, value in wanted.items()
         }
 
@@ -574,26 +553,15 @@ class Transcription:
         return ca.Function("node", [state, system.p, system.t, *further], plain)
 
     def _nearest(self, q: np.ndarray, conditions: Mapping[str, tuple[ca.SX, float, float]], t: float) -> np.ndarray:
-        """Return the positions nearest to `q` that satisfy the constraints, and conditions that are of positions only.
-
-        Returns `q` if there are none.
-        """
+        """Return the positions nearest to `q` that satisfy the constraints, and conditions of positions only."""
         system = self.system
         others = [system.symbols[name] for name in ("v", "z") if system.symbols[name].numel()]
-        wanted = [
-            condition for condition in conditions.values() if not any(ca.depends_on(condition[0], x) for x in others)
-        ]
-        rows: Any = ca.vertcat(system.constraints(*system.symbols.values())[0], *(condition[0] for condition in wanted))
-        fixed: Any = [*(x for name, x in system.symbols.items() if name not in ("q", "p", "t")), system.p, system.t]
-        values: Any = [*(ca.DM.zeros(*x.shape) for x in fixed[:-2]), system.p0, t]
-        closed = ca.substitute([rows], fixed, [ca.DM(value) for value in values])[0]
-        m = len(system.constraint_names)
-        return solve_pose(
-            {"x": system.q, "f": ca.sumsqr(system.q - q), "g": closed},
-            x0=q,
-            lbg=[0.0] * m + [condition[1] for condition in wanted],
-            ubg=[0.0] * m + [condition[2] for condition in wanted],
-        )
+        wanted = [row for row in conditions.values() if not any(ca.depends_on(row[0], x) for x in others)]
+        rows = ca.vertcat(system.constraints(*system.symbols.values())[0], *(row[0] for row in wanted))
+        still = ca.vertcat(system.q, ca.SX.zeros(len(q) + len(system.z0)))
+        program = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": self._at_node(rows)(still, system.p0, t)}
+        low, high = ([*[0.0] * len(system.constraint_names), *(row[k] for row in wanted)] for k in (1, 2))
+        return solve_pose(program, x0=q, lbg=low, ubg=high)
 
 
 def _limits(variables: Iterable[Variable | None], present: Iterable[float]) -> np.ndarray:

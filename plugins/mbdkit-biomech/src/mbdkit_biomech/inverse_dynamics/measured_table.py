@@ -14,7 +14,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed, shown
-from mbdkit.base.units import read_quantity
+from mbdkit.base.units import Unit, read_quantity, read_unit
 
 GAPS = (
     *("", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "n.a.", "null", "none", "-", "--"),
@@ -209,6 +209,30 @@ class Table:
                 row=row,
             )
         return values
+
+    def function(self, x: str, y: str, unit: Unit | None) -> tuple[list[float], list[float]]:
+        """Return times [s] and values in two columns, in SI units; `unit` is that of the values, by default as in the
+        file.
+
+        Raises
+        ------
+        SpecError
+            If a column is missing, times do not increase, a value is missing, or the unit is not known or contradicts
+            the file.
+        """
+        of_time, stated = (read_unit(self.unit(heading) or default) for heading, default in ((x, "s"), (y, "1")))
+        if not of_time.is_like(read_unit("s")):
+            raise self.error(f"column '{shown(x)}': {of_time} is not a unit of time (s, ms)")
+        times, values = self.times(x, "x", of_time.factor), self.column(y, "y")
+        missing = np.flatnonzero(np.isnan(values))
+        if missing.size:
+            raise self.error(f"column '{shown(y)}': the value is missing; gaps are not bridged", row=int(missing[0]))
+        if self.unit(y) is None and unit is None:
+            why = f"because {self.name} states no unit of '{shown(y)}'"
+            raise SpecError(f"is missing, {why}; give deg, rad, mm, ..., or 1 for a number", key="unit")
+        if self.unit(y) is not None and unit is not None and unit.factor != stated.factor:
+            raise SpecError(f"{unit} contradicts the unit in {self.name}, {stated}; leave it out", key="unit")
+        return times.tolist(), ((unit or stated).factor * values).tolist()
 
 
 DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
