@@ -11,6 +11,7 @@ from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
 import mbdkit
+import mbdkit_biomech
 from mbdkit import SpecError
 from predict.exact_optima import block
 
@@ -61,6 +62,36 @@ def test_a_pendulum_follows_a_measured_angle() -> None:
     np.testing.assert_allclose(
         run.states["measured.hip"].value[1:], CubicSpline(TIMES, SWING)(run.time[1:]), atol=1e-12
     )
+
+
+def test_torques_of_a_leg_that_follows_gait_are_those_of_inverse_dynamics() -> None:
+    # expected: torques by inverse dynamics of the splines through the same columns; effort costs next to nothing
+    table = str(Path(mbdkit_biomech.__file__).parent / "examples" / "walking.csv")
+    m = mbdkit.Mechanism()
+    thigh = m.body("thigh", mass=7.5, inertia=0.13, position=(0, -0.19))
+    shank = m.body("shank", mass=4.6, inertia=0.1, position=(0, -0.64))
+    m.revolute("hip", m.ground, thigh, at=(0, 0))
+    m.revolute("knee", thigh, shank, at=(0, -0.44))
+    columns = {f"{name}.angle": {"column": f"{name}_flexion", "unit": "deg"} for name in ("hip", "knee")}
+    columns["knee.angle"] |= {"scale": -1}
+    motion = {"file": table, "columns": columns, "smooth": "none"}
+    inverse = mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion})
+    m.torque("hip", thigh, value=0.0)
+    m.torque("knee", shank, reaction_body=thigh, value=0.0)
+    run = mbdkit.predict(
+        {
+            "mbdkit_predict": 1, "base": {"model": m.to_spec()}, "duration": 1.0, "tolerance": 1e-4,
+            "controls": {f"forces.{name}.value": {"bounds": [-500, 500]} for name in ("hip", "knee")},
+            "measured": {x: {"file": table, "y": f"{x}_flexion", "unit": "deg"} for x in ("hip", "knee")},
+            "minimize": "integral((hip.angle - measured.hip)**2 + (knee.angle + measured.knee)**2)"
+                        " + 1e-9*integral(forces.hip.value**2 + forces.knee.value**2)",
+        }
+    )  # fmt: skip
+    times = np.linspace(0.1, 0.9, 17)
+    for name in ("hip", "knee"):
+        own = np.interp(times, run.time, run.controls[f"forces.{name}.value"].value)
+        exact = np.interp(times, inverse.time, inverse.actuators[name].value)
+        np.testing.assert_allclose(own, exact, atol=0.02 * np.ptp(exact))
 
 
 def test_measured_functions_in_conditions_have_the_value_at_their_time(tmp_path: Path) -> None:
