@@ -23,8 +23,8 @@ PRECISION = 1e-10
 SCALE = 100.0
 """Factor of the objective for the optimizer, by which its last barrier parameter has less effect: the error of a squat
 due to it is 2e-11 instead of 2e-9."""
-NEAR = 1e-6
-"""Least distance from bounds at the start on a finer mesh."""
+NEAR, BARRIER = 1e-4, 1e-4
+"""Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
 FEASIBLE = 1e-6
 """Of two iterates with violations below this, that with the smaller objective is the better one."""
 ACTIVE = 1e-6
@@ -52,8 +52,14 @@ _OPTIONS: dict[str, Any] = {
 is wrong on meshes of 100 intervals or more, and the problem is regularized without need.
 """
 _PUSHES = "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
-_WARM = {"ipopt.warm_start_init_point": "yes", **{f"ipopt.warm_start_{push}": NEAR for push in _PUSHES}}
-"""Options of a start near an optimum."""
+_WARM: dict[str, Any] = {
+    "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": BARRIER,
+    **{f"ipopt.warm_start_{push}": NEAR for push in _PUSHES},
+}  # fmt: skip
+"""Options of a start near an optimum.
+
+With adaptive barrier parameters, a walk leaves the neighbourhood of the optimum on the coarser mesh.
+"""
 
 
 class Condition(NamedTuple):
@@ -188,7 +194,7 @@ class NonlinearProgram:
         watcher = _Watcher(len(self._low_x), self._low, self._high, stop)
         options: dict[str, Any] = {
             "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": SCALE,
-            "ipopt.mu_strategy": "adaptive", **({} if slopes is None else _WARM), **self._hessian,
+            **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _WARM), **self._hessian,
         }  # fmt: skip
         start = {"x0": np.concatenate([_flat(guess[name]) for name in self._names]) / self._sizes}
         if slopes is not None:

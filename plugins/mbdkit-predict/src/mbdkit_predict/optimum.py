@@ -114,7 +114,7 @@ class Optimum:
         """Return the best solution on the first mesh."""
         random, best = np.random.default_rng(self.spec.seed), None
         for k in range(self.spec.starts):
-            guess = self.transcription.guess(random if k else None)
+            guess = self.transcription.guess(random if k else None, self._stop)
             mesh = self.transcription.solved(guess, self._stop, ITERATIONS_OF_START if k else MOST_ITERATIONS)
             solution = _solution(mesh)
             self.starts.append(solution.objective if solution.is_optimum else np.nan)

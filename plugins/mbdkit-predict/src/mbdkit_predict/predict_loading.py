@@ -24,6 +24,8 @@ OF_BASE = ("base", "overrides")
 """Keys that are replaced when a spec is loaded."""
 KEYS = (*OF_BASE, *(key for key in PredictSpec.model_fields if key not in ("mbdkit", "model", "optimized")))
 """Keys of a spec with a base."""
+OF_GUESS = (*KEYS[KEYS.index("controls") : KEYS.index("tolerance")], "optimized")
+"""Keys that `guess` may replace."""
 
 
 def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> PredictSpec:
@@ -83,6 +85,24 @@ def compared_spec(spec: PredictSpec) -> PredictSpec:
             raise SpecError(f"'{key}' has no effect, because it is a control", key="compare")
         data.get("optimized", {}).pop(path_text(path[1:]), None)
     return load_predict_spec(Document(data | {"sensitivities": []}, folder=spec.folder))
+
+
+def simpler_spec(spec: PredictSpec) -> PredictSpec | None:
+    """Return the spec of the simpler problem whose optimum is the first guess; None without one."""
+    if not isinstance(spec.guess, Mapping):
+        return None
+    data = json.loads(spec.canonical_json())
+    given = {"optimized" if key == "parameters" else key: value for key, value in spec.guess.items()}
+    for key in given:
+        if key not in OF_GUESS:
+            raise SpecError(f"should not be here; a guess replaces {listed(OF_GUESS, 'or')}", key=f"guess.{key}")
+    replaced = {"duration", "phases"} if given.keys() & {"duration", "phases"} else set()
+    for key in ("guess", "compare", "starts", "sensitivities", *replaced):
+        data.pop(key, None)
+    try:
+        return load_predict_spec(Document(data | given, folder=spec.folder))
+    except SpecError as error:
+        raise error.located(prefix="guess") from None
 
 
 def predict_schema(installed: Registry | None = None) -> dict[str, Any]:

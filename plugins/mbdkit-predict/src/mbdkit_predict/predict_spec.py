@@ -179,9 +179,11 @@ class PredictSpec(ModelSpec):
     """Values in the model or its named parameters, by key path, such as `model.forces.spring.stiffness: 0`. The motion
     is optimized with them too, and the gain is the difference of both optima. Numbers in `parameters` that are given
     here are not optimized."""
-    guess: str | None = None
-    """An archive whose motion is the first guess, relative to the folder of the spec: an earlier prediction, a run, or
-    inverse dynamics. Its bodies, states and controls are found by name, and its duration is stretched."""
+    guess: str | dict[str, Any] | None = None
+    """The motion that is the first guess. An archive, relative to the folder of the spec: an earlier prediction, a run,
+    or inverse dynamics; its bodies, states and controls are found by name, and its duration is stretched. Or sections,
+    such as `controls` and `minimize`, that replace those of the spec: the optimum of that simpler problem on its first
+    mesh."""
     starts: Count = 1
     """Number of first guesses; all but the first one are drawn."""
     seed: Annotated[int, Field(ge=0)] = 0

@@ -28,7 +28,7 @@ from mbdkit_predict.grid import weights
 from mbdkit_predict.nonlinear_program import Stop
 from mbdkit_predict.objective import objective_of
 from mbdkit_predict.optimum import Optimum
-from mbdkit_predict.predict_loading import compared_spec
+from mbdkit_predict.predict_loading import compared_spec, simpler_spec
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.transcription import Transcription
 
@@ -69,7 +69,8 @@ def transcribed(spec: PredictSpec) -> Transcription:
         system = CasadiSystem(spec.chosen, 0.0)
         with spec.blaming("minimize"):
             objective = objective_of(spec, system)
-        return Transcription(spec, system, objective)
+        simpler = simpler_spec(spec)
+        return Transcription(spec, system, objective, None if simpler is None else transcribed(simpler))
     except SpecError as error:
         raise spec.placed(error) from None
 

@@ -28,10 +28,10 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
-from mbdkit_predict.archived_guess import ArchivedGuess
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.elastic_fibers import ElasticFibers
 from mbdkit_predict.grid import Grid, weights
+from mbdkit_predict.guessed_motion import archived_motion, solved_motion
 from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, Condition, NonlinearProgram, Solution, Stop, solve_pose
 from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_hessian import PointHessian
@@ -88,12 +88,18 @@ class _Path(NamedTuple):
 
 
 class Transcription:
-    """The optimal control problem of a spec, for any grid."""
+    """The optimal control problem of a spec, for any grid.
 
-    def __init__(self, spec: PredictSpec, system: CasadiSystem, objective: Objective):
+    The solution of `simpler` on its first mesh is the first guess.
+    """
+
+    def __init__(
+        self, spec: PredictSpec, system: CasadiSystem, objective: Objective, simpler: Transcription | None = None
+    ):
         self.spec, self.system, self.objective = spec, system, objective
         self.fibers = ElasticFibers(spec.chosen, self.system)
-        self._archived = None if spec.guess is None else ArchivedGuess(spec, system)
+        self.simpler = simpler
+        self._archived = archived_motion(spec, system) if isinstance(spec.guess, str) else None
         durations = [phase.duration for phase in spec.whole.values()]
         lengths = [float(np.mean(x.bounds)) if isinstance(x, Duration) else x for x in durations]
         self.limits = {
@@ -153,14 +159,17 @@ class Transcription:
         within = begins[:, :, None] + h[:, None] * (parts @ self.a.T)
         return np.column_stack([np.zeros(len(rates)), within.reshape(len(rates), -1), *[whole[:, -1]] * self.has_nodes])
 
-    def guess(self, random: np.random.Generator | None = None) -> Mesh:
-        """Return a first guess: the motion in an archive or else positions on straight lines between poses that satisfy
-        the conditions at the start and at the ends of phases; with `random`, by way of drawn poses, and with drawn
-        controls.
+    def guess(self, random: np.random.Generator | None = None, stop: Stop | None = None) -> Mesh:
+        """Return a first guess: the motion in an archive, that of the simpler problem, or else positions on straight
+        lines between poses that satisfy the conditions at the start and at the ends of phases; with `random`, by way of
+        drawn poses, and with drawn controls.
         """
         system, spec = self.system, self.spec
         grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c)
         low, high, durations = self.limits["duration"]
+        if self.simpler is not None and self._archived is None:
+            simple = self.simpler.solved(self.simpler.guess(), stop or Stop())
+            self._archived = solved_motion(simple.times, simple.values, self.simpler.system, system)
         archived = self._archived if random is None else None
         if archived is not None:
             durations = np.clip(archived.durations(durations), low, high)

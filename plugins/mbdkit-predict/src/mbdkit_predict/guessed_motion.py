@@ -1,0 +1,111 @@
+"""The first guess from a known motion: that in an archive, or the optimum of a simpler problem."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from mbdkit.base.files_read import check_readable, read_data
+from mbdkit.plugin import MbdkitError, Run, SpecError, listed, load, parse_path, shown
+from mbdkit_predict.casadi_system import CasadiSystem
+from mbdkit_predict.predict_spec import PredictSpec
+
+LARGEST_FILE = 2**31
+"""Largest size of an archive that is read [bytes]."""
+IN_PLACE = {"excitation": "activation", "fiber_velocity": "fiber_rate", "tendon_force": "force"}
+"""Quantities of muscles in archives that stand for controls."""
+
+
+class GuessedMotion:
+    """Values (K, T) of each kind of unknowns at times (T,), nan where they are not known, and durations of phases."""
+
+    def __init__(self, time: np.ndarray, known: Mapping[str, np.ndarray], durations: Sequence[float]):
+        self._time, self._known, self._durations = time, known, durations
+
+    def durations(self, guess: np.ndarray) -> np.ndarray:
+        """Return the durations (P,) of the phases; by default in proportion to `guess`."""
+        return np.array(self._durations) if len(self._durations) == len(guess) else guess / guess.sum() * self._time[-1]
+
+    def known(self, name: str, guess: np.ndarray, times: np.ndarray, durations: np.ndarray) -> np.ndarray:
+        """Return the unknowns (K, T) with a name at `times` (T,); those of `guess` where none are known.
+
+        Each phase is stretched to the duration of that of the guess.
+        """
+        if name not in self._known:
+            return guess
+        known = self.durations(durations)
+        here, there = (np.append(0.0, np.cumsum(x)) for x in (durations, known))
+        at = np.interp(times, here, there)
+        values = np.array([np.interp(at, self._time, row) for row in self._known[name]]).reshape(guess.shape)
+        pace = (known / durations)[np.searchsorted(here[1:-1], times)]
+        return np.where(np.isnan(values), guess, values * pace ** {"v": 1, "a": 2}.get(name, 0))
+
+
+def archived_motion(spec: PredictSpec, system: CasadiSystem) -> GuessedMotion:
+    """Return the motion in the archive that a spec names, by names of bodies, constraints, states and controls."""
+    path = spec.folder / str(spec.guess)
+    check_readable(path)
+    if not path.is_file():
+        raise SpecError(f"there is no such archive: {shown(str(path))}", key="guess")
+    with spec.recording_files():
+        read_data(path, LARGEST_FILE)
+    with load(path) as run:
+        time, bodies = run.time - run.time[0], list(run.bodies)
+        if not set(bodies) & set(system.bodies):
+            both = f"{listed(bodies, 'and')}; the mechanism has {listed(system.bodies, 'and')}"
+            raise SpecError(f"no body of {shown(path.name)} is one of the mechanism: it has {both}", key="guess")
+        known = {
+            name: _chosen(system.bodies, bodies, run.array(f"trajectory/{array}"))
+            for name, array in (("q", "position"), ("v", "velocity"), ("a", "acceleration"))
+        }
+        if run.records("constraints/multiplier"):
+            rows = run.array("constraints/constraint").tolist()
+            known["lam"] = _chosen(system.constraint_names, rows, run.array("constraints/multiplier"))
+        chosen, muscles = spec.chosen, spec.mechanism().muscles
+        sizes = {chosen.controls[i]: muscles[name].max_force for name, (_, i) in chosen.fibers.items()}
+        for name, (i, _) in chosen.fibers.items():
+            sizes[chosen.controls[i]] = muscles[name].max_velocity * muscles[name].optimal_length
+        controls = zip(chosen.controls, chosen.control_states, strict=True)
+        optimized = json.loads(str(run.provenance.get("optimized", "{}")))
+        known |= {
+            "z": np.array([_history(run, name) for name in system.state_names]),
+            "u": np.array([_history(run, state, key) / sizes.get(key, 1.0) for key, state in controls]),
+            "p": np.array([np.full(len(run.time), optimized.get(key, np.nan)) for key in system.parameter_names]),
+        }
+        return GuessedMotion(time, known, json.loads(str(run.provenance.get("durations", "[]"))))
+
+
+def solved_motion(
+    time: np.ndarray, values: Mapping[str, np.ndarray], solved: CasadiSystem, system: CasadiSystem
+) -> GuessedMotion:
+    """Return the solution of another problem of the same mechanism, with the unknowns at times (T,)."""
+    known = {name: values[name] for name in ("q", "v", "a", "lam")}
+    for name, names in (("z", "state_names"), ("u", "control_names"), ("p", "parameter_names")):
+        rows = values[name] if name != "p" else np.repeat(values[name][:, None], len(time), axis=1)
+        known[name] = _chosen(getattr(system, names), list(getattr(solved, names)), rows.T)
+    return GuessedMotion(time, known, values["duration"].tolist())
+
+
+def _chosen(wanted: Sequence[str], names: list[str], histories: np.ndarray) -> np.ndarray:
+    """Return rows (W ..., T) of histories (T, N, ...) with the wanted names; nan for those without one."""
+    padded = np.concatenate([histories, np.full_like(histories[:, :1], np.nan)], axis=1)
+    places = [names.index(name) if name in names else len(names) for name in wanted]
+    return padded[:, places].reshape(len(padded), -1).T
+
+
+def _history(run: Run, state: str, control: str = "") -> np.ndarray:
+    """Return the values (T,) of a state, or of what stands for a control; nan if the run has none."""
+    owner, _, attribute = state.rpartition(".")
+    sources = [("states", state, "value"), ("muscles", owner, attribute)]
+    if control and len(path := parse_path(control)) == 3:
+        kind, name, value = map(str, path)
+        sources[1:] = [("actuators", name, value), (kind, name, value), (kind, name, IN_PLACE.get(value, value))]
+    for kind, name, value in sources:
+        with suppress(AttributeError, LookupError, MbdkitError):
+            values = np.asarray(getattr(getattr(run, kind)[name], value))
+            if values.shape == run.time.shape and np.isfinite(values).any():
+                return values
+    return np.full(run.time.shape, np.nan)
