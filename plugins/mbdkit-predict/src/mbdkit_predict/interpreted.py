@@ -38,20 +38,11 @@ def _cosine_and_sine(x: Any) -> tuple[Any, Any]:
     return apply(np.cos, x), apply(np.sin, x)
 
 
-def _cosines_and_sines(q: np.ndarray, cs: np.ndarray) -> None:
-    for b in range(len(cs) - 1):
-        cs[b, 0], cs[b, 1] = _cosine_and_sine(q[3 * b + 2])
-
-
 def _numbers_at(address: Any, first: int, count: int, like: Any) -> Any:
     """Return numbers of an array, which stands for its address, or those at an address."""
     if isinstance(address, np.ndarray):
         return address[first : first + count]
     return calls.numbers_at(int(address), first, int(count), 0.0).tolist()
-
-
-def _integers_at(address: Any, count: int) -> Any:
-    return calls.integers_at(int(address), int(count)).tolist()
 
 
 def _segment_at(x: np.ndarray, ground: int, count: int, px: Any) -> Any:
@@ -70,12 +61,12 @@ _REPLACED: Mapping[Any, Callable[..., Any]] = {
     arithmetic.any_of: lambda condition: isinstance(condition, Symbol) or bool(condition),
     arithmetic.is_refused: lambda sound: False,
     arithmetic.renewed: lambda new, old, condition: where(condition, new, old),
-    calls.integers_at: _integers_at,
+    calls.integers_at: lambda address, count: calls.integers_at(int(address), int(count)).tolist(),
     calls.numbers_at: _numbers_at,
     calls.new_registers: lambda count, like: np.full(count, 0.0, dtype=object).view(Numbers),
     operations.where: where,
     angles.cosine_and_sine: _cosine_and_sine,
-    angles.cosines_and_sines: _cosines_and_sines,
+    angles._near: _cosine_and_sine,
     equations.load_equations: lambda equations: equations,
     uneven_ground._segment_at: _segment_at,
 }
@@ -84,10 +75,7 @@ _REPLACED: Mapping[Any, Callable[..., Any]] = {
 
 def _of_math(name: str) -> Any:
     """Return a function of `math` for numbers and symbols; a constant as it is."""
-    other = {"atan2": "arctan2", "fabs": "absolute"}.get(name) or (
-        name.replace("a", "arc", 1) if name[:4] in ("acos", "asin", "atan") else name
-    )
-    function = getattr(np, other, None)
+    function = getattr(np, "absolute" if name == "fabs" else name, None)
     return (lambda *operands: apply(function, *operands)) if isinstance(function, np.ufunc) else getattr(math, name)
 
 
@@ -106,11 +94,8 @@ class Interpreter:
 
     def __init__(self, laws: tuple[tuple[str, CompiledLaw], ...]):
         self._names = {(law.address, law.program): name for name, law in laws}
-        self._functions: dict[int, Any] = {}
-        for _, compiled in laws:
-            if isinstance(compiled.law, FunctionLaw):
-                self._functions[compiled.address] = compiled.law.function
-        self._functions |= {law.address: law for law in LAWS.values()}
+        self._functions: dict[int, Any] = {law.address: law for law in LAWS.values()}
+        self._functions |= {law.address: law.law.function for _, law in laws if isinstance(law.law, FunctionLaw)}
         self.known_forces: dict[tuple[int, int, int], Symbol] = {}
         self._known: dict[Any, Any] = {**_REPLACED, calls.call_law: self.call_law}
         execute, is_true = self(law_programs._execute), self(law_programs._is_true)

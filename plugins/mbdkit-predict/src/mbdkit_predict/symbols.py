@@ -31,13 +31,7 @@ class BranchError(Exception):
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """A number that is an expression of CasADi.
-
-    Attributes
-    ----------
-    sx
-        The expression, a scalar.
-    """
+    """A number that is an expression of CasADi, the scalar `sx`."""
 
     __slots__ = ("sx",)
 
@@ -84,9 +78,8 @@ def where(condition: Any, x: Any, y: Any) -> Any:
         return np.frompyfunc(where, 3, 1)(condition, x, y)
     if not isinstance(condition, Symbol) or condition.sx.is_constant():
         return x if condition else y
-    if x is y:
-        return x
-    return Symbol(ca.if_else(condition.sx, _expression(x), _expression(y)))
+    first, second = _expression(x), _expression(y)
+    return x if ca.is_equal(first, second, 2) else Symbol(ca.if_else(condition.sx, first, second))
 
 
 def best(is_better: Callable[[Any, Any], Any], *values: Any) -> Any:
@@ -115,7 +108,7 @@ def apply(function: np.ufunc, *operands: Any) -> Any:
     """Return the value of a function of NumPy at numbers and symbols."""
     if not any(isinstance(x, Symbol) for x in operands):
         with np.errstate(all="ignore"):
-            return getattr(elementary, _OWN.get(function.__name__, ""), function)(*operands)
+            return _OWN.get(function, function)(*operands)
     if function.__name__ not in _FUNCTIONS:
         raise BranchError(f"CasADi has no function for {function.__name__}")
     sx = [_expression(x) for x in operands]
@@ -189,15 +182,13 @@ _FUNCTIONS: dict[str, Callable[..., ca.SX]] = {
     **{f"arc{name}": getattr(ca, f"a{name}") for name in _INVERTED},
 }
 """Functions of CasADi by the names of those of NumPy."""
-_OWN = {"arctan2": "atan2", "power": "pow"} | {
-    name: name.replace("arc", "a") for name in _FUNCTIONS if hasattr(elementary, name.replace("arc", "a"))
-}
-"""Elementary functions of `mbdkit.base.elementary` for numbers, by the names of those of NumPy."""
+_OWN = {own.ufunc: own for own in elementary.FUNCTIONS.values()}
+"""Elementary functions of mbdkit for numbers, by those of NumPy."""
 
-Choice = tuple[Symbol, bool]
-_paths: list[list[Choice]] = []
-"""Conditions of the function that `every_branch` executes, and their outcomes, in order; then those not used yet."""
-_used: list[int] = []
+_executed: list[tuple[list[bool], list[tuple[Symbol, bool]]]] = []
+"""Of each function that `every_branch` executes: the given outcomes of its first conditions, and the conditions on
+which it has branched so far, with their outcomes.
+"""
 
 
 def every_branch(function: Callable[[], Sequence[Any]]) -> list[Any]:
@@ -208,40 +199,31 @@ def every_branch(function: Callable[[], Sequence[Any]]) -> list[Any]:
     """
     count = 0
 
-    def results(prefix: list[Choice]) -> list[Any]:
+    def results(given: list[bool]) -> list[Any]:
         nonlocal count
         if (count := count + 1) > MOST_BRANCHES:
             raise BranchError(f"its conditions have more than {MOST_BRANCHES} outcomes")
-        _paths.append(list(prefix))
-        _used.append(0)
+        _executed.append((given, []))
         try:
             values = list(function())
         finally:
-            path = _paths.pop()
-            _used.pop()
-        for i in range(len(path) - 1, len(prefix) - 1, -1):
-            condition = path[i][0]
-            others = results([*path[:i], (condition, False)])
-            values = [_selected(condition, x, y) for x, y in zip(values, others, strict=True)]
+            _, path = _executed.pop()
+        for i in reversed(range(len(given), len(path))):
+            others = results([*(outcome for _, outcome in path[:i]), False])
+            values = [where(path[i][0], x, y) for x, y in zip(values, others, strict=True)]
         return values
 
     return results([])
 
 
-def _selected(condition: Symbol, x: Any, y: Any) -> Any:
-    first, second = _expression(x), _expression(y)
-    return x if ca.is_equal(first, second, 2) else Symbol(ca.if_else(condition.sx, first, second))
-
-
 def _decided(condition: Symbol) -> bool:
     """Return the outcome of a condition in the branch that is executed."""
-    if not _paths:
+    if not _executed:
         raise BranchError("it branches on a condition that depends on the state")
-    path, used = _paths[-1], _used[-1]
-    for known, outcome in path[:used]:
+    given, path = _executed[-1]
+    for known, outcome in path:
         if ca.is_equal(known.sx, condition.sx, 4):
             return outcome
-    outcome = path[used][1] if used < len(path) else True
-    path[used:] = [(condition, outcome), *path[used + 1 :]]  # of this execution, to which later ones are compared
-    _used[-1] += 1
+    outcome = len(path) >= len(given) or given[len(path)]
+    path.append((condition, outcome))
     return outcome
