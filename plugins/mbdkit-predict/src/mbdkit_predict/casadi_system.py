@@ -125,16 +125,15 @@ class CasadiSystem:
         scratch.law_values[:] = top.law_parameters
         bundle: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
         self._run(applied_forces.take_states)(top, scratch, self._z)
-        for muscle, _, force in self._fibers():
-            _, law, places = self._law_of(muscle)
-            program, place, _, argument = map(int, top.laws[law, :4])
-            self._run.known_forces[program, argument, place] = scratch.law_values[places["max_force"]] * force
         return bundle
 
     def _add_functions(self) -> None:
         """Add the functions `residual`, `constraints`, `rates` and `equilibrium`."""
         eq, run = self._equations, self._run
         top, w = eq.top, eq.w
+        for _, segment, _, force, values in self._fibers():
+            address, begin, _, program = map(int, top.laws[int(top.springs[segment, 3]), :4])
+            run.known_forces[address, program, begin] = values["max_force"] * force
         residual = _zeros(len(self._q))
         run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
         run(applied_forces.applied_forces)(top, w, eq.q, eq.v)
@@ -157,34 +156,29 @@ class CasadiSystem:
         """Return the rates of the first-order states."""
         rates = _zeros(len(self._z))
         self._run(applied_forces.state_rates)(top, self._equations.w, self._equations.v, rates)
-        for muscle, velocity, _ in self._fibers():
-            own = muscle.force.muscle
-            rates[muscle.activation + 1] = own.max_velocity * own.optimal_length * velocity
+        for muscle, _, velocity, _, values in self._fibers():
+            rates[muscle.activation + 1] = values["max_speed"] * velocity
         return rates
 
-    def _fibers(self) -> Iterator[tuple[ActingMuscle, Symbol, Symbol]]:
-        """Yield each muscle whose fibres have unknowns among the controls, with velocity and force."""
+    def _fibers(self) -> Iterator[tuple[ActingMuscle, int, Symbol, Symbol, dict[str, Any]]]:
+        """Yield each muscle whose fibres have unknowns among the controls, with its segment, the velocity, the force,
+        and the parameters of its law.
+        """
+        top, law_values = self._compiled.topology, self._equations.w.law_values
         for muscle in self._compiled.extensions.get("muscles", ()):
             if indices := self.chosen.fibers.get(muscle.force.name):
-                yield muscle, *(self._u[i] for i in indices)
-
-    def _law_of(self, muscle: ActingMuscle) -> tuple[int, int, dict[str, int]]:
-        """Return the segment and the law of a muscle, and the places of the parameters of the law by name."""
-        top = self._compiled.topology
-        (segment,) = np.flatnonzero((top.force_place == muscle.place) & (top.springs[:, 5] > 0))
-        law = int(top.springs[segment, 3])
-        names = [name for name, _ in self._compiled.laws[law][1].parameters]
-        return int(segment), law, {name: k for k, name in enumerate(names, int(top.laws[law, 1]) + 1)}
+                (segment,) = np.flatnonzero((top.force_place == muscle.place) & (top.springs[:, 5] > 0)).tolist()
+                law = int(top.springs[segment, 3])
+                names = [name for name, _ in self._compiled.laws[law][1].parameters]
+                values = dict(zip(names, law_values[int(top.laws[law, 1]) + 1 :], strict=False))
+                yield muscle, segment, *(self._u[i] for i in indices), values
 
     def _equilibrium(self) -> Iterator[Any]:
         """Yield the conditions of equilibrium of the fibres that have unknowns among the controls."""
-        w = self._equations.w
-        for muscle, velocity, force in self._fibers():
-            segment, _, places = self._law_of(muscle)
-            values = {name: w.law_values[k] for name, k in places.items()}
+        for muscle, segment, velocity, force, values in self._fibers():
             curves = CURVES[muscle.force.muscle.curves]
             yield fiber_pull(velocity, values, curves) - force
-            yield tendon_gap(w.s[segment, 0], force, values, curves)
+            yield tendon_gap(self._equations.w.s[segment, 0], force, values, curves)
 
     @cached_property
     def _states(self) -> States:

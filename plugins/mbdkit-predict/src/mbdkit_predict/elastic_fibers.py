@@ -31,15 +31,12 @@ class ElasticFibers:
     def __init__(self, chosen: ChosenNumbers, system: CasadiSystem):
         self._muscles = [chosen.mechanism.muscles[name] for name in chosen.fibers]
         self.states = [system.state_names.index(f"{name}.fiber_length") for name in chosen.fibers]
-        indices = np.array(list(chosen.fibers.values()), dtype=int).reshape(-1, 2)
-        forces = ca.vertcat(ca.SX(0, 1), *(system.u[int(i)] for i in indices[:, 1]))
+        unknowns = [i for both in chosen.fibers.values() for i in both]
         still = ca.SX(system.u)
-        for i in indices.ravel():
-            still[int(i)] = 0.0  # both unknowns; the force is then that of the fibres
-        values = {**system.symbols, "u": still}
-        pull: ca.SX = system.equilibrium(*values.values())[0::2]
+        still[unknowns] = 0.0
+        pull: ca.SX = system.equilibrium(*{**system.symbols, "u": still}.values())[0::2]  # force of the fibres
         gaps = system.equilibrium(*system.symbols.values())[1::2]
-        self.at_rest = ca.vertsplit(ca.substitute(gaps, forces, pull)) if chosen.fibers else []
+        self.at_rest = ca.vertsplit(ca.substitute(gaps, system.u[unknowns[1::2]], pull)) if chosen.fibers else []
         lengths = [system.expression(f"muscles[{json.dumps(name)}].length") for name in chosen.fibers]
         self._lengths = ca.Function("lengths", [system.q, system.p], [ca.vertcat(ca.SX(0, 1), *lengths)])
 
