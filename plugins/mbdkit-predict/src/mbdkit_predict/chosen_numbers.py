@@ -36,14 +36,9 @@ a share of the largest velocity, and the force of the tendon as a share of `max_
 
 
 class ChosenNumbers:
-    """Controls and parameters of a mechanism.
+    """Controls and parameters of a mechanism, by key paths such as ``forces.motor.value`` and ``bodies.rod.mass``.
 
-    Parameters
-    ----------
-    mechanism
-        The mechanism.
-    controls, parameters
-        Key paths of numbers in the mechanism, such as ``forces.motor.value`` and ``bodies.rod.mass``.
+    Raises SpecError if a key does not exist, its value is no number, or a control cannot change with time.
 
     Attributes
     ----------
@@ -55,11 +50,6 @@ class ChosenNumbers:
         Indices of both `UNKNOWNS` of fibres among the controls, by name of the muscle.
     control_start, parameter_start
         Present values; 0 for controls that are not numbers.
-
-    Raises
-    ------
-    SpecError
-        If a key does not exist, its value is no number, or a control cannot change with time.
     """
 
     def __init__(self, mechanism: Mechanism, controls: Sequence[str], parameters: Sequence[str]):
@@ -169,10 +159,7 @@ class ChosenNumbers:
     def topology(self, known: Topology, p: Sequence[Any]) -> Topology:
         """Return the arrays of the mechanism as functions of parameters `p`, given their values without changes.
 
-        Raises
-        ------
-        SpecError
-            If a parameter is not allowed to change a little, or an array is not a linear function of it.
+        Raises SpecError if a parameter is not allowed to change a little, or an array is not a linear function of it.
         """
         arrays = {name: x.astype(object) for name, x in _numbers(known)}
         if not self.parameters:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import Any
 
 import numpy as np
@@ -55,7 +55,7 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
     predicted[:, np.delete(np.arange(size), 2 * n + rows)] = nodes
     scale = _scale(predicted, n)
     checked = np.delete(np.arange(size), np.concatenate([np.arange(n, 2 * n), 2 * n + rows]))
-    state, differences, defects = predicted[0], list[float](), 0.0
+    ends, alone = list[np.ndarray](), list[np.ndarray]()
     powers, matrix = np.arange(len(points)), np.vander(points, increasing=True)
     try:
         for i, (begin, end) in enumerate(pairwise(times)):
@@ -68,24 +68,21 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
                 of_states[rows] = 0.0
                 return np.concatenate([y[n : 2 * n], a, of_states])
 
-            own = _integrated(rates, (begin, end), predicted[i], scale)
-            defects += float((abs(own - predicted[i + 1]) / scale)[checked].max())
-            state = own if not i else _integrated(rates, (begin, end), state, scale)
-            differences.append(float((abs(state - predicted[i + 1]) / scale)[checked].max()))
+            alone.append(_integrated(rates, (begin, end), predicted[i], scale))
+            ends.append(_integrated(rates, (begin, end), ends[-1], scale) if i else alone[0])
     except StepError:
         return Difference()
-    return Difference(differences[-1], max(differences), defects)
+    differences, defects = ((abs(x - predicted[1:]) / scale)[:, checked].max(axis=1) for x in (ends, alone))
+    return Difference(float(differences[-1]), float(differences.max()), float(defects.sum()))
 
 
 def _integrated(rates: Rates, span: tuple[float, float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return the state at the end of an interval."""
     absolute = PRECISION * np.where(np.isfinite(scale), scale, 1.0)
-    count = 0
+    evaluations = count(1)
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
-        nonlocal count
-        count += 1
-        if count > MOST_EVALUATIONS:
+        if next(evaluations) > MOST_EVALUATIONS:
             raise StepError("step-too-small", "the explicit method needs too many evaluations")
         return rates(t, y)
 

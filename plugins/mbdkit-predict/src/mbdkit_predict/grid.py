@@ -54,11 +54,7 @@ class Grid:
     @cached_property
     def points(self) -> np.ndarray:
         """Matrix (P, N s), which turns durations into the times of the collocation points."""
-        s = len(self.c)
-        return np.asarray(
-            np.repeat(self.ends - self.lengths, s, axis=1)
-            + np.repeat(self.lengths, s, axis=1) * np.tile(self.c, len(self.phase))
-        )
+        return np.repeat(self.ends - self.lengths, len(self.c), axis=1) + np.kron(self.lengths, self.c)
 
     def ends_of_phases(self) -> list[int]:
         """Return the index of the last interval of each phase."""

@@ -45,13 +45,7 @@ class _ObjectiveCompiler(MeasureCompiler):
 
 
 def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
-    """Return the objective of a spec.
-
-    Raises
-    ------
-    SpecError
-        If the expression is not valid, or contains a reduction that is not smooth.
-    """
+    """Return the objective of a spec; raise SpecError if it is not valid, or a reduction in it is not smooth."""
     compiler = _ObjectiveCompiler(spec.with_states(spec.minimize), spec)
     program, _ = compiler.measure()
     found: dict[str, list[tuple[Any, Symbol]]] = {INTEGRAL: [], FINAL: []}
@@ -68,7 +62,7 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
             return (system.quantity(quantity),) if quantity.is_vector else system.quantity(quantity)
         if operation in ("const", "t"):
             return system.time if operation == "t" else number
-        if operation == "norm" and isinstance(operands[0], tuple):
+        if operation == "norm":
             return operands[0][0]
         if any(isinstance(operand, tuple) for operand in operands):
             raise SpecError("a vector can be minimized only as its norm, such as abs(joints.knee.force)")

@@ -41,10 +41,8 @@ class PointHessian:
         x, factor = ca.MX.sym("x", *unknowns.shape), ca.MX.sym("factor")
         ends = np.cumsum([0, *(value.numel() for value in conditions.values())]).tolist()
         lam = ca.MX.sym("lam", ends[-1])
-        multipliers = {
-            name: ca.reshape(lam[begin:end], *value.shape)
-            for (name, value), begin, end in zip(conditions.items(), ends, ends[1:], strict=False)
-        }
+        parts = zip(conditions.items(), ca.vertsplit(lam, ends), strict=True)
+        multipliers = {name: ca.reshape(part, *value.shape) for (name, value), part in parts}
         others = [ca.dot(multipliers[name], y) for name, y in conditions.items() if name not in self.conditions]
         other = sum(others, start=factor * self.rest)
         curved = np.flatnonzero(ca.which_depends(other, unknowns, 2, False)).tolist()
@@ -56,8 +54,8 @@ class PointHessian:
         of_points = ca.MX(ca.diagcat(*ca.horzsplit(blocks.sparsity(), blocks.shape[0])), blocks.nz[:])
         places = ca.sparsify(ca.evalf(ca.jacobian(ca.vec(self.variables), unknowns)))
         hessian = ca.triu(ca.mtimes([places.T, of_points, places]) + ca.mtimes([chosen, of_few, chosen.T]))
-        parts = ca.Function("parts", [unknowns, factor, lam], [hessian])
+        function = ca.Function("hessian", [unknowns, factor, lam], [hessian])
         scale = ca.diag(ca.DM(sizes))
-        scaled = ca.mtimes([scale, parts(ca.DM(sizes) * x, factor, lam), scale])
+        scaled = ca.mtimes([scale, function(ca.DM(sizes) * x, factor, lam), scale])
         arguments = [x, ca.MX.sym("p", 0), factor, lam]
         return ca.Function("hessian", arguments, [scaled], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])

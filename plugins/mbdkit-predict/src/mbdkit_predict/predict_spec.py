@@ -80,8 +80,7 @@ class PathCondition(Section):
     def _limits(self) -> PathCondition:
         if self.min is None and self.max is None:
             raise SpecError("has no effect without `min` or `max`")
-        if self.min is not None and self.max is not None:
-            _ordered((self.min, self.max))
+        _ordered(self.bounds)
         return self
 
     @property
@@ -213,11 +212,9 @@ class PredictSpec(ModelSpec):
     @property
     def repeated_values(self) -> list[tuple[str, str]]:
         """Pairs of expressions: the first one at the end of the motion equals the second one at its start."""
-        pairs: list[tuple[str, str]] = []
-        for item in self.periodic:
-            both = [(item, item)] if isinstance(item, str) else [*item.items(), *((b, a) for a, b in item.items())]
-            pairs += [pair for pair in both if pair not in pairs]
-        return pairs
+        items = [{item: item} if isinstance(item, str) else item for item in self.periodic]
+        pairs = [pair for item in items for pair in (*item.items(), *((b, a) for a, b in item.items()))]
+        return list(dict.fromkeys(pairs))
 
     @property
     def span(self) -> None:
@@ -237,8 +234,7 @@ class PredictSpec(ModelSpec):
     def chosen(self) -> ChosenNumbers:
         """Controls and parameters of the mechanism of the model."""
         self.mechanism()
-        chosen: ChosenNumbers = self._chosen
-        return chosen
+        return self._chosen
 
     def with_states(self, text: str, at: float | None = None) -> str:
         """Return an expression in which controls, ``controls["forces.motor.value"]``, and measured functions are states
@@ -277,7 +273,7 @@ class PredictSpec(ModelSpec):
             message = message.replace("states['measured.", "measured['")
             raise SpecError(message, key=key) from None
 
-    _chosen: Any = PrivateAttr(default=None)
+    _chosen: ChosenNumbers = PrivateAttr()
     _tables: dict[str, Table] = PrivateAttr(default_factory=dict)
 
     @property
@@ -308,8 +304,7 @@ class PredictSpec(ModelSpec):
             mechanism.state(f"measured.{name}", rate="0")
         functions = [path_text(("states", f"measured.{name}")) for name in self.measured]
         controls = list(dict.fromkeys([*self.controls, *unknowns, *functions]))
-        chosen = ChosenNumbers(mechanism, controls, [*self.optimized, *fixed])
-        self._chosen = chosen
+        self._chosen = chosen = ChosenNumbers(mechanism, controls, [*self.optimized, *fixed])
         for i, (name, variable) in enumerate(self.optimized.items()):
             for bound in variable.bounds:
                 try:
