@@ -23,7 +23,7 @@ PRECISION = 1e-10
 SCALE = 100.0
 """Factor of the objective for the optimizer, by which its last barrier parameter has less effect: the error of a squat
 due to it is 2e-11 instead of 2e-9."""
-NEAR, BARRIER = 1e-4, 1e-4
+NEAR, BARRIER = 1e-5, 1e-5
 """Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
 FEASIBLE = 1e-6
 """Of two iterates with violations below this, that with the smaller objective is the better one."""

@@ -223,6 +223,9 @@ def test_unknowns_of_fibers_are_in_equilibrium_at_the_values_of_the_machine_code
     assert np.abs(np.array(system.equilibrium(*state, 1.1 * u, [], 0.3))).min() > 1e-4
     for found, expected in ((system.residual, wanted.residual), (system.rates, wanted.rates)):
         assert_same(found(*state, u, [], 0.3), expected(*state, [], [], 0.3), "with unknowns")
+    faster = m.to_casadi(controls=keys, parameters=["muscles.long.max_velocity"])
+    rate = faster.rates(*state, u, 1.3 * muscle.max_velocity, 0.3)[faster.state_names.index("long.fiber_length")]
+    assert float(rate) == pytest.approx(1.3 * values[0], rel=1e-12)
     with pytest.raises(SpecError, match=r"needs both muscles\.long\.fiber_velocity and muscles\.long\.tendon_force"):
         m.to_casadi(controls=keys[:1])
 

@@ -1,4 +1,4 @@
-"""First guesses from archives."""
+"""First guesses from archives, and from simpler problems."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mbdkit.spec.loading import example_text
 from mbdkit_predict.predict_loading import load_predict_spec
 from mbdkit_predict.predicted_run import transcribed
 from mbdkit_predict.transcription import Transcription
-from predict.exact_optima import block
+from predict.exact_optima import PUSH, block
 
 
 def problem_of(spec: dict[str, Any], archive: Path) -> Transcription:
@@ -73,6 +73,39 @@ def test_an_inverse_analysis_is_a_guess(tmp_path: Path) -> None:
     values = [guess.values[name] for name in ("q", "v", "a", "lam", "z", "u")]
     balance = np.array(problem.system.residual(*values, [], guess.times[None]))
     assert abs(balance).max() < 0.01  # N, with reactions of up to 15 N
+
+
+def test_the_optimum_of_a_simpler_problem_is_a_guess() -> None:
+    # the least integral of the squared force is that of 6 - 12 t, in half the time with twice the velocity
+    spec = block(controls={PUSH: {"bounds": [0, 100]}, "states.brake": {"bounds": [-100, 0]}}, final={"block.x": 1})
+    model = spec["base"]["model"]
+    model["states"] = {"brake": {"rate": 0}}
+    model["forces"]["brake"] = {"type": "force", "body": "block", "value": ["states.brake", 0]}
+    simpler = {"controls": {PUSH: {"bounds": [-100, 100]}}, "duration": 0.5, "final": {"block.x": 1, "block.vx": 0}}
+    guess = transcribed(load_predict_spec(spec | {"guess": simpler})).guess()
+    t = guess.times
+    np.testing.assert_allclose(guess.values["q"][0], 3 * t**2 - 2 * t**3, atol=1e-3)
+    np.testing.assert_allclose(guess.values["v"][0], 6 * (t - t**2), atol=1e-3)
+    np.testing.assert_allclose(guess.values["u"], [24 - 48 * t, 0 * t], atol=1e-6)
+    for wrong, key in (({"starts": 3}, "guess.starts"), ({"controls": {"forces.no.value": {}}}, "guess.controls")):
+        with pytest.raises(SpecError) as caught:
+            transcribed(load_predict_spec(spec | {"guess": wrong}))
+        assert caught.value.key.startswith(key)
+
+
+@pytest.mark.slow  # two minutes
+def test_ground_reactions_of_half_a_step_carry_the_walker(tmp_path: Path) -> None:
+    run = mbdkit.predict("half-step")
+    assert run.verdict == "good", run.judgement
+    # half a period of a periodic motion: no change of momentum
+    mechanism, contacts = run.mechanism, ("heel", "ball", "heel_left", "ball_left")
+    weight = 9.81 * sum(body.mass for body in mechanism.bodies.values())
+    force = sum(run.contacts[name].normal_force for name in contacts)
+    assert np.trapezoid(force, run.time) / run.time[-1] == pytest.approx(weight, rel=0.01)
+    assert run["trunk"].position[-1, 0] == pytest.approx(0.625)
+    np.testing.assert_allclose(run["thigh"].angle[-1], run["thigh_left"].angle[0], atol=1e-9)
+    activation = run.muscles["soleus"].activation
+    np.testing.assert_allclose(activation[-1], run.muscles["soleus_left"].activation[0], atol=1e-9)
 
 
 def test_a_wrong_archive_is_one_sentence(tmp_path: Path) -> None:
