@@ -27,7 +27,9 @@ class GuessedMotion:
 
     def durations(self, guess: np.ndarray) -> np.ndarray:
         """Return the durations (P,) of the phases; by default in proportion to `guess`."""
-        return np.array(self._durations) if len(self._durations) == len(guess) else guess / guess.sum() * self._time[-1]
+        if len(self._durations) == len(guess):
+            return np.array(self._durations)
+        return np.asarray(guess / guess.sum() * (sum(self._durations) or self._time[-1]))
 
     def known(self, name: str, guess: np.ndarray, times: np.ndarray, durations: np.ndarray) -> np.ndarray:
         """Return the unknowns (K, T) with a name at `times` (T,); those of `guess` where none are known.
@@ -82,10 +84,12 @@ def solved_motion(
     time: np.ndarray, values: Mapping[str, np.ndarray], solved: CasadiSystem, system: CasadiSystem
 ) -> GuessedMotion:
     """Return the solution of another problem of the same mechanism, with the unknowns at times (T,)."""
-    known = {name: values[name] for name in ("q", "v", "a", "lam")}
+    n = len(values["q"])
+    start = dict(zip("qvz", np.split(values["start"], [n, 2 * n]), strict=True))
+    known = {x: np.column_stack([start.get(x, values[x][:, 0]), values[x]]) for x in ("q", "v", "a", "lam", "z", "u")}
+    time, known["p"] = np.append(0.0, time), np.repeat(values["p"][:, None], len(time) + 1, axis=1)
     for name, names in (("z", "state_names"), ("u", "control_names"), ("p", "parameter_names")):
-        rows = values[name] if name != "p" else np.repeat(values[name][:, None], len(time), axis=1)
-        known[name] = _chosen(getattr(system, names), list(getattr(solved, names)), rows.T)
+        known[name] = _chosen(getattr(system, names), list(getattr(solved, names)), known[name].T)
     return GuessedMotion(time, known, values["duration"].tolist())
 
 

@@ -164,6 +164,8 @@ class Optimum:
             why = f"{code}: {sentence}, on a mesh of {len(mesh.grid.phase)} intervals"
             if code in ("infeasible", "iteration-limit") and not self.meshes:
                 why += self._cause(mesh)
+            if not self.transcription.is_guess_solved:
+                why += "; the simpler problem of `guess` has no optimum either"
         if self.meshes:
             why += f"; the motion is the optimum on a mesh of {len(self.meshes[-1].grid.phase)} intervals"
         return why

@@ -24,7 +24,7 @@ OF_BASE = ("base", "overrides")
 """Keys that are replaced when a spec is loaded."""
 KEYS = (*OF_BASE, *(key for key in PredictSpec.model_fields if key not in ("mbdkit", "model", "optimized")))
 """Keys of a spec with a base."""
-OF_GUESS = (*KEYS[KEYS.index("controls") : KEYS.index("tolerance")], "optimized")
+OF_GUESS = ("parameters", *KEYS[KEYS.index("controls") : KEYS.index("tolerance")])
 """Keys that `guess` may replace."""
 
 
@@ -93,16 +93,13 @@ def simpler_spec(spec: PredictSpec) -> PredictSpec | None:
         return None
     data = json.loads(spec.canonical_json())
     given = {"optimized" if key == "parameters" else key: value for key, value in spec.guess.items()}
-    for key in given:
+    for key in spec.guess:
         if key not in OF_GUESS:
-            raise SpecError(f"should not be here; a guess replaces {listed(OF_GUESS, 'or')}", key=f"guess.{key}")
+            raise SpecError(f"should not be here; a guess replaces {listed(OF_GUESS, 'or')}", key=key)
     replaced = {"duration", "phases"} if given.keys() & {"duration", "phases"} else set()
     for key in ("guess", "compare", "starts", "sensitivities", *replaced):
         data.pop(key, None)
-    try:
-        return load_predict_spec(Document(data | given, folder=spec.folder))
-    except SpecError as error:
-        raise error.located(prefix="guess") from None
+    return load_predict_spec(Document(data | given, folder=spec.folder))
 
 
 def predict_schema(installed: Registry | None = None) -> dict[str, Any]:

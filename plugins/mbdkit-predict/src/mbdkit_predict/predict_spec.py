@@ -254,7 +254,7 @@ class PredictSpec(ModelSpec):
                 return f"({float(curve_of(self.tables[name])(at))!r})"
             return f"states[{json.dumps(names[kind][name])}].value"
 
-        return re.sub(r"\b(controls|measured)(?:\[([\"'])(.*?)\2\]|\.(\w+))", state, text)
+        return re.sub(r"(?<![\w.\"'])(controls|measured)(?:\[([\"'])(.*?)\2\]|\.(\w+))", state, text)
 
     def control(self, name: str) -> Variable:
         """Return the bounds and the start of a control; of unknowns of fibres, they are free by default."""

@@ -19,6 +19,7 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.interrupts import interrupts_noted
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.mechanism.values import curve_of
 from mbdkit.plugin import EquationsOfMotion, Judgement, Run, StateObserver, States, archive_names, load
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
@@ -69,10 +70,18 @@ def transcribed(spec: PredictSpec) -> Transcription:
         system = CasadiSystem(spec.chosen, 0.0)
         with spec.blaming("minimize"):
             objective = objective_of(spec, system)
-        simpler = simpler_spec(spec)
-        return Transcription(spec, system, objective, None if simpler is None else transcribed(simpler))
+        return Transcription(spec, system, objective, _simpler(spec))
     except SpecError as error:
         raise spec.placed(error) from None
+
+
+def _simpler(spec: PredictSpec) -> Transcription | None:
+    """Return the simpler problem whose optimum is the first guess; None without one."""
+    try:
+        simpler = simpler_spec(spec)
+        return None if simpler is None else transcribed(simpler)
+    except SpecError as error:
+        raise error.located(prefix="guess") from None
 
 
 def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -93,6 +102,7 @@ def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     u = np.column_stack([first, values["u"], *[last] * method.has_nodes])
     time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * method.has_nodes])
     by_name = dict(zip([*method.system.state_names, *result.spec.chosen.control_states], [*z, *u], strict=True))
+    by_name |= {f"measured.{name}": curve_of(table)(time) for name, table in result.spec.tables.items()}
     states = [by_name[name] for name in method.system.compiled_states]
     return time, q.T, v.T, np.reshape(states, (len(states), len(time))).T
 

@@ -98,8 +98,8 @@ class Transcription:
     ):
         self.spec, self.system, self.objective = spec, system, objective
         self.fibers = ElasticFibers(spec.chosen, self.system)
-        self.simpler = simpler
-        self._archived = archived_motion(spec, system) if isinstance(spec.guess, str) else None
+        self.simpler, self.is_guess_solved, self._iterations = simpler, True, 0
+        self._known_motion = archived_motion(spec, system) if isinstance(spec.guess, str) else None
         durations = [phase.duration for phase in spec.whole.values()]
         lengths = [float(np.mean(x.bounds)) if isinstance(x, Duration) else x for x in durations]
         self.limits = {
@@ -111,6 +111,12 @@ class Transcription:
         self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
         self.has_nodes = spec.collocation.method == "gauss"
         ends = np.cumsum(lengths).tolist()
+        at_end = ca.SX(system.u)
+        for name, table in spec.tables.items():
+            at_end[spec.chosen.control_states.index(f"measured.{name}")] = float(curve_of(table)(ends[-1]))
+        finals = ca.substitute(objective.finals, system.u, at_end)
+        self._check_known(finals, "`final`", "minimize")
+        self.objective = replace(objective, finals=finals)
         self._initial = self._conditions("initial", spec.initial, 0.0)
         self._ends = [
             self._conditions(f"{place}final", phase.final, at)
@@ -167,12 +173,16 @@ class Transcription:
         system, spec = self.system, self.spec
         grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c)
         low, high, durations = self.limits["duration"]
-        if self.simpler is not None and self._archived is None:
+        if self.simpler is not None and self._known_motion is None:
             simple = self.simpler.solved(self.simpler.guess(), stop or Stop())
-            self._archived = solved_motion(simple.times, simple.values, self.simpler.system, system)
-        archived = self._archived if random is None else None
-        if archived is not None:
-            durations = np.clip(archived.durations(durations), low, high)
+            self.is_guess_solved, self._iterations = (
+                bool(simple.solution and simple.solution.is_optimum),
+                simple.iterations,
+            )
+            self._known_motion = solved_motion(simple.times, simple.values, self.simpler.system, system)
+        known_motion = self._known_motion if random is None else None
+        if known_motion is not None:
+            durations = np.clip(known_motion.durations(durations), low, high)
         knots, poses = [0.0], [self._nearest(system.q0, self._initial, 0.0)]
         for index, (conditions, end) in enumerate(zip(self._ends, np.cumsum(durations), strict=True)):
             if index == len(durations) - 1:  # values at the end that follow from the pose at the start
@@ -200,7 +210,7 @@ class Transcription:
                 poses.insert(place, self._nearest(pose, {}, t))
 
         def filled(name: str, x: np.ndarray) -> np.ndarray:
-            return x if archived is None else archived.known(name, x, times, durations)
+            return x if known_motion is None else known_motion.known(name, x, times, durations)
 
         p = filled("p", np.repeat(self.limits["p"][2][:, None], len(times), axis=1))[:, 0]
         q = filled("q", np.array([np.interp(times, knots, x) for x in np.array(poses).T]))
@@ -212,7 +222,7 @@ class Transcription:
         columns = {"q": q, "v": v, "a": a, "lam": filled("lam", mu), "mu": mu, "z": z, "u": u}
         values = {name: x[:, 1:] for name, x in columns.items()}
         values |= {"duration": durations, "p": p, "start": np.concatenate([q[:, 0], v[:, 0], z[:, 0]])}
-        return Mesh(grid, self._with_nodes(values))
+        return Mesh(grid, self._with_nodes(values), self._iterations if random is None else 0)
 
     def refined(self, mesh: Mesh) -> Mesh:
         """Return a guess on a finer grid, from the polynomials of the solution.
@@ -540,11 +550,16 @@ class Transcription:
         """Return an expression in symbols, which must be known at a time `at` the start or an end if that is given."""
         with self.spec.blaming(key):
             expression = self.system.expression(self.spec.with_states(text, at))
-        unknown = [self.system.symbols[name] for name in OF_STATE]
-        if at is not None and any(x.numel() and ca.depends_on(expression, x) for x in unknown):
-            why = "depends on accelerations, reactions or controls, which are not known at the start and the end"
-            raise SpecError(f"'{text}' {why}; use positions, velocities and states", key=key)
+        if at is not None:
+            self._check_known(expression, f"'{text}'", key)
         return expression
+
+    def _check_known(self, expression: ca.SX, text: str, key: str) -> None:
+        """Raise SpecError for an expression that is not known at the start and the end of a motion."""
+        unknown = [self.system.symbols[name] for name in OF_STATE]
+        if any(x.numel() and ca.depends_on(expression, x) for x in unknown):
+            why = "depends on accelerations, reactions or controls, which are not known at the start and the end"
+            raise SpecError(f"{text} {why}; use positions, velocities and states", key=key)
 
     def _conditions(self, key: str, wanted: Mapping[str, Any], at: float) -> dict[str, tuple[ca.SX, float, float]]:
         """Return conditions on the state at the start or at the end, by key and text; a number is both bounds."""

@@ -87,7 +87,8 @@ def test_the_optimum_of_a_simpler_problem_is_a_guess() -> None:
     np.testing.assert_allclose(guess.values["q"][0], 3 * t**2 - 2 * t**3, atol=1e-3)
     np.testing.assert_allclose(guess.values["v"][0], 6 * (t - t**2), atol=1e-3)
     np.testing.assert_allclose(guess.values["u"], [24 - 48 * t, 0 * t], atol=1e-6)
-    for wrong, key in (({"starts": 3}, "guess.starts"), ({"controls": {"forces.no.value": {}}}, "guess.controls")):
+    wrongs = {"starts": 3}, {"controls": {"forces.no.value": {}}}, {"minimize": "integral(nonsense.x)"}
+    for wrong, key in zip(wrongs, ("guess.starts", "guess.controls", "guess.minimize"), strict=True):
         with pytest.raises(SpecError) as caught:
             transcribed(load_predict_spec(spec | {"guess": wrong}))
         assert caught.value.key.startswith(key)
@@ -96,7 +97,7 @@ def test_the_optimum_of_a_simpler_problem_is_a_guess() -> None:
 @pytest.mark.slow  # two minutes
 def test_ground_reactions_of_half_a_step_carry_the_walker(tmp_path: Path) -> None:
     run = mbdkit.predict("half-step")
-    assert run.verdict == "good", run.judgement
+    assert run.verdict == "good", run.verdict_reasons
     # half a period of a periodic motion: no change of momentum
     mechanism, contacts = run.mechanism, ("heel", "ball", "heel_left", "ball_left")
     weight = 9.81 * sum(body.mass for body in mechanism.bodies.values())

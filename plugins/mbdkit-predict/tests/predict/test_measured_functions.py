@@ -54,6 +54,17 @@ def exact_tracking() -> float:
     return float(found.y[4, -1])
 
 
+def test_measured_functions_have_their_value_at_the_end_and_forces_are_refused_there() -> None:
+    # from rest to rest over x, the least effort is 12 x^2; the least 1000 (x - 1)^2 + 12 x^2 is 12000 / 1012
+    spec = block(final={"block.vx": 0}, measured={"place": {"table": [[0, 1], [5, 1]], "interpolation": "linear"}})
+    effort = " + integral(forces.push.value**2)"
+    run = mbdkit.predict(spec | {"minimize": "1000*final((block.x - measured.place)**2)" + effort})
+    assert abs(run.objective - 12000 / 1012) <= run.objective_error
+    with pytest.raises(SpecError, match="`final` depends on accelerations, reactions or controls") as caught:
+        mbdkit.predict(spec | {"minimize": "final((forces.push.value - 5)**2)" + effort})
+    assert caught.value.key == "minimize"
+
+
 def test_a_pendulum_follows_a_measured_angle() -> None:
     run = mbdkit.predict(tracking())
     assert (run.status, run.verdict) == ("complete", "good")

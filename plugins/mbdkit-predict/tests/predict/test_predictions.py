@@ -387,4 +387,5 @@ def test_second_derivatives_of_points_and_ends_are_those_of_the_whole_program() 
 
 def test_the_linear_solver_uses_one_thread() -> None:
     blas = [file for file in Path(ca.__file__).parent.glob("*openblas*") if file.suffix in (".0", ".dll")]
+    assert blas or sys.platform != "linux"
     assert all(ctypes.CDLL(str(file)).openblas_get_num_threads() == 1 for file in blas)
