@@ -45,7 +45,8 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     """Compute a validated spec; see `mbdkit_predict.prediction.predict`."""
     begin, file = time.perf_counter(), None if path is None else Path(path)
     if file is not None:
-        check_target(file, overwrite=overwrite)
+        guess = spec.folder / spec.guess if isinstance(spec.guess, str) else None
+        check_target(file, overwrite=overwrite, source=guess)
     transcription = transcribed(spec)
     other = transcribed(compared_spec(spec)) if spec.compare else None
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()

@@ -98,7 +98,8 @@ class Transcription:
     ):
         self.spec, self.system, self.objective = spec, system, objective
         self.fibers = ElasticFibers(spec.chosen, self.system)
-        self.simpler, self.is_guess_solved, self._iterations = simpler, True, 0
+        self.simpler = simpler
+        self._simple: Mesh | None = None  # its solution
         self._known_motion = archived_motion(spec, system) if isinstance(spec.guess, str) else None
         durations = [phase.duration for phase in spec.whole.values()]
         lengths = [float(np.mean(x.bounds)) if isinstance(x, Duration) else x for x in durations]
@@ -173,13 +174,9 @@ class Transcription:
         system, spec = self.system, self.spec
         grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c)
         low, high, durations = self.limits["duration"]
-        if self.simpler is not None and self._known_motion is None:
-            simple = self.simpler.solved(self.simpler.guess(), stop or Stop())
-            self.is_guess_solved, self._iterations = (
-                bool(simple.solution and simple.solution.is_optimum),
-                simple.iterations,
-            )
-            self._known_motion = solved_motion(simple.times, simple.values, self.simpler.system, system)
+        if self.simpler is not None and self._simple is None:
+            self._simple = self.simpler.solved(self.simpler.guess(), stop or Stop())
+            self._known_motion = solved_motion(self._simple.times, self._simple.values, self.simpler.system, system)
         known_motion = self._known_motion if random is None else None
         if known_motion is not None:
             durations = np.clip(known_motion.durations(durations), low, high)
@@ -222,7 +219,13 @@ class Transcription:
         columns = {"q": q, "v": v, "a": a, "lam": filled("lam", mu), "mu": mu, "z": z, "u": u}
         values = {name: x[:, 1:] for name, x in columns.items()}
         values |= {"duration": durations, "p": p, "start": np.concatenate([q[:, 0], v[:, 0], z[:, 0]])}
-        return Mesh(grid, self._with_nodes(values), self._iterations if random is None else 0)
+        done = self._simple.iterations if self._simple is not None and random is None else 0
+        return Mesh(grid, self._with_nodes(values), done)
+
+    @property
+    def is_guess_solved(self) -> bool:
+        """Whether the simpler problem, if there is one, has an optimum."""
+        return self._simple is None or (self._simple.solution is not None and self._simple.solution.is_optimum)
 
     def refined(self, mesh: Mesh) -> Mesh:
         """Return a guess on a finer grid, from the polynomials of the solution.

@@ -94,8 +94,8 @@ def test_the_optimum_of_a_simpler_problem_is_a_guess() -> None:
         assert caught.value.key.startswith(key)
 
 
-@pytest.mark.slow  # two minutes
-def test_ground_reactions_of_half_a_step_carry_the_walker(tmp_path: Path) -> None:
+@pytest.mark.slow  # one and a half minutes
+def test_ground_reactions_of_half_a_step_carry_the_walker() -> None:
     run = mbdkit.predict("half-step")
     assert run.verdict == "good", run.verdict_reasons
     # half a period of a periodic motion: no change of momentum
@@ -127,5 +127,7 @@ def test_an_archive_is_repeated_with_the_same_guess_only(tmp_path: Path) -> None
     assert command("predict", str(tmp_path / "block.yaml"), "-o", second).exit_code == 0
     assert "only with --files" in command("rerun", second).stderr
     assert command("rerun", second, "--files").exit_code == 0
+    never = command("predict", str(tmp_path / "block.yaml"), "-o", str(first), "--overwrite")
+    assert (never.exit_code, "input" in never.stderr) == (2, True), never.stderr
     mbdkit.predict("block", tolerance=1e-2, archive=first, overwrite=True)
     assert "its SHA-256 differs" in command("rerun", second, "--files").stderr
