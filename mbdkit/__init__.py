@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.base import higher_layers, moved_modules
+from mbdkit.base import higher_layers
 from mbdkit.base.lazy_names import import_part, lazy
 
 if TYPE_CHECKING:
@@ -234,4 +234,3 @@ higher_layers.run_frame = _of_higher_layer("mbdkit_report.group_table", "to_fram
 higher_layers.run_datatree = _of_higher_layer("mbdkit_report.xarray_tree", "to_datatree", "Run.to_xarray")
 higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.measures", "built_in_measures")
 higher_layers.html_of = _of_higher_layer("mbdkit_report.notebook.result_views", "html_of")
-moved_modules.install()

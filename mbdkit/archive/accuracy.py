@@ -119,8 +119,7 @@ class Accuracy(HtmlView):
     compared_measures
         Values of the expressions of measures in the comparison runs.
     unknown
-        Why errors are unknown after `known_until`, as a clause; empty if all are known, or in archives of earlier
-        versions.
+        Why errors are unknown after `known_until`, as a clause; empty if all are known.
     parts
         Further arrays of the group ``/accuracy`` by name, such as the parts of `reaction_error`; empty for most runs.
     """

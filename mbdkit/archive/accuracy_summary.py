@@ -15,9 +15,6 @@ from mbdkit.base.text import listed
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-UNCONFIRMED = "the comparison runs of the check agree neither with this run nor with each other"
-"""Why errors are unknown, in archives of earlier versions, which do not contain the reason."""
-
 
 def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
     """Return a sentence on the estimated errors of a run: of the largest reaction force, and of the positions.
@@ -38,7 +35,7 @@ def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
     if accuracy is None or not len(run.time):
         return ""
     if not accuracy.rows_known:
-        return f"errors unknown: {accuracy.unknown or UNCONFIRMED}"
+        return f"errors unknown: {accuracy.unknown}"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
     position += " for this mesh of beams" if excluded_error(run) else ""
     if accuracy.is_complete:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import cast
@@ -29,23 +28,6 @@ from mbdkit.registry.manager import registry
 from mbdkit.trust.criteria import LEVELS
 
 
-@dataclass(frozen=True)
-class Checked:
-    """The result of a check of an archive.
-
-    Attributes
-    ----------
-    problems
-        One sentence per problem; empty if the archive is valid.
-    covers_attributes
-        Whether the archive has a hash of its attributes, timings and estimated errors; archives of earlier versions
-        have none.
-    """
-
-    problems: list[str]
-    covers_attributes: bool = True
-
-
 def check(path: str | Path) -> list[str]:
     """Check the structure, units, dimension scales, times, values and hashes of a run archive or a block of runs.
 
@@ -59,11 +41,6 @@ def check(path: str | Path) -> list[str]:
     ResourceError
         If a run is still writing the file, or the system refuses to read it.
     """
-    return examine(path).problems
-
-
-def examine(path: str | Path) -> Checked:
-    """Check a run archive as `check` does, or a block of runs, and determine what its hashes cover."""
     path = Path(path)
     try:
         file = open_archive(path)
@@ -71,12 +48,11 @@ def examine(path: str | Path) -> Checked:
         for item in registry().of_kind("file-format"):
             of_kind = cast(FileFormat, item.plugin).problems
             if of_kind is not None and (problems := of_kind()(path)) is not None:
-                return Checked(problems, True)
-        return Checked([shown(error.message)])
+                return problems
+        return [shown(error.message)]
     with contextlib.closing(file):
         problems = _Checker(file).problems()
-        covered = layout.ATTRIBUTES_HASH in file.attrs
-    return Checked(problems or _unreadable(path), covered)
+    return problems or _unreadable(path)
 
 
 @contextlib.contextmanager
@@ -151,8 +127,7 @@ class _Checker:
                 if self.file.attrs["data_sha256"] != data_sha256(self.file):
                     self.say("the data have changed since they were written: data_sha256 does not match")
             with self.reading("the attributes, timings and estimated errors"):
-                stored = self.file.attrs.get(layout.ATTRIBUTES_HASH)  # None in archives of earlier versions
-                if attributes_sha256(self.file) != stored and stored is not None:
+                if attributes_sha256(self.file) != self.file.attrs[layout.ATTRIBUTES_HASH]:
                     self.say(
                         "attributes, timings or estimated errors have changed since they were written: "
                         f"{layout.ATTRIBUTES_HASH} does not match"
@@ -207,7 +182,7 @@ class _Checker:
             self.say("the attribute spec does not contain a spec in JSON")
 
     def verdict(self) -> None:
-        """Check the verdict, which archives of earlier versions and of crashed runs lack."""
+        """Check the verdict, which archives of crashed runs lack."""
         attributes = self.file.attrs
         present = [name for name in layout.VERDICT_ATTRIBUTES if name in attributes]
         if not present:
@@ -238,7 +213,7 @@ class _Checker:
         if "accuracy" in self.file:
             extra |= frozenset(layout.ACCURACY)
         always = frozenset(kind.group for kind in known if not kind.is_optional)
-        return layout.recorded((wanted & layout.QUANTITIES & always) | present, extra, self.version, known)
+        return layout.recorded((wanted & layout.QUANTITIES & always) | present, extra, known)
 
     def array(self, array: Array) -> None:
         path, dataset = array.path, self.file.get(array.path)
@@ -284,7 +259,7 @@ class _Checker:
                 )
 
     def others(self, arrays: tuple[Array, ...]) -> None:
-        if self.version not in layout.VERSIONS:
+        if self.version != FORMAT_VERSION:
             return  # later 1.x versions may add arrays
         known = {array.path for array in arrays}
         for dataset in datasets(self.file):

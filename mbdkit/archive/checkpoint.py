@@ -119,10 +119,9 @@ class Checkpoint:
     state: Mapping[str, Any]
 
     @property
-    def files(self) -> tuple[FileRead, ...] | None:
-        """The files that were read for the run; None in checkpoints of earlier versions."""
-        text = self.head.get("files")
-        return None if text is None else read_files(str(text))
+    def files(self) -> tuple[FileRead, ...]:
+        """The files that were read for the run."""
+        return read_files(str(self.head["files"]))
 
     def encoded(self) -> bytes:
         """Return the bytes of the checkpoint."""

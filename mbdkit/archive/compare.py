@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
-from mbdkit.archive import layout
-from mbdkit.archive.fingerprint import blocks, data_sha256, dataset_line, datasets, is_text, mismatches
+from mbdkit.archive.fingerprint import blocks, data_sha256, datasets, is_text, mismatches
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import FORMAT_VERSION, is_hashed
+from mbdkit.archive.layout import is_hashed
 from mbdkit.archive.run import Run
-from mbdkit.base.text import counted, listed, shown
+from mbdkit.base.text import shown
 
 #: Provenance attributes that cannot affect the results.
 _NOT_VERSIONS = {"command"}
@@ -38,10 +37,6 @@ class Comparison:
         Provenance attributes that differ, except the command, with the values of the first and the second run.
     falsified
         One sentence for each stored hash that does not match the contents of its run; empty if all match.
-    left_out
-        Arrays that only one run has, because the format of the other archive is older; they are not compared.
-    formats
-        Format versions of the two archives.
     """
 
     same_data: bool
@@ -49,8 +44,6 @@ class Comparison:
     differences: Mapping[str, float]
     versions: Mapping[str, tuple[str, str]]
     falsified: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
-    formats: tuple[str, str] = (FORMAT_VERSION, FORMAT_VERSION)
 
     @property
     def largest(self) -> float:
@@ -59,20 +52,12 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return the comparison as plain text."""
-        data = "the data that both archives have" if self.left_out else "the data"
         if self.same_data:
-            lines = [f"{data} are the same to the bit"]
+            lines = ["the data are the same to the bit"]
         else:
-            lines = [f"{data} differ by {self.largest:.2g}, relative to the largest value of the array"]
+            lines = [f"the data differ by {self.largest:.2g}, relative to the largest value of the array"]
             worst = sorted(self.differences.items(), key=lambda item: -item[1])
             lines += [f"  {path:<32} {value:.2g}" for path, value in worst if value > 0]
-        if self.left_out:
-            older, newer = sorted(self.formats)
-            names = listed(sorted({path.rpartition("/")[0] for path in self.left_out}), "and")
-            lines.append(
-                f"not compared: {counted(len(self.left_out), 'array')} of {names}, which format {newer} has and format "
-                f"{older} does not"
-            )
         lines = [*self.falsified, *lines]
         if not self.same_spec:
             lines.append("the specs differ")
@@ -92,24 +77,15 @@ def compare(first: Run, second: Run) -> Comparison:
     SpecError
         If an archive is damaged.
     """
-    formats = first.format_version, second.format_version
     one, of_one, falsified_one = _contents(first)
     two, of_two, falsified_two = _contents(second)
-    left_out = frozenset.union(*(layout.later({*one} ^ {*two}, version) for version in formats))
     # a crashed run has no hash and may lack rows, so its data count as different
-    same = bool(first.data_sha256 and second.data_sha256)
-    if left_out:
-        with reading("its contents", None):
-            same = same and _lines(one, left_out) == _lines(two, left_out)
-    else:
-        same = same and of_one == of_two
+    same = bool(first.data_sha256 and second.data_sha256) and of_one == of_two
     differences = {}
-    for path in sorted({*one, *two} - left_out):
+    for path in sorted({*one, *two}):
         with reading(path, None):
             differences[path] = 0.0 if same else _difference(one.get(path), two.get(path))
     return Comparison(
-        left_out=tuple(sorted(left_out)),
-        formats=formats,
         same_data=same,
         same_spec=first.spec_json == second.spec_json,
         differences=differences,
@@ -134,11 +110,6 @@ def _contents(run: Run) -> tuple[dict[str, h5py.Dataset], str, list[str]]:
         f"{where}: its {what} changed after it was written: {name} does not match" for name, what in unmatched.items()
     ]
     return arrays, digest, sentences
-
-
-def _lines(arrays: Mapping[str, h5py.Dataset], left_out: frozenset[str]) -> list[str]:
-    """Return the lines that are hashed, for all arrays except `left_out`."""
-    return [dataset_line(arrays[path]) for path in sorted({*arrays} - left_out)]
 
 
 def _difference(one: h5py.Dataset | None, two: h5py.Dataset | None) -> float:

@@ -97,7 +97,7 @@ def _line_of(path: str, item: h5d.DatasetID) -> str:
 def mismatches(file: h5py.File, data: str = "") -> dict[str, str]:
     """Return the stored hashes that do not match the contents of an archive: what they cover, by attribute.
 
-    A hash that is not stored, as in archives of crashed runs and of earlier versions, matches everything.
+    A hash that is not stored, as in archives of crashed runs, matches everything.
 
     Parameters
     ----------

@@ -5,13 +5,12 @@ The arrays are those of the table of quantities.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 from mbdkit.quantities.array import Array, Kind, Recorded
 from mbdkit.quantities.names import ArchiveNames
-from mbdkit.quantities.registered_kinds import array_at, groups, kind_of_group, kinds, kinds_of, sizes_of
+from mbdkit.quantities.registered_kinds import groups, kind_of_group, kinds, kinds_of, sizes_of
 from mbdkit.quantities.table import KINDS, PARTS_OF_ACCURACY
 
 FORMAT = "mbdkit-run"
@@ -61,15 +60,14 @@ GRADIENTS = "gradients"
 """Root attribute with the derivatives of the measures with respect to parameters, in JSON; absent without `gradients`.
 """
 MECHANISM = "mechanism"
-"""Root attribute with the mechanism that was run, in JSON; archives of earlier versions lack it."""
+"""Root attribute with the mechanism that was run, in JSON."""
 FILES = "files"
 """Root attribute with name, size and SHA-256 of every file that was read for the run, in JSON; absent without files."""
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
-"""Root attributes with the verdict on a run, its reasons and warnings; archives of earlier versions lack them."""
+"""Root attributes with the verdict on a run, its reasons and warnings; archives of crashed runs lack them."""
 
 ATTRIBUTES_HASH = "attributes_sha256"
-"""Root attribute with the hash of all contents that `data_sha256` does not cover; archives of earlier versions lack it.
-"""
+"""Root attribute with the hash of all contents that `data_sha256` does not cover; archives of crashed runs lack it."""
 
 COUNTERS = (
     "steps",
@@ -85,9 +83,7 @@ TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
 SOME_TIMINGS = ("integrals_s", "check_s")
 """Times that only some runs have: those with integrals over the continuous motion, and those that are checked."""
 
-VERSIONS = ("1.0", "1.1", "1.2")
-"""Versions of the format; `since` of an array names the first one that has it."""
-FORMAT_VERSION = "1.2"
+FORMAT_VERSION = "1.0"
 
 #: Groups that can be selected by `output.quantities`.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)
@@ -137,28 +133,10 @@ def is_hashed(path: str) -> bool:
     return not is_timing(path) and not path.lstrip("/").startswith("accuracy/") and not is_of_file
 
 
-def is_in(array: Array, version: str) -> bool:
-    """Whether archives of version 1.x have the array; versions later than `FORMAT_VERSION` count as having all
-    arrays.
-    """
-    return _minor(array.since) <= _minor(version)
-
-
-def later(paths: Iterable[str], version: str) -> frozenset[str]:
-    """Return those of the `paths` that archives of version 1.x do not have."""
-    return frozenset(path for path in paths if (array := array_at(path)) and not is_in(array, version))
-
-
-def _minor(version: str) -> float:
-    text = version.partition(".")[2]
-    return int(text) if text.isdecimal() else math.inf
-
-
 @lru_cache(maxsize=64)
 def recorded(
     quantities: frozenset[str],
     extra: frozenset[str] = frozenset(),
-    version: str = FORMAT_VERSION,
     known: tuple[Kind, ...] | None = None,
 ) -> tuple[Array, ...]:
     """Return the arrays of an archive that records `quantities`.
@@ -169,8 +147,6 @@ def recorded(
         Subset of `QUANTITIES`; trajectory, steps and the names of the joints are always recorded.
     extra
         Paths of the optional arrays to include.
-    version
-        Version of the format.
     known
         The kinds; by default, those of the core and of the plugins that have arrays in `extra`.
     """
@@ -180,7 +156,6 @@ def recorded(
         for array in kind.arrays
         if (array.group not in QUANTITIES or array.group in quantities or array.path in ALWAYS)
         and (not array.optional or array.path in extra)
-        and is_in(array, version)
     )
 
 

@@ -10,11 +10,10 @@ from typing import Any, Protocol, TypeVar, cast, overload
 
 import numpy as np
 
-from mbdkit.archive.layout import FORMAT_VERSION, later
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
-from mbdkit.quantities.registered_kinds import added_kinds, array_at, groups, kind_of_group
+from mbdkit.quantities.registered_kinds import added_kinds, array_at, kind_of_group
 from mbdkit.registry.element_items import QuantityKind
 from mbdkit.registry.use import use
 
@@ -26,19 +25,15 @@ class NotRecordedError(MbdkitError, KeyError):
     ----------
     what
         Path of the array or name of the group.
-    version
-        Version of the archive's format.
     """
 
-    def __init__(self, what: str, version: str = FORMAT_VERSION):
+    def __init__(self, what: str):
         why = "`output.quantities` in its spec selects the recorded quantities"
-        array, group = array_at(what), what.partition("/")[0]
+        array = array_at(what)
         if array is not None and array.optional:
             why = "its method, stabilization and events do not produce it"
         if what.startswith("accuracy/"):
             why = "`check: true` in its spec, or `--check`, estimates errors"
-        if later([what] if array else kind_of_group(group).by_path if group == what in groups() else (), version):
-            why = f"its archive has format {version}; `mbdkit rerun` with `-o` writes one of format {FORMAT_VERSION}"
         super().__init__(f"this run did not record {what}; {why}")
 
     def __str__(self) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import h5py
 import numpy as np
 
-from mbdkit.archive import history, layout, run_header
+from mbdkit.archive import history, run_header
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.named_columns import NotRecordedError, histories_of
@@ -199,8 +199,8 @@ class RecordedData(FurtherKinds, Extensible):
             output = self.spec.get("output")
             asked = output.get("quantities") if isinstance(output, Mapping) else None
             is_left_out = isinstance(asked, list) and kind.group not in asked
-            if is_left_out or not kind.is_optional or layout.later([kind.named_by], self.format_version):
-                raise NotRecordedError(kind.group, self.format_version)
+            if is_left_out or not kind.is_optional:
+                raise NotRecordedError(kind.group)
         return ()
 
     @evaluated
@@ -296,7 +296,7 @@ class RecordedData(FurtherKinds, Extensible):
         Raises
         ------
         MbdkitError
-            If the run did not record it: the mechanism has no constraints, or an earlier version made the archive.
+            If the run did not record it, because the mechanism has no constraints.
         """
         return self.array("constraints/singularity_distance")
 

@@ -70,14 +70,13 @@ class Run(RecordedData, HtmlView):
         """The verdict on the results: ``good``, ``unknown``, ``doubtful`` or ``bad``.
 
         ``good`` needs an estimate of the error. ``unknown`` means that nothing suspicious was seen, but that the error
-        is not known. Runs that crashed and archives of versions without verdicts are ``unknown`` as well, see
-        `is_judged`.
+        is not known. Runs that crashed are ``unknown`` as well, see `is_judged`.
         """
         return next((level for level in LEVELS if level == self._header.verdict), "unknown")
 
     @property
     def is_judged(self) -> bool:
-        """Whether the archive holds a verdict; archives of earlier versions and of crashed runs do not."""
+        """Whether the archive holds a verdict; archives of crashed runs do not."""
         return bool(self._header.verdict)
 
     @property
@@ -88,8 +87,7 @@ class Run(RecordedData, HtmlView):
     @property
     def warnings(self) -> list[str]:
         """Warnings about the spec and the run, as sentences."""
-        before = self.provenance.get("warning")  # location in archives of earlier versions
-        return [*self._header.warnings, *([str(before)] if before else [])]
+        return list(self._header.warnings)
 
     @property
     def run_id(self) -> str:
@@ -142,7 +140,7 @@ class Run(RecordedData, HtmlView):
         Raises
         ------
         ArchiveError
-            If the archive does not hold it, because an earlier version wrote the archive.
+            If this version of mbdkit does not know all of its bodies.
         """
         if self._mechanism.mechanism is None:
             raise ArchiveError(self._mechanism.not_drawn, file=self.path)
@@ -154,10 +152,9 @@ class Run(RecordedData, HtmlView):
         return self._mechanism.not_drawn
 
     @property
-    def files(self) -> tuple[FileRead, ...] | None:
-        """Name, size and SHA-256 of every file that was read for the run; None in archives of earlier versions."""
-        files = self._contents.files
-        return None if files is None else tuple(files)
+    def files(self) -> tuple[FileRead, ...]:
+        """Name, size and SHA-256 of every file that was read for the run."""
+        return tuple(self._contents.files)
 
     @cached_property
     def stats(self) -> Mapping[str, int | float]:

@@ -28,7 +28,7 @@ from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_kinds import kinds_of_file
-from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
+from mbdkit.archive.stored_mechanism import StoredMechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
@@ -138,8 +138,8 @@ class RunContents(ABC):
 
     @property
     @abstractmethod
-    def files(self) -> Sequence[FileRead] | None:
-        """The files that were read for the run; None if they are not known, as in archives of earlier versions."""
+    def files(self) -> Sequence[FileRead]:
+        """The files that were read for the run."""
 
     @property
     @abstractmethod
@@ -258,7 +258,7 @@ class ArchiveContents(RunContents):
         noted = self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)
         if noted is not None:
             return dict.fromkeys(GROWING, 0) | {dim: int(rows) for dim, rows in zip(GROWING, noted, strict=False)}
-        lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # for archives of an earlier version
+        lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # of a run that was killed while it ended
         for array in (array for kind in self.kinds.values() for array in kind.arrays):
             if array.grows and array.path in self._file:
                 lengths[array.dims[0]].append(len(self._file[array.path]))
@@ -276,11 +276,10 @@ class ArchiveContents(RunContents):
                 return file[path]
         if array is None:
             raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
-        raise NotRecordedError(path, self.header.attributes["format_version"])
+        raise NotRecordedError(path)
 
     def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
         """Return the complete rows of a growing array of a crashed run."""
-        version = self.header.attributes["format_version"]
         is_flushed = self.whole_rows["time"] > 0  # arrays are created with their first rows
         if is_flushed and array.path in self.file:
             dataset, rows = self.file[array.path], self.whole_rows[array.dims[0]]
@@ -288,9 +287,9 @@ class ArchiveContents(RunContents):
                 return dataset
             values: np.ndarray = (dataset.asstr() if is_text(dataset) else dataset)[:rows]
             return values
-        group = None if layout.later([array.path], version) else self.file.get(array.group)
+        group = self.file.get(array.group)
         if is_flushed or array.optional or group is None:
-            raise NotRecordedError(array.path, version)
+            raise NotRecordedError(array.path)
         return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
 
     @cached_property
@@ -314,18 +313,13 @@ class ArchiveContents(RunContents):
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""
         with reading("its mechanism", self.path):
-            text = self.file.attrs.get(layout.MECHANISM)
-            if text is not None:
-                return read_mechanism(str(text), self.names["trajectory/body"])
-            head = self.header.attributes
-            return built_mechanism(run_header.spec_of(head["spec"]), head["format_version"])
+            return read_mechanism(str(self.file.attrs[layout.MECHANISM]), self.names["trajectory/body"])
 
     @property
-    def files(self) -> Sequence[FileRead] | None:
+    def files(self) -> Sequence[FileRead]:
         """The files that were read for the run."""
         with reading("its files", self.path):
-            is_earlier = layout.MECHANISM not in self.file.attrs
-            return None if is_earlier else read_files(str(self.file.attrs.get(layout.FILES, "[]")))
+            return read_files(str(self.file.attrs.get(layout.FILES, "[]")))
 
     @cached_property
     def accuracy(self) -> Accuracy | None:  # type: ignore[override]
@@ -446,14 +440,14 @@ class ArrayContents(RunContents):
             raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
         if self._store:
             raise NotStoredError(path, self._store)
-        raise NotRecordedError(path, layout.FORMAT_VERSION)
+        raise NotRecordedError(path)
 
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""
         return self._mechanism or StoredMechanism(self._spec.mechanism())
 
     @property
-    def files(self) -> Sequence[FileRead] | None:
+    def files(self) -> Sequence[FileRead]:
         """The files that were read for the run."""
         return self._spec.files_read
 

@@ -126,8 +126,8 @@ def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:
     return StoredMechanism(mechanism, f"not drawn, because not known here: {_few(unknown)}" if unknown else "")
 
 
-def built_mechanism(spec: Mapping[str, Any], version: str) -> StoredMechanism:
-    """Return the mechanism of a run whose archive does not hold it.
+def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
+    """Return the mechanism of a run that is stored without it.
 
     Only models of mbdkit itself build it, because those of plugins may read files.
 
@@ -135,15 +135,12 @@ def built_mechanism(spec: Mapping[str, Any], version: str) -> StoredMechanism:
     ----------
     spec
         The spec of the run as a plain mapping.
-    version
-        Version of the format of the archive.
     """
     name = str(spec.get("model", {}).get("name", ""))
     item = next((one for one in registry().only("mbdkit").of_kind("model") if name in (one.name, one.id)), None)
-    lacks = f"this archive of format {shown(version)} does not hold its mechanism"
+    lacks = "the mechanism of this run is not stored"
     if item is None:
-        hint = "`mbdkit rerun --files` with `-o` writes an archive that holds it"
-        why = f"{lacks}, and the model '{shown(name)}' is of a plugin, which may read files; {hint}"
+        why = f"{lacks}, and the model '{shown(name)}' is of a plugin, which may read files"
         return StoredMechanism(None, f"only points of bodies are drawn: {why}")
     plugin = item.plugin
     assert isinstance(plugin, ModelPlugin)

@@ -64,7 +64,7 @@ def only_known(files: Sequence[FileRead] | None, *, allowed: bool) -> Iterator[N
     Parameters
     ----------
     files
-        The files that the archive lists; None for an archive of an earlier version, which lists none.
+        The files that the archive lists; None if the archive is missing, as that of a run of a study may be.
     allowed
         Whether the user allows that files are read.
     """

@@ -28,22 +28,16 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
 
     Exit status 2 if an archive is damaged.
     """
-    from mbdkit.archive.archive_check import examine
-    from mbdkit.archive.layout import ATTRIBUTES_HASH
+    from mbdkit.archive.archive_check import check
 
     sound = True
     for archive in archives:
-        checked = examine(archive)
-        sound = sound and not checked.problems
-        for problem in checked.problems:
+        problems = check(archive)
+        sound = sound and not problems
+        for problem in problems:
             say(f"{archive}: {problem}")
-        if not checked.problems and not quiet:
-            without = (
-                ""
-                if checked.covers_attributes
-                else f" (changed attributes cannot be detected, because the archive has no {ATTRIBUTES_HASH})"
-            )
-            show(f"{archive}: sound{without}")
+        if not problems and not quiet:
+            show(f"{archive}: sound")
     if not sound:
         raise typer.Exit(terminal.WRONG_INPUT)
 
@@ -52,7 +46,7 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
     """Compare the data of two run archives.
 
     Exit status 1 if the data differ; prints the largest relative difference of each
-    array. If one archive has an earlier format, the arrays that both have are compared.
+    array.
     """
     from mbdkit.archive.compare import compare
     from mbdkit.archive.reader import load
@@ -61,7 +55,7 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
         found = compare(one, two)
     if as_json:
         told = {"same_data": found.same_data, "same_spec": found.same_spec, "differences": found.differences}
-        more = {"left_out": found.left_out, "falsified": found.falsified, "versions": found.versions}
+        more = {"falsified": found.falsified, "versions": found.versions}
         show_json({**told, **more})
     else:
         show(found)

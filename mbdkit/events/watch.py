@@ -355,8 +355,7 @@ class Watch:
         self._fired = [int(number) for number in state["fired"]]
         self._set_at = [float(time) for time in state["set_at"]]
         self._latest = float(state["latest"])
-        if "ahead" in state:  # checkpoints of earlier versions lack it
-            self._pace = Lookahead(**{name: int(number) for name, number in state["ahead"].items()})
+        self._pace = Lookahead(**{name: int(number) for name, number in state["ahead"].items()})
 
     def _look(self, stretch: Stretch) -> Stretch:
         """Find the events of the last step; return its rows, up to an event that stops the run or sets states."""

@@ -55,8 +55,6 @@ class Array:
         axis.
     optional
         Whether an archive may lack the array.
-    since
-        Version of the format that introduced the array.
     components
         Names, in tables and expressions, of the numbers along the axis ``axis`` or ``coordinate``; a single name
         replaces the name of the array. By default, a name consists of the name of the array and the name along the
@@ -77,7 +75,6 @@ class Array:
     dtype: str = FLOAT
     row_units: str = ""
     optional: bool = False
-    since: str = "1.0"
     components: tuple[str, ...] = ()
     about: tuple[str, ...] = ()
     texts: Callable[[ArchiveNames], Sequence[str]] | None = None

@@ -34,7 +34,7 @@ ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "mar
 """Groups of quantities that can be selected by `output.quantities`."""
 
 
-def quantity_group(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
+def quantity_group(group: str, *arrays: Array, optional: bool = False, **more: Any) -> Kind:
     """Return a kind of quantities, whose arrays are a group of the archive.
 
     Parameters
@@ -43,16 +43,15 @@ def quantity_group(group: str, *arrays: Array, since: str = "1.0", optional: boo
         Name of the group, which is added to the paths of the arrays.
     arrays
         The arrays, with their names in the group as paths.
-    since, optional
-        Apply to all arrays; see `Array`.
+    optional
+        Applies to all arrays; see `Array`.
     more
         Further arguments of `Kind`.
     """
-    placed = (
-        replace(array, path=f"{group}/{array.path}", since=max(array.since, since), optional=array.optional or optional)
-        for array in arrays
+    placed = tuple(
+        replace(array, path=f"{group}/{array.path}", optional=array.optional or optional) for array in arrays
     )
-    return Kind(tuple(placed), is_chosen=group in get_args(ChosenGroup), **more)
+    return Kind(placed, is_chosen=group in get_args(ChosenGroup), **more)
 
 
 def computed(

@@ -106,8 +106,6 @@ def _imported(item: Registered) -> Kind:
     kind: Kind = use(item, cast(QuantityKind, item.plugin).checked_kind, Kind)
     if item.origin.distribution == MBDKIT:
         return kind
-    if any(array.since != "1.0" for array in kind.arrays):
-        raise PluginError(f"the quantity '{item.id}' has arrays with `since`, a version of mbdkit's own layout")
     if not kind.is_optional or not all(array.optional for array in kind.arrays):
         raise PluginError(f"the quantity '{item.id}' has arrays that are not optional, as those of plugins must be")
     return replace(kind, arrays=tuple(_blaming(item, array) for array in kind.arrays))

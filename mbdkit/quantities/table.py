@@ -56,7 +56,7 @@ def _length_unit(mechanism: Mechanism, name: str) -> str:
 
 PARTS_OF_ACCURACY = (
     *(
-        Array(f"reaction_error_{part}", ("time", "joint"), "N", f"part of reaction_error by {by}", since="1.2")
+        Array(f"reaction_error_{part}", ("time", "joint"), "N", f"part of reaction_error by {by}")
         for part, by in (("data", "the data"), ("person", "the person"), ("muscles", "muscles"))
     ),
     Array(
@@ -64,15 +64,13 @@ PARTS_OF_ACCURACY = (
         ("joint",),
         "N",
         "error of the largest reaction_force over the motion by person and muscles",
-        since="1.2",
     ),
-    Array("source", ("source",), "1", "name of the source of uncertainty", TEXT, since="1.2"),
+    Array("source", ("source",), "1", "name of the source of uncertainty", TEXT),
     Array(
         "contribution",
         ("source", "time", "joint"),
         "1",
         "share of the source in the square of reaction_error, nan where unknown",
-        since="1.2",
     ),
 )
 """Arrays of the group ``/accuracy`` that only runs with uncertain persons, loads or muscles have."""
@@ -118,29 +116,29 @@ KINDS = (
             lambda s: s.reactions[:, :, 2], components=("torque",), is_shared=True, is_history=True),
         computed("reaction_force_first", _TJA, "N", "reaction_force in the frame of the first body",
             lambda s: s.observed.joints[:, :, 2:4],
-            since="1.1", vector="force_first", components=("force_first_x", "force_first_y"), is_shared=True),
+            vector="force_first", components=("force_first_x", "force_first_y"), is_shared=True),
         computed("reaction_force_second", _TJA, "N", "reaction_force in the frame of the second body",
             lambda s: s.observed.joints[:, :, 4:6],
-            since="1.1", vector="force_second", components=("force_second_x", "force_second_y"), is_shared=True),
+            vector="force_second", components=("force_second_x", "force_second_y"), is_shared=True),
         unit_array("angle_row_units", "joint", "angle", lambda names: names.joint_units or ["rad"] * len(names.joints),
-            since="1.1", label="angle_units"),
+            label="angle_units"),
         computed("angle", _TJ, MIXED,
             "angle of the second body relative to the first, not wrapped; of a slide, its travel",
             lambda s: s.coordinate,
-            since="1.1", row_units="angle_row_units",
+            row_units="angle_row_units",
             charts=(Chart("joint-angles", "Angles of the joints", _RELATIVE, "angle", "rad"),
                 Chart("travels", "Travels of the slides", _RELATIVE, "travel", "m"))),
         computed("driver_power", _TJ, "W", "power that a driver supplies; 0 for other joints",
             lambda s: s.observed.joints[:, :, 1],
-            since="1.1", is_shared=True,
+            is_shared=True,
             charts=(Chart("driver-power", "Power of the drivers", _POWER, "power", "W"),)),
         unit_array("value_row_units", "joint", "friction",
             lambda names: names.joint_units or ["rad"] * len(names.joints),
-            since="1.1", optional=True),
+            optional=True),
         computed("friction", _TJ, MIXED,
             "friction torque on the second body, positive counter-clockwise; of a slide, friction force on the second "
             "body along the travel; 0 for joints without friction",
-            lambda s: s.friction, row_units="value_row_units", since="1.1", optional=True,
+            lambda s: s.friction, row_units="value_row_units", optional=True,
             charts=(Chart("friction-torques", "Friction torques in joints", _RELATIVE, "torque", "N m"),
                 Chart("friction-forces", "Friction forces in slides", _RELATIVE, "force", "N"))),
         word="joints", one="joint", example="force", axis="joint", is_bare=True,
@@ -170,7 +168,7 @@ KINDS = (
         computed("potential", _TF, "J",
             "potential energy of the force element; 0 for loads and laws without a potential",
             lambda s: s.forces[:, :, 4]),
-        since="1.1", word="forces", one="force element", example="value", axis="force", is_optional=True,
+        word="forces", one="force element", example="value", axis="force", is_optional=True,
         unit_of=_length_unit,
     ),
     quantity_group(
@@ -184,7 +182,7 @@ KINDS = (
         computed("velocity", _TKA, "m/s", "velocity of the marker, global frame",
             lambda s: s.observed.markers[:, :, 2:],
             vector="velocity", components=("vx", "vy")),
-        since="1.1", word="markers", one="marker", example="x", axis="marker", is_optional=True,
+        word="markers", one="marker", example="x", axis="marker", is_optional=True,
     ),
     quantity_group(
         "beams",
@@ -198,7 +196,7 @@ KINDS = (
             lambda s: s.observed.beams[:, :, 2]),
         computed("strain_energy", _TE, "J", "strain energy of the element", lambda s: s.observed.beams[:, :, 3],
             of_whole=True),
-        since="1.1", word="beams", one="beam", example="strain_energy", axis="element", owner="beam", is_optional=True,
+        word="beams", one="beam", example="strain_energy", axis="element", owner="beam", is_optional=True,
     ),
     quantity_group(
         "states",
@@ -211,7 +209,7 @@ KINDS = (
         computed("value", ("time", "state"), MIXED, "value of the state", lambda s: s.z, row_units="row_units"),
         computed("rate", ("time", "state"), MIXED, "derivative of the state by time", lambda s: s.observed.state_rates,
             row_units="rate_row_units"),
-        since="1.1", optional=True, word="states", one="state", example="value", axis="state", is_optional=True,
+        optional=True, word="states", one="state", example="value", axis="state", is_optional=True,
         unit_of=lambda mechanism, name: mechanism.states[name].unit if name in mechanism.states else "1",
     ),
     quantity_group(
@@ -303,7 +301,7 @@ KINDS = (
             "impulse of the first body of the joint on the second in all impacts at this time, global frame"),
         Array("reaction_torque_impulse", ("impact", "joint"), "N m s",
             "impulse of the torque of the first body on the second, at the second's joint point"),
-        optional=True, word="impacts", one="impact", example="time", since="1.1",
+        optional=True, word="impacts", one="impact", example="time",
     ),
     quantity_group(
         "accuracy",

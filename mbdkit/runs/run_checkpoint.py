@@ -205,7 +205,6 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
         stepper.run_state = stepper.run_state._replace(solver=solver_of(workspace, state["solver"]))
         stepper._pinned_state.replace(stepper.run_state)
     stepper._renewed = {(int(done), int(status)) for done, status in state["renewed"]}
-    if "sampler" in state:  # checkpoints of earlier versions lack it
-        stepper.sampler.restore(state["sampler"])
+    stepper.sampler.restore(state["sampler"])
     stepper.impacts[:] = stored_python_steps.impulses_of(state, len(workspace.mechanism.joints))
     stepper._count()

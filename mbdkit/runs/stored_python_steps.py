@@ -15,9 +15,9 @@ from mbdkit.integrators.reached import Interval, Reached
 from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods.step_methods import ExternalMethod, StepState
 
-_REACHED = ("done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low")
-_LATER = {"why": None, "size": np.inf, "error": 0.0, "order": None}
-"""Further parts of a point of the run, which checkpoints of earlier versions lack; here with their values there."""
+_REACHED = (
+    "done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low", "why", "size", "error", "order",
+)  # fmt: skip
 _INTERVAL = ("steps", "size", "iterations", "most_iterations", "correction", "rejected")
 
 
@@ -43,7 +43,7 @@ def stored_stepper(stepper: StepHost) -> dict[str, Any]:
     if isinstance(stepper.method, ExternalMethod) and (library := stepper.method.save()) is None and not now.why:
         raise MemoryNotStoredError("the library of the method does not give its state")
     return {
-        "reached": {name: getattr(now, name) for name in (*_REACHED, *_LATER)},
+        "reached": {name: getattr(now, name) for name in _REACHED},
         "interval": {name: getattr(now.interval, name) for name in _INTERVAL},
         "q": state.q,
         "v": state.v,
@@ -66,12 +66,8 @@ def stored_stepper(stepper: StepHost) -> dict[str, Any]:
 def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
     """Restore a stored state to the stepper of the same run at its start; raise ValueError if it is not valid."""
     n, m, reached, interval = stepper.equations.n, stepper.equations.m, dict(state["reached"]), dict(state["interval"])
-    interval.setdefault("rejected", 0)
-    if not set(_REACHED) <= reached.keys() <= {*_REACHED, *_LATER} or interval.keys() != set(_INTERVAL):
+    if reached.keys() != set(_REACHED) or interval.keys() != set(_INTERVAL):
         raise ValueError("it has other parts")
-    reached = {**_LATER, **reached}
-    if reached["why"] is None:
-        reached["why"] = "stop" if reached["restart"] is not None and not reached["is_event"] else ""
     if not 0 <= reached["passed"] <= len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")
     restore({"worst": stepper.worst_pairs}, {"worst": state["worst"]})
@@ -81,26 +77,25 @@ def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
     vars(stepper.counters).update({name: int(count) for name, count in state["counters"].items()})
     stepper.equations.restore_pivots(state["pivots"])
     memory = _memory_of(stepper, state)
-    z = _array(state.get("z", np.zeros(0)), stepper.now.state.z.shape)
+    z = _array(state["z"], stepper.now.state.z.shape)
     energies = [None if x is None else float(x) for x in state["energies"]]
     low = tuple(x if isinstance(x, float) else _array(x, x.shape) for x in state["low"])
     if len(low) not in (2, 3) or any(np.shape(x) not in ((), (n,), z.shape) for x in low):
         raise ValueError("it has other parts")
     work, dissipated = energies
     q, v = (_array(state[name], (n,)) for name in ("q", "v"))
-    multipliers = state.get("multipliers")
+    multipliers = state["multipliers"]
     multipliers = None if multipliers is None else _array(multipliers, (m,))
     begin = StepState(q, v, multipliers, memory, work, dissipated, low, z)
     for name in ("energy", "energy_low"):
         reached[name] = _array(reached[name], (2,))
     interval["correction"] = _array(interval["correction"], (4,))
     stepper.impacts[:] = impulses_of(state, len(stepper.workspace.mechanism.joints))
-    if "sampler" in state:
-        stepper.sampler.restore(state["sampler"])
-    library = state.get("library")
+    stepper.sampler.restore(state["sampler"])
+    library = state["library"]
     stepper.continue_from(
         Reached(**reached, state=begin, interval=Interval(**interval)),
-        int(state.get("next_row", 1)),
+        int(state["next_row"]),
         None if library is None else bytes.fromhex(library),
     )
 
@@ -124,7 +119,7 @@ def _memory_of(stepper: StepHost, state: Mapping[str, Any]) -> Any:
         first = stepper.first_memory
         restored = first.restored(_unplain(state["restored"]))
         return first if restored is None else restored
-    return kept(_unplain(state.get("memory")))
+    return kept(_unplain(state["memory"]))
 
 
 def _plain(value: Any) -> Any:

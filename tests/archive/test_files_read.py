@@ -66,7 +66,7 @@ def test_an_archive_that_lists_no_file_opens_none_with_files_either(tmp_path: Pa
         check_readable(tmp_path / "secret")
 
 
-def test_archives_of_earlier_versions_which_list_no_files_need_permission_alone(tmp_path: Path) -> None:
+def test_without_the_archive_permission_alone_is_needed(tmp_path: Path) -> None:
     with only_known(None, allowed=True):
         check_readable(tmp_path / "table")
         note_read(tmp_path / "table", b"1")

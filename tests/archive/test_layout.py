@@ -6,13 +6,9 @@ from pathlib import Path
 from typing import get_args
 
 from mbdkit.archive.layout import (
-    FORMAT_VERSION,
     QUANTITIES,
-    VERSIONS,
     every_array,
     is_timing,
-    later,
-    recorded,
 )
 from mbdkit.quantities.entries import ChosenGroup
 from mbdkit.quantities.registered_kinds import groups
@@ -56,14 +52,6 @@ def test_layout_adds_nothing_but_row_units_the_bodies_of_joints_and_what_is_opti
     assert {array.group for array in LAYOUT} == set(groups())
 
 
-def test_an_earlier_version_lacks_what_came_later() -> None:
-    first = {array.path for array in recorded(QUANTITIES, version="1.0")}
-    now = {array.path for array in recorded(QUANTITIES)}
-    assert now - first == later(now, "1.0")
-    assert {path.partition("/")[0] for path in now - first} == {"joints", "forces", "markers", "beams"}
-    assert later(now, FORMAT_VERSION) == later(now, "1.9") == frozenset()
-
-
 def test_every_axis_has_its_scale_in_the_same_group() -> None:
     for array in LAYOUT:
         for dim in array.dims:
@@ -94,8 +82,3 @@ def test_declarations_of_columns_are_fresh() -> None:
 def test_document_is_fresh() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     assert layout_document.renewed(text) == text, "run: python -m mbdkit_testing.layout_document schemas/archive.md"
-
-
-def test_every_array_was_added_in_a_known_version_and_the_format_has_the_newest() -> None:
-    assert {array.since for array in LAYOUT} <= set(VERSIONS)
-    assert max(VERSIONS) == FORMAT_VERSION

@@ -66,7 +66,7 @@ def test_constraint_has_its_residuals_and_multiplier(run: Run) -> None:
     assert row.units == "m"
     with pytest.raises(NotRecordedError):
         row.method_multiplier  # noqa: B018
-    with pytest.raises(NotRecordedError):  # as in the archives of earlier versions
+    with pytest.raises(NotRecordedError):
         run.singularity_distance  # noqa: B018
 
 
@@ -85,7 +85,7 @@ def test_attributes_are_plain_values(run: Run) -> None:
     assert run.provenance == PROVENANCE
     assert type(run.stats["steps"]) is int
     assert type(run.stats["wall_s"]) is float
-    assert (run.status, run.status_reason, run.run_id, run.format_version) == ("complete", "", "run-1", "1.2")
+    assert (run.status, run.status_reason, run.run_id, run.format_version) == ("complete", "", "run-1", "1.0")
     with pytest.raises(TypeError):
         run.stats["steps"] = 3  # type: ignore[index]
 

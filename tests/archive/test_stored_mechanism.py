@@ -19,7 +19,6 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_inverse_spec, load_spec
 from mbdkit.spec.loading import example_names
 from mbdkit_report.figures.drawing_geometry import Drawing, draw_mechanism, draw_run
-from tests.archive.test_earlier_format import EARLIER
 
 SHORT = {"integrator": {"name": "rk4"}, "time": {"end": 0.02, "step": 0.01}}
 
@@ -123,25 +122,9 @@ def test_a_run_in_memory_and_its_copy_have_the_mechanism(tmp_path: Path) -> None
             assert copy.files == ()
 
 
-def test_an_archive_of_format_1_0_is_drawn_from_its_spec_if_the_model_is_part_of_mbdkit() -> None:
-    with mbdkit.load(EARLIER) as run:
-        assert (run.not_drawn, run.files) == ("", None)
-        assert len(draw_run(run).sliders) == 1
-
-
-def test_an_archive_that_lacks_the_mechanism_of_a_plugin_is_drawn_as_points_and_says_so(tmp_path: Path) -> None:
-    with mbdkit.run(swing(), archive=tmp_path / "a.h5", **SHORT) as run:
-        spec = dict(run.spec)
+def test_an_archive_without_its_mechanism_is_damaged(tmp_path: Path) -> None:
+    mbdkit.run(swing(), archive=tmp_path / "a.h5", **SHORT).close()
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         del file.attrs["mechanism"]
-        file.attrs["format_version"] = "1.1"
-        file.attrs["spec"] = json.dumps(spec | {"model": {"name": "acme:crane", "file": str(tmp_path / "secret")}})
-    with mbdkit.load(tmp_path / "a.h5") as run:
-        assert run.not_drawn == (
-            "only points of bodies are drawn: this archive of format 1.1 does not hold its mechanism, and the model "
-            "'acme:crane' is of a plugin, which may read files; `mbdkit rerun --files` with `-o` writes an archive "
-            "that holds it"
-        )
-        assert draw_run(run).pins == ()
-        with pytest.raises(mbdkit.ArchiveError, match="only points of bodies"):
-            assert run.mechanism
+    with mbdkit.load(tmp_path / "a.h5") as run, pytest.raises(mbdkit.ArchiveError, match="its mechanism"):
+        assert run.mechanism

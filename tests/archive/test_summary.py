@@ -18,7 +18,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending
 from mbdkit.base.errors import MbdkitError
 
-from .making import PROVENANCE, SPEC, STATS, largest, make, names, rows, steps, writer
+from .making import SPEC, STATS, largest, make, names, rows, steps, writer
 
 
 def test_summary_of_a_complete_run(tmp_path: Path) -> None:
@@ -121,12 +121,6 @@ def test_summary_tells_of_stabilization_and_of_its_corrections() -> None:
         np.testing.assert_array_equal(run.steps.position_correction, corrected["position_correction"])
         with pytest.raises(MbdkitError, match="acceleration_correction; its method, stabilization and events do"):
             _ = run.steps.acceleration_correction
-
-
-def test_summary_repeats_the_warning_of_an_earlier_version() -> None:
-    with Run(make(None, provenance={**PROVENANCE, "warning": "alpha is stiff"})) as run:
-        assert run.warnings == ["alpha is stiff"]
-        assert "warning       alpha is stiff" in run.summary()
 
 
 def test_summary_names_the_worst_joints_of_many() -> None:

@@ -13,7 +13,7 @@ class ActuatorHistory(columns.Actuators, of="actuators"):
     """Value [N or N m] of one actuator in inverse dynamics, the error of the value, and the power.
 
     Its `kind` is ``actuator``, ``reserve`` (of recruitment) or ``residual`` (a load from outside on a part that no
-    joint connects to the ground); empty in archives of earlier versions.
+    joint connects to the ground).
     """
 
 

@@ -37,7 +37,7 @@ MOTION = quantity_group(
     Array("residual", _TK, MIXED, "raw - fitted", row_units="row_units"),
     Array("raw_misalignment", _TJ, "m",
         "misalignment of the joint if the data alone place the bodies, nan where they do not"),
-    since="1.1", optional=True, word="motion", one="observed quantity", axis="observed", may_be_unknown=True,
+    optional=True, word="motion", one="observed quantity", axis="observed", may_be_unknown=True,
 )
 
 ACTUATORS = quantity_group(
@@ -56,7 +56,7 @@ ACTUATORS = quantity_group(
     Array("value_error", _TA, MIXED,
         "bound of the error of value that holds with a probability of 95 % at each time, nan where unknown",
         row_units="row_units"),
-    since="1.1", optional=True, word="actuators", one="actuator", example="value", axis="actuator",
+    optional=True, word="actuators", one="actuator", example="value", axis="actuator",
     is_optional=True, may_be_unknown=True,
 )
 
@@ -83,7 +83,7 @@ MUSCLES = quantity_group(
     Array("certificate", _T, "1",
         "largest violation of the conditions of optimality by recruitment, relative to the size of each"),
     Array("reaction_force_without", _TJA, "N", "reaction_force if actuators produced the motion without muscles"),
-    since="1.1", optional=True, word="muscles", one="muscle", example="force", axis="muscle", is_optional=True,
+    optional=True, word="muscles", one="muscle", example="force", axis="muscle", is_optional=True,
     may_be_unknown=True,
 )
 
@@ -97,6 +97,6 @@ LOADS = quantity_group(
     Array("point", _TLA, "m", "point of application, global frame"),
     Array("torque", _TL, "N m", "free torque on the body, positive counter-clockwise"),
     Array("power", _TL, "W", "power that the load supplies to the body"),
-    since="1.1", optional=True, word="loads", one="load", axis="load", is_optional=True,
+    optional=True, word="loads", one="load", axis="load", is_optional=True,
 )
 # fmt: on

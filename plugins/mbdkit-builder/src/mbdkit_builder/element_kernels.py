@@ -10,14 +10,12 @@ Cross-sections of beams have a kernel for their forces and one for the tangents.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Sequence
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
 from mbdkit.engine.native.machine_code import PACKAGE
-from mbdkit_builder.generated_files import write
 from mbdkit_statics import element_definitions as d
 
 TARGET = PACKAGE / "engine/kernels/element_kernels.py"
@@ -265,7 +263,3 @@ def _section_kernels(terms: dict[str, sp.Matrix]) -> list[str]:
         _kernel("section_forces", "k, z, p, force, stress, energy", note, forces),
         _kernel("section_tangents", "k, z, p, stiffness, damping", "Derivatives of the force.", tangents),
     ]
-
-
-if __name__ == "__main__":  # `python -m mbdkit.symbolic`, which works until mbdkit 0.4
-    raise SystemExit(write(TARGET, generated(), check="--check" in sys.argv))

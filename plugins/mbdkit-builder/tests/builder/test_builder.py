@@ -80,14 +80,6 @@ def test_what_was_built_by_another_builder_is_built_again(monkeypatch: pytest.Mo
         sources.fingerprint.cache_clear()
 
 
-def test_its_old_name_is_a_command_with_a_warning() -> None:
-    command = [sys.executable, "-W", "default", "-m", "mbdkit.engine.compiler", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("usage: python -m mbdkit_builder")
-    assert "mbdkit.engine.compiler is now mbdkit_builder; its old name works until mbdkit 0.4" in done.stderr
-
-
 @stored
 @pytest.mark.slow
 def test_code_compiled_here_agrees_with_the_stored_code_to_the_bit() -> None:

@@ -84,7 +84,7 @@ CONTACTS = quantity_group(
         "friction force on the second body, along the normal turned by -90 degrees"),
     _of_contacts("slip", "m/s", "velocity of the second body relative to the first, in that direction"),
     _of_contacts("mode", "1", "0: open, 1: sticks, 2: slips"),
-    since="1.1", optional=True, word="contacts", one="contact", example="normal_force", axis="contact",
+    optional=True, word="contacts", one="contact", example="normal_force", axis="contact",
     is_optional=True,
 )
 
@@ -102,7 +102,7 @@ GROUND_REACTIONS = quantity_group(
     _of_ground("center_of_pressure", "m",
         "point about which the contacts with the ground have no moment, global frame; nan where none is closed",
         vector="center_of_pressure", components=("center_of_pressure_x", "center_of_pressure_y")),
-    since="1.1", optional=True, word="ground_reactions", one="ground reaction", example="force_y",
+    optional=True, word="ground_reactions", one="ground reaction", example="force_y",
     axis="foot", is_optional=True, may_be_unknown=True,
 )
 # fmt: on

@@ -125,7 +125,7 @@ def group_table(run: Run, group: str) -> GroupTable:
         kind = kind_of_group(group)
         if kind.is_optional and not run.objects(kind):  # raises NotRecordedError if the group was not recorded
             raise MbdkitError(f"the mechanism of this run has no {group}, so that there is no table of them")
-        raise NotRecordedError(f"{group}/time", run.format_version)
+        raise NotRecordedError(f"{group}/time")
     columns = [column for array in arrays for column in _columns(run, array)]
     # The columns of an element, such as a joint, are adjacent, in the order of the arrays.
     order = {key: index for index, key in enumerate(dict.fromkeys(_element(column) for column in columns))}

@@ -143,7 +143,7 @@ def test_a_weld_is_marked_at_its_point():
 
 @pytest.mark.parametrize("name", ["single-pendulum", "double-pendulum", "four-bar-knee"])
 def test_models_are_drawn_from_the_spec_alone(name):
-    built = built_mechanism({"model": {"name": name}}, "1.1")
+    built = built_mechanism({"model": {"name": name}})
     assert built.mechanism is not None
     drawing = draw_mechanism(built.mechanism)
     assert list(drawing.bodies) == list(built.mechanism.bodies)
@@ -152,7 +152,7 @@ def test_models_are_drawn_from_the_spec_alone(name):
 
 @pytest.mark.parametrize("model", [{"name": "acme:thing"}, {"name": "double-pendulum", "odd": 1}, {}])
 def test_a_model_that_cannot_be_built_is_drawn_as_centres_of_mass(model):
-    built = built_mechanism({"model": model}, "1.1")
+    built = built_mechanism({"model": model})
     assert built.mechanism is None
     assert built.not_drawn.startswith("only points of bodies are drawn: this archive of format 1.1 does not hold")
     drawing = draw_centres(["a", "b"])

@@ -252,7 +252,7 @@ def test_drawing_needs_neither_pyplot_nor_sympy_nor_numba():
         "import sys, mbdkit_report.plot.save_plot, mbdkit_report.pages.animate\n"
         "from mbdkit_report.figures.drawing_geometry import draw_mechanism\n"
         "from mbdkit.archive.stored_mechanism import built_mechanism, mechanism_json, read_mechanism\n"
-        "built = built_mechanism({'model': {'name': 'double-pendulum'}}, '1.1').mechanism\n"
+        "built = built_mechanism({'model': {'name': 'double-pendulum'}}).mechanism\n"
         "draw_mechanism(read_mechanism(mechanism_json(built), list(built.bodies)).mechanism)\n"
         "print([name for name in ('matplotlib.pyplot', 'sympy', 'numba') if name in sys.modules])"
     )

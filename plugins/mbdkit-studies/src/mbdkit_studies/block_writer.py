@@ -31,7 +31,7 @@ from mbdkit.quantities.table import KINDS
 from mbdkit_studies.columns import write_column, write_hashes
 
 FORMAT = "mbdkit-block"
-FORMAT_VERSION = "1.1"
+FORMAT_VERSION = "1.0"
 
 Store = Literal["hashes", "summary", "histories", "all"]
 STORES: tuple[Store, ...] = get_args(Store)

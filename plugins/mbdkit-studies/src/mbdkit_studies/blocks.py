@@ -22,11 +22,11 @@ from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.run_writer import SharedForces
-from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, is_determined, read_mechanism
+from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files_read import read_files
-from mbdkit.quantities.names import ArchiveNames, with_members
+from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
@@ -189,12 +189,10 @@ class Block:
             if stored is not None and stored.mechanism is not None:
                 spec.adopt(stored.mechanism, read)
         except SpecError:  # a plugin is not installed
-            stored = stored or built_mechanism(data, str(self.file.attrs["format_version"]))
+            stored = stored or built_mechanism(data)
             hashes = str(self.runs["spec_sha256"][row]), str(self.runs["run_id"][row])
             return PlainSpec(data, *hashes, stored, read), stored
         self._check_hash(number, spec)
-        if stored is None and not is_determined(spec):
-            stored = built_mechanism(data, str(self.file.attrs["format_version"]))
         return spec, stored
 
     def run(self, number: int) -> Run | None:
@@ -304,7 +302,7 @@ class Block:
             by_joint,
             Judgement(level, reasons),
             warnings,
-            names=_read_names(names),
+            names=ArchiveNames(**names),
             layout=tuple(present),
             arrays=arrays,
             shared=None if shared is None else SharedForces(**shared),
@@ -389,13 +387,3 @@ def block_problems(path: Path) -> list[str] | None:
     except (SpecError, FileNotFoundError):
         return None
     return [] if sound else ["its arrays, attributes or dimension scales have changed since they were written"]
-
-
-_EARLIER = ("observed", "observed_units", "actuators", "actuator_units", "actuator_kinds", "loads", "load_bodies")
-"""Names of inverse dynamics that blocks of earlier versions have, always empty."""
-
-
-def _read_names(stored: dict[str, Any]) -> ArchiveNames:
-    """Return the names of the elements of a structure; earlier versions stored those of muscles beside the others."""
-    fields = {key: value for key, value in stored.items() if key not in (*_EARLIER, "muscles")}
-    return with_members(ArchiveNames(**fields), muscles=[(name, ()) for name in stored.get("muscles", ())])

@@ -226,10 +226,7 @@ class RunFiles(RunStore[str]):
         return self._by_run[run_id] if self._is_unchanged(run_id) and self._by_run[run_id].second_run else None
 
     def _measured_before(self, run_id: str, reference_id: str) -> Row | None:
-        """Return the indexed row of a run if its archive and that of its reference have not changed; else None.
-
-        Rows of index formats before 1.2, which have no verdict, are not used.
-        """
+        """Return the indexed row of a run if its archive and that of its reference have not changed; else None."""
         row = self._measured.get((run_id, reference_id))
         unchanged = all(self._is_unchanged(name) for name in (run_id, reference_id) if name)
         return row if unchanged and row is not None and row.verdict else None

@@ -33,7 +33,7 @@ from mbdkit_studies.planned_points import Label
 from mbdkit_studies.study_spec import StudySpec
 
 FORMAT = "mbdkit-study"
-FILES_VERSION, BLOCKS_VERSION = "1.4", "2.0"
+FILES_VERSION, BLOCKS_VERSION = "1.0", "2.0"
 """Versions of the index format: for a study with an archive for each run, and for a study in blocks."""
 
 STATUSES = ("complete", "failed", "missing", "left-out")
@@ -389,8 +389,7 @@ def _read_plain(file: h5py.File) -> Index:
 
 
 def _plain_columns(group: h5py.Group, dim: str, numbers: Iterable[str]) -> dict[str, np.ndarray]:
-    missing = np.full(len(group[dim]), "", object)  # for columns that earlier versions of the format lack
-    texts = {name: group[name].asstr()[:] if name in group else missing for name in TEXTS}
+    texts = {name: group[name].asstr()[:] for name in TEXTS}
     return texts | {name: group[name][:] for name in (*numbers, REPEATS) if name in group}
 
 

@@ -18,7 +18,6 @@ def table() -> str:
     for array in (array for kind in kinds(GROUPS_OF_PARTS) for array in kind.arrays):
         units = f"mixed: {array.row_units}" if array.row_units else array.units
         what = f"{array.long_name} (optional)" if array.optional else array.long_name
-        what += "" if array.since == "1.0" else f" (since {array.since})"
         rows.append(f"| `{array.path}` | {', '.join(array.dims)} | `{array.dtype}` | {units} | {what} |")
     return "\n".join(rows)
 

@@ -384,8 +384,7 @@ def _series_of(run: Run) -> list[_Series]:
             found.append(_Series(name, "joint", "N", force, torque if carries else None, **errors))
     for name, actuator in run.actuators.items():
         error = None if bars is None else actuator.value_error
-        kind = actuator.kind or "actuator"  # archives of earlier versions have no kinds
-        found.append(_Series(name, kind, actuator.units, actuator.value, power=actuator.power, error=error))
+        found.append(_Series(name, actuator.kind, actuator.units, actuator.value, power=actuator.power, error=error))
     return sorted(found, key=lambda one: KINDS.index(one.kind))
 
 

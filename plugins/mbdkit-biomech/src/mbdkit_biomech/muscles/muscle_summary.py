@@ -51,7 +51,7 @@ def _far_fibers(run: Run) -> str:
         return ""
     try:
         muscles = run.mechanism.muscles if run.muscles else {}
-    except MbdkitError:  # an archive of an earlier version, which does not hold it
+    except MbdkitError:  # this version does not know all of its bodies
         return ""
     texts = []
     for name, muscle in run.muscles.items():
