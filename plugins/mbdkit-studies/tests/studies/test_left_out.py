@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.archive.fingerprint import data_sha256
 from mbdkit_studies.study_report import study_report
 from mbdkit_studies.study_summary import outcome, summary
 from tests.first_party import ROOT
@@ -99,16 +98,6 @@ def test_a_lost_index_costs_the_reversals_alone(done: mbdkit.Study, tmp_path: Pa
         with h5py.File(which / "index.h5") as file:
             hashes.append(file.attrs["data_sha256"])
     assert hashes[0] == hashes[1]
-
-
-def test_an_index_of_the_format_before_is_read(done: mbdkit.Study, tmp_path: Path) -> None:
-    folder = shutil.copytree(done.folder, tmp_path / "study")
-    with h5py.File(folder / "index.h5", "r+") as file:
-        file.attrs.modify("format_version", "1.0")
-        del file["runs/second_run"], file["references/second_run"]
-        file.attrs.modify("data_sha256", data_sha256(file))
-    study = mbdkit.load_study(folder)
-    assert [point.row.second_run for point in study.points] == [""] * 4
 
 
 def test_without_being_asked_no_run_is_made_there_and_back(finished: mbdkit.Study) -> None:
