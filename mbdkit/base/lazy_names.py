@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 from collections.abc import Callable, Mapping, MutableMapping
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -42,7 +44,31 @@ def lazy(package: MutableMapping[str, Any], homes: Mapping[str, str]) -> Callabl
         if name not in homes:
             raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")
         module = import_part(homes[name], f"{package['__name__']}.{name}")
-        package[name] = value = getattr(module, name)
+        package[name] = value = (
+            getattr(module, name) if hasattr(module, name) else importlib.import_module(f"{homes[name]}.{name}")
+        )
         return value
 
     return __getattr__
+
+
+def door(package: MutableMapping[str, Any]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return the ``__getattr__`` and ``__dir__`` of a module whose names are what it imports for type checkers.
+
+    The imports are read from the source, so that each name is written once. The imports of the module in effect, such
+    as that of `door`, are no names of the door.
+
+    Parameters
+    ----------
+    package
+        The ``globals()`` of the module. Its first ``if`` statement, ``if TYPE_CHECKING``, has the imports.
+    """
+    body = ast.parse(Path(package["__file__"]).read_text(encoding="utf-8")).body
+    block = next(statement for statement in body if isinstance(statement, ast.If))
+    homes = {
+        alias.name: str(statement.module)
+        for statement in block.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+    return lazy(package, homes), lambda: sorted(homes)
