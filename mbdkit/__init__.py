@@ -9,200 +9,72 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.base import higher_layers
-from mbdkit.base.lazy_names import import_part, lazy
+from mbdkit.base.lazy_names import door, import_part
 
-if TYPE_CHECKING:
-    from mbdkit import spec
-    from mbdkit.archive.reader import load
-    from mbdkit.archive.run import Run
+if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
+    # fmt: off
+    from mbdkit import spec as spec
+    from mbdkit.archive.reader import load as load
+    from mbdkit.archive.run import Run as Run
     from mbdkit.base.errors import (
-        ArchiveError,
-        MbdkitError,
-        PluginError,
-        ResourceError,
-        RunError,
-        SpecError,
-        StepError,
+        ArchiveError as ArchiveError, MbdkitError as MbdkitError, PluginError as PluginError,
+        ResourceError as ResourceError, RunError as RunError, SpecError as SpecError, StepError as StepError,
     )
-    from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
-    from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
-    from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState
-    from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair
-    from mbdkit.registry.hookspecs import hookimpl
-    from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
-    from mbdkit.runs.resuming import resume
-    from mbdkit.runs.simulation import run
-    from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, StudySpec
-    from mbdkit_biomech.inverse_dynamics.inverse_gradient import inverse_gradient
-    from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
-    from mbdkit_biomech.inverse_dynamics.workload import Workload, workload
-    from mbdkit_design.design import Design
-    from mbdkit_design.solve_design import design, load_design
-    from mbdkit_explore.server import explore
-    from mbdkit_gradients.gradient import Gradient, gradient
-    from mbdkit_predict.prediction import predict
-    from mbdkit_report import plot
-    from mbdkit_statics.equilibrium import Equilibrium, equilibrium
-    from mbdkit_statics.equilibrium_path import EquilibriumPath, equilibrium_path
-    from mbdkit_statics.kinematics import Kinematics, kinematics
-    from mbdkit_statics.modes import Linearization, Modes, linearize, modes
-    from mbdkit_studies.carry_out import ensemble, load_study, study
-    from mbdkit_studies.prepared_run import PreparedRun, prepare
-    from mbdkit_studies.study import Study
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion as EquationsOfMotion
+    from mbdkit.mechanism.force_law import ExpressionLaw as ExpressionLaw, FunctionLaw as FunctionLaw
+    from mbdkit.mechanism.mechanism import Mechanism as Mechanism
+    from mbdkit.methods.kinds import (
+        ExplicitRungeKutta as ExplicitRungeKutta, ImplicitRungeKutta as ImplicitRungeKutta, Tolerances as Tolerances,
+    )
+    from mbdkit.methods.step_methods import (
+        ExternalMethod as ExternalMethod, Step as Step, StepMethod as StepMethod, StepState as StepState,
+    )
+    from mbdkit.methods.tableau import ButcherTableau as ButcherTableau, EmbeddedPair as EmbeddedPair
+    from mbdkit.registry.hookspecs import hookimpl as hookimpl
+    from mbdkit.registry.items import (
+        Claims as Claims, ForceLawPlugin as ForceLawPlugin, IntegratorPlugin as IntegratorPlugin,
+        MeasurePlugin as MeasurePlugin, ModelPlugin as ModelPlugin, StudyPlugin as StudyPlugin,
+    )
+    from mbdkit.runs.resuming import resume as resume
+    from mbdkit.runs.simulation import run as run
+    from mbdkit.spec import RunSpec as RunSpec
+    from mbdkit_biomech.inverse_dynamics.inverse_gradient import inverse_gradient as inverse_gradient
+    from mbdkit_biomech.inverse_dynamics.inverse_run import inverse as inverse
+    from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec as InverseSpec
+    from mbdkit_biomech.inverse_dynamics.workload import Workload as Workload, workload as workload
+    from mbdkit_design.design import Design as Design
+    from mbdkit_design.design_spec import DesignSpec as DesignSpec
+    from mbdkit_design.solve_design import design as design, load_design as load_design
+    from mbdkit_explore.server import explore as explore
+    from mbdkit_gradients.gradient import Gradient as Gradient, gradient as gradient
+    from mbdkit_predict.prediction import predict as predict
+    from mbdkit_report import plot as plot
+    from mbdkit_statics.equilibrium import Equilibrium as Equilibrium, equilibrium as equilibrium
+    from mbdkit_statics.equilibrium_path import EquilibriumPath as EquilibriumPath, equilibrium_path as equilibrium_path
+    from mbdkit_statics.kinematics import Kinematics as Kinematics, kinematics as kinematics
+    from mbdkit_statics.modes import (
+        Linearization as Linearization, Modes as Modes, linearize as linearize, modes as modes,
+    )
+    from mbdkit_studies.carry_out import ensemble as ensemble, load_study as load_study, study as study
+    from mbdkit_studies.prepared_run import PreparedRun as PreparedRun, prepare as prepare
+    from mbdkit_studies.study import Study as Study
+    from mbdkit_studies.study_spec import StudySpec as StudySpec
+    # fmt: on
 
     __version__: str
-
-__all__ = [
-    "ArchiveError",
-    "ButcherTableau",
-    "Claims",
-    "Design",
-    "DesignSpec",
-    "EmbeddedPair",
-    "EquationsOfMotion",
-    "Equilibrium",
-    "EquilibriumPath",
-    "ExplicitRungeKutta",
-    "ExpressionLaw",
-    "ExternalMethod",
-    "ForceLawPlugin",
-    "FunctionLaw",
-    "Gradient",
-    "ImplicitRungeKutta",
-    "IntegratorPlugin",
-    "InverseSpec",
-    "Kinematics",
-    "Linearization",
-    "MbdkitError",
-    "MeasurePlugin",
-    "Mechanism",
-    "ModelPlugin",
-    "Modes",
-    "PluginError",
-    "PreparedRun",
-    "ResourceError",
-    "Run",
-    "RunError",
-    "RunSpec",
-    "SpecError",
-    "Step",
-    "StepError",
-    "StepMethod",
-    "StepState",
-    "Study",
-    "StudyPlugin",
-    "StudySpec",
-    "Tolerances",
-    "Workload",
-    "__version__",
-    "design",
-    "ensemble",
-    "equilibrium",
-    "equilibrium_path",
-    "explore",
-    "gradient",
-    "hookimpl",
-    "inverse",
-    "inverse_gradient",
-    "kinematics",
-    "linearize",
-    "load",
-    "load_design",
-    "load_study",
-    "modes",
-    "plot",
-    "predict",
-    "prepare",
-    "resume",
-    "run",
-    "spec",
-    "study",
-    "workload",
-]
-
-_HOME = {
-    "ArchiveError": "mbdkit.base.errors",
-    "ButcherTableau": "mbdkit.methods.tableau",
-    "Claims": "mbdkit.registry.items",
-    "Design": "mbdkit_design.design",
-    "DesignSpec": "mbdkit.spec",
-    "design": "mbdkit_design.solve_design",
-    "load_design": "mbdkit_design.solve_design",
-    "EmbeddedPair": "mbdkit.methods.tableau",
-    "Equilibrium": "mbdkit_statics.equilibrium",
-    "EquilibriumPath": "mbdkit_statics.equilibrium_path",
-    "ExplicitRungeKutta": "mbdkit.methods.kinds",
-    "ExpressionLaw": "mbdkit.mechanism.force_law",
-    "ForceLawPlugin": "mbdkit.registry.items",
-    "ExternalMethod": "mbdkit.methods.step_methods",
-    "FunctionLaw": "mbdkit.mechanism.force_law",
-    "Gradient": "mbdkit_gradients.gradient",
-    "ImplicitRungeKutta": "mbdkit.methods.kinds",
-    "IntegratorPlugin": "mbdkit.registry.items",
-    "InverseSpec": "mbdkit.spec",
-    "Kinematics": "mbdkit_statics.kinematics",
-    "Linearization": "mbdkit_statics.modes",
-    "MbdkitError": "mbdkit.base.errors",
-    "MeasurePlugin": "mbdkit.registry.items",
-    "Mechanism": "mbdkit.mechanism.mechanism",
-    "ModelPlugin": "mbdkit.registry.items",
-    "Modes": "mbdkit_statics.modes",
-    "PluginError": "mbdkit.base.errors",
-    "PreparedRun": "mbdkit_studies.prepared_run",
-    "predict": "mbdkit_predict.prediction",
-    "prepare": "mbdkit_studies.prepared_run",
-    "ResourceError": "mbdkit.base.errors",
-    "Run": "mbdkit.archive.run",
-    "RunError": "mbdkit.base.errors",
-    "RunSpec": "mbdkit.spec",
-    "SpecError": "mbdkit.base.errors",
-    "StepError": "mbdkit.base.errors",
-    "Step": "mbdkit.methods.step_methods",
-    "StepMethod": "mbdkit.methods.step_methods",
-    "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
-    "StepState": "mbdkit.methods.step_methods",
-    "Study": "mbdkit_studies.study",
-    "StudyPlugin": "mbdkit.registry.items",
-    "StudySpec": "mbdkit.spec",
-    "equilibrium": "mbdkit_statics.equilibrium",
-    "equilibrium_path": "mbdkit_statics.equilibrium_path",
-    "explore": "mbdkit_explore.server",
-    "gradient": "mbdkit_gradients.gradient",
-    "hookimpl": "mbdkit.registry.hookspecs",
-    "inverse": "mbdkit_biomech.inverse_dynamics.inverse_run",
-    "inverse_gradient": "mbdkit_biomech.inverse_dynamics.inverse_gradient",
-    "kinematics": "mbdkit_statics.kinematics",
-    "linearize": "mbdkit_statics.modes",
-    "load": "mbdkit.archive.reader",
-    "ensemble": "mbdkit_studies.carry_out",
-    "load_study": "mbdkit_studies.carry_out",
-    "modes": "mbdkit_statics.modes",
-    "resume": "mbdkit.runs.resuming",
-    "run": "mbdkit.runs.simulation",
-    "study": "mbdkit_studies.carry_out",
-    "workload": "mbdkit_biomech.inverse_dynamics.workload",
-    "Tolerances": "mbdkit.methods.kinds",
-    "Workload": "mbdkit_biomech.inverse_dynamics.workload",
-}
-
-
-if not TYPE_CHECKING:  # type checkers see only the names above
-    _lazy = lazy(globals(), _HOME)
+else:
+    _names, _dir = door(globals())
+    __all__ = ["__version__", *_dir()]
 
     def __getattr__(name):
         if name == "__version__":
             from importlib.metadata import version
 
             return version("mbdkit")
-        if name in ("plot", "spec"):
-            return import_part("mbdkit_report.plot" if name == "plot" else "mbdkit.spec", f"mbdkit.{name}")
-        return _lazy(name)
+        return _names(name)
 
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+    def __dir__():
+        return sorted(__all__)
 
 
 def _of_higher_layer(module: str, name: str, wanted: str = "") -> Callable[..., Any]:

@@ -24,9 +24,10 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
+from mbdkit import InverseSpec
 from mbdkit.base.errors import MbdkitError
-from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit.spec.loading import read_source
+from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
 
 from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec import example_names, load_design_spec, load_spec
+from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.loading import example_text
 from mbdkit.spec.yaml_reader import read_yaml, write_yaml
+from mbdkit_design.design_loading import load_design_spec
 from mbdkit_studies.planned_points import plan_points
 from mbdkit_studies.study_loading import load_study_spec, study_names
 

@@ -45,7 +45,7 @@ def inverse(
     actuators and the reactions. See `mbdkit guide inverse`, and `mbdkit guide persons` for
     the markers of a person.
     """
-    from mbdkit.spec import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
 
     checked = load_inverse_spec(spec, assignments or ())
     path = output if output is not None else Path(f"{stem(spec)}.h5")
@@ -97,8 +97,8 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     """
     from mbdkit.base.errors import SpecError
     from mbdkit.base.text import shown
-    from mbdkit.spec import load_inverse_spec
     from mbdkit.spec.reading import Document
+    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
     from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 
     folder, motion = archive.parent.resolve(), before.spec["motion"]
@@ -119,9 +119,9 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
     from mbdkit.measures.take import check_measures
     from mbdkit.mechanism.mechanism import gravity_text
-    from mbdkit.spec import load_inverse_spec
     from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, check
     from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
+    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
     from mbdkit_biomech.inverse_dynamics.inverse_run import causes_named
     from mbdkit_biomech.inverse_dynamics.inverse_summary import UNUSED_DATA
     from mbdkit_biomech.inverse_dynamics.named_actuators import free_roots

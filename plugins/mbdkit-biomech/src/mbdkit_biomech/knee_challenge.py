@@ -22,9 +22,9 @@ import mbdkit
 from mbdkit.base import elementary
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.terminal import show
-from mbdkit.spec import load_inverse_spec
 from mbdkit.spec.loading import read_source
 from mbdkit_biomech.inverse_dynamics.chi_square import quantile
+from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.table_files import read_table
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.person import Person

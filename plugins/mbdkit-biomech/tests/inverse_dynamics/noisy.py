@@ -9,9 +9,10 @@ import numpy as np
 
 import mbdkit
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.spec import load_inverse_spec, load_spec
+from mbdkit.spec import load_spec
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute, recorded_states
 from mbdkit_biomech.inverse_dynamics.error_bars import error_bars
+from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
 
 OBSERVED = {
     "knee": ("shank.angle",),

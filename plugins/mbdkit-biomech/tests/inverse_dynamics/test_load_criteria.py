@@ -11,10 +11,10 @@ from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, no
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.spec import load_inverse_spec
 from mbdkit.spec.loading import example_table
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_about_data, doubts_before_computation
+from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.load_point_criterion import forces_at_centres, missing_points
 
 

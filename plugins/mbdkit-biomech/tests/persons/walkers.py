@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.spec import InverseSpec, load_inverse_spec
+from mbdkit import InverseSpec
+from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.inverse_sections import TimeColumn
 from mbdkit_biomech.inverse_dynamics.measured_table import table_of
 from mbdkit_biomech.persons.calibration import Segments, legs_of

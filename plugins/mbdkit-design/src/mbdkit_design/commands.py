@@ -17,7 +17,8 @@ from mbdkit.cli.common_options import Printing, Set, grouped, output_to, stem
 from mbdkit_studies.command_options import Cluster, Workers, cores
 
 if TYPE_CHECKING:
-    from mbdkit.spec import InverseSpec, RunSpec
+    from mbdkit import InverseSpec
+    from mbdkit.spec import RunSpec
     from mbdkit.spec.reading import Document
     from mbdkit_design.design import Design
     from mbdkit_design.robustness import Deviation
@@ -73,7 +74,7 @@ def design(
 
     Exit status 3 if no point satisfies all limits, or a resource is not available.
     """
-    from mbdkit.spec import load_design_spec
+    from mbdkit_design.design_loading import load_design_spec
     from mbdkit_design.robustness import robustness
     from mbdkit_design.solve_design import WORKER, evaluating, solved_in
     from mbdkit_design.stages import Stages
@@ -159,7 +160,7 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     """Check a design spec, the specs of its scenarios and its expressions, and print
     what would be optimised.
     """
-    from mbdkit.spec import load_design_spec
+    from mbdkit_design.design_loading import load_design_spec
     from mbdkit_design.evaluation import Evaluator
     from mbdkit_design.limits_in_degrees import limits_in_degrees
     from mbdkit_design.search import check_installed

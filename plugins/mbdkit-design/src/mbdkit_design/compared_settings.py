@@ -10,8 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import RunError
 from mbdkit.base.text import counted, table
-from mbdkit.spec import DesignSpec
-from mbdkit_design.design_spec import LocalOptimizer
+from mbdkit_design.design_spec import DesignSpec, LocalOptimizer
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.point import DesignPoint, point_of
 from mbdkit_design.problem import Problem

@@ -10,9 +10,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from mbdkit import InverseSpec
 from mbdkit.base.errors import ResourceError, RunError
 from mbdkit.engine.native.levels import WIDTH
-from mbdkit.spec import DesignSpec, InverseSpec
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
 from mbdkit_studies.batch import CHUNK
 from mbdkit_studies.executor_pool import Engine

@@ -11,9 +11,10 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, table
-from mbdkit.spec import DesignSpec, RunSpec
+from mbdkit.spec import RunSpec
 from mbdkit_design.compared_settings import Comparison, compare, comparison_table
 from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.front import front_table, pareto_front
 from mbdkit_design.gains import Gain, gains, goal_words, violations

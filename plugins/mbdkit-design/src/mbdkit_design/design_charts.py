@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from mbdkit import InverseSpec
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import recorded, unit_of
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import variable_path
 from mbdkit_design.gains import goal_words
 from mbdkit_design.landscape import Cut

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit import InverseSpec
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents
@@ -20,12 +21,13 @@ from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.linear_systems import product
 from mbdkit.measures.take import describe, error_of, take
-from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
+from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, variable_path
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_biomech.inverse_dynamics.inverse_loading import varied_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures, sampled_measures
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies.batch import simulate_batch
 from mbdkit_studies.lane_runs import LaneRuns
 

@@ -8,7 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit import InverseSpec
+from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import Document
 from mbdkit_design.computing import plain_outcome
 from mbdkit_design.evaluation import ScenarioRuns

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from mbdkit.base.plain_data import path_text
 from mbdkit.runs.angles_in_degrees import looks_like_degrees
-from mbdkit.spec import DesignSpec
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.gains import measure_units
 
 _CONVERSION = re.compile(r"\bpi\b|\b180\b|\b57\.[23]|\b0?\.0174")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.spec import DesignSpec
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 
 Notify = Callable[[str], None]

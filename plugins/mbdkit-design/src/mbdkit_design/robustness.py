@@ -10,9 +10,9 @@ import numpy as np
 
 from mbdkit.base.plain_data import Path, canonical
 from mbdkit.base.text import table
-from mbdkit.spec import DesignSpec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import variable_path
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator, Job, Settings
 from mbdkit_design.gains import goal_words
 from mbdkit_report.key_words import key_unit, key_words

@@ -15,9 +15,8 @@ from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evo
 from scipy.stats import qmc
 
 from mbdkit.base.errors import SpecError
-from mbdkit.spec import DesignSpec
 from mbdkit_design.bundle_search import STUCK, beyond_kink, bundle_search
-from mbdkit_design.design_spec import EvolutionStrategy, GlobalOptimizer, LocalOptimizer, Optimizer
+from mbdkit_design.design_spec import DesignSpec, EvolutionStrategy, GlobalOptimizer, LocalOptimizer, Optimizer
 from mbdkit_design.problem import Problem
 
 _RAN_OUT = re.compile(r"limit of iterations|iteration limit|maximum number|maxiter", re.IGNORECASE)

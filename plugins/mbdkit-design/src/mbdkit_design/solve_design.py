@@ -10,9 +10,10 @@ from typing import Any
 
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import counted
-from mbdkit.spec import DesignSpec, load_design_spec
 from mbdkit_design.computing import Computer
 from mbdkit_design.design import Design, solve, with_comparisons
+from mbdkit_design.design_loading import load_design_spec
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.known_points import KnownPoints, PointFile
 from mbdkit_design.point import Notify

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.spec import DesignSpec
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.point import Notify
 
 if TYPE_CHECKING:

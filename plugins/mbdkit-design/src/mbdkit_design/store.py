@@ -16,16 +16,19 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mbdkit import InverseSpec
 from mbdkit.archive.part_file import remove_checkpoint
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
+from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import read_file, variable_path
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_design.design import Design
+from mbdkit_design.design_loading import load_design_spec
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_design.known_points import NOT_READ, read_versioned
 from mbdkit_design.point import DesignPoint

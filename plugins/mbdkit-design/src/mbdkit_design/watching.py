@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
-from mbdkit.spec import load_design_spec, load_study_spec
+from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import Limit
 from mbdkit_design.problem import FEASIBLE
 from mbdkit_design.store import DesignFolder
@@ -19,6 +19,7 @@ from mbdkit_studies.folder_lock import LOCK, Owner
 from mbdkit_studies.planned_points import PlannedPoints
 from mbdkit_studies.study_blocks import StudyBlocks
 from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_loading import load_study_spec
 
 _RUN = re.compile(r"[0-9a-f]{16}\.h5")
 _BLOCK = re.compile(r"block-[0-9]{6,}\.h5")

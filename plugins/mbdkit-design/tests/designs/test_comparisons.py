@@ -19,7 +19,7 @@ from tests.designs.oscillator import (
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.spec import load_design_spec
+from mbdkit_design.design_loading import load_design_spec
 
 GILL = {"integrator": {"name": "rk-gill"}, "time.step": COARSE}
 RADAU = {"integrator": {"name": "radau-iia", "stages": 3}}

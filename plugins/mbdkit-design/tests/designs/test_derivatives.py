@@ -11,8 +11,8 @@ import pytest
 from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 
 import mbdkit
-from mbdkit.spec import load_design_spec
 from mbdkit_design.derivatives import derivatives, derivatives_sentence, differences, unconfirmed
+from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.landscape import sensitivities
 from mbdkit_design.sensitivity_bars import _svg

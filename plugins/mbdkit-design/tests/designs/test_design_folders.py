@@ -19,10 +19,10 @@ from typer.testing import CliRunner, Result
 import mbdkit
 from mbdkit import ResourceError, SpecError
 from mbdkit.cli import app
-from mbdkit.spec import load_design_spec
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_design import computing, store
 from mbdkit_design.computing import Computer
+from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Job
 from mbdkit_design.known_points import KnownPoints, PointFile
 from mbdkit_design.solve_design import WORKER

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.spec import load_design_spec, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics import measure_samples
+from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
 from mbdkit_design.derivatives import derivatives, differences
+from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.trust import certified
 

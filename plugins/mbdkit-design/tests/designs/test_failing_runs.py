@@ -11,7 +11,7 @@ from tests.designs.oscillator import moved, tuned
 
 import mbdkit
 from mbdkit.measures import take
-from mbdkit.spec import load_design_spec
+from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_verdict import design_verdict
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.problem import Problem

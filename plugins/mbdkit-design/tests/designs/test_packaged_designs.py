@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from tests.designs.test_design_folders import command
 
-from mbdkit.spec import example_names, load_design_spec
+from mbdkit.spec import example_names
+from mbdkit_design.design_loading import load_design_spec
 
 UPPER, FOREARM = "model.forces.upper spring.stiffness", "model.forces.forearm spring.points.0.1"
 

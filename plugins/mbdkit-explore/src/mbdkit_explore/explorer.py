@@ -11,10 +11,10 @@ from mbdkit.archive.headlines import MOST, headline_texts
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import copied, plain
 from mbdkit.base.text import shown
-from mbdkit.spec import load_inverse_spec, load_spec
+from mbdkit.spec import load_spec
 from mbdkit.spec.loading import read_source
 from mbdkit.spec.reading import put
-from mbdkit_biomech.inverse_dynamics.inverse_loading import is_inverse
+from mbdkit_biomech.inverse_dynamics.inverse_loading import is_inverse, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_explore.sliders import sliders

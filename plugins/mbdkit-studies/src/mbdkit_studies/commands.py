@@ -25,7 +25,7 @@ class StudyCommand(TyperCommand):
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write the names of the packaged studies."""
-        from mbdkit.spec import study_names
+        from mbdkit_studies.study_loading import study_names
 
         formatter.write_paragraph()
         formatter.write_text(f"Packaged studies: {', '.join(study_names())}.")

@@ -23,11 +23,11 @@ from matplotlib.figure import Figure
 
 import mbdkit
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
-from mbdkit.spec import load_study_spec
 from mbdkit_report.pages.report import report
 from mbdkit_studies import folder_lock
 from mbdkit_studies.folder_lock import WHOLE, Owner, Shard
 from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_loading import load_study_spec
 from tests.windows_rules import obey_windows
 
 

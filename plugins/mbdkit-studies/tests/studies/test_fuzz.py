@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbdkit.base.errors import SpecError
-from mbdkit.spec import load_study_spec
 from mbdkit_studies.planned_points import plan_points
+from mbdkit_studies.study_loading import load_study_spec
 
 STUDY = {
     "mbdkit_study": 1,

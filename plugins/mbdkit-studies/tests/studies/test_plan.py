@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from mbdkit.base.errors import SpecError
-from mbdkit.spec import load_spec, load_study_spec
+from mbdkit.spec import load_spec
 from mbdkit_studies.planned_points import plan_points
+from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.study_plan import plan_study
 
 

@@ -42,8 +42,8 @@ def replaced_by_a_folder(path: Path) -> Iterator[None]:
 @pytest.fixture
 def begun(small: dict[str, Any], tmp_path: Path) -> Path:
     """The folder of a study that has only its study.yaml."""
-    from mbdkit.spec import load_study_spec
     from mbdkit_studies.study_folder import StudyFolder
+    from mbdkit_studies.study_loading import load_study_spec
 
     folder = StudyFolder(tmp_path / "out")
     folder.prepare(load_study_spec(small))

@@ -16,9 +16,9 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.quantities.states import States
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit.runs.law_ranges import LawRanges
-from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.measured import Measured, read_motion

@@ -30,12 +30,12 @@ from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.integrators.dual_run import Seeds, constants, dual_states, new_dual_run
 from mbdkit.plugin import MbdkitError, SpecError, archive_names, with_members
-from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance
-from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource, varied_inverse
+from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource, load_inverse_spec, varied_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_preparation import MOTION, InversePreparation
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.named_actuators import members_of_actuators
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.recruitment_gradient import (

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, fit, motion_of
 from mbdkit_biomech.inverse_dynamics.dynamics import columns_of, weights_of
 from mbdkit_biomech.inverse_dynamics.inverse_loading import varied_inverse
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.loads import loads_on
 from mbdkit_biomech.inverse_dynamics.recruitment_gradient import muscle_arrays
 from mbdkit_biomech.inverse_dynamics.reduced_motion import Motion

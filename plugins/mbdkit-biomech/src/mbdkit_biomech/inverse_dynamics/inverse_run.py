@@ -21,7 +21,6 @@ from mbdkit.base.logs import logger_of, warn_on_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.measures.take import check_measures
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
-from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
@@ -29,7 +28,8 @@ from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_about_data
 from mbdkit_biomech.inverse_dynamics.error_bars import error_bars
 from mbdkit_biomech.inverse_dynamics.exchanged_markers import exchanged_markers
 from mbdkit_biomech.inverse_dynamics.fit import FitError
-from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource
+from mbdkit_biomech.inverse_dynamics.inverse_loading import InverseSource, load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.measure_samples import errors_of_measures
 from mbdkit_biomech.inverse_dynamics.record import archive_of
 

@@ -16,9 +16,9 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import shown
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.interpolating_splines import interpolating_spline
 from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, Load, TimeColumn
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.measured import (
     GivenUnit,
     contradicted_units,

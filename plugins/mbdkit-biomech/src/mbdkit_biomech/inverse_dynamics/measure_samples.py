@@ -17,11 +17,11 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.engine.linear_systems import product
-from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.chi_square import quantile
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
 from mbdkit_biomech.inverse_dynamics.error_bars import CUTOFFS, HIDDEN
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.loads import LoadSeries
 from mbdkit_biomech.inverse_dynamics.noise import NoisePath, noise_of
 from mbdkit_biomech.inverse_dynamics.record import run_of

@@ -19,7 +19,6 @@ from mbdkit.base.units import Unit, read_unit
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.continued_angles import continued
 from mbdkit_biomech.inverse_dynamics.fit import Target
 from mbdkit_biomech.inverse_dynamics.interpolating_splines import interpolating_spline
@@ -31,6 +30,7 @@ from mbdkit_biomech.inverse_dynamics.inverse_sections import (
     ObservedColumn,
     TimeColumn,
 )
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.measured_table import Table, table_of, unit_of_time_as_cause
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.table_files import read_table

@@ -25,9 +25,9 @@ from mbdkit.mechanism.values import Point
 from mbdkit.plugin import Finding
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.coarse_beams import CoarseBeams
-from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.named_actuators import RESERVE
 from mbdkit_biomech.inverse_dynamics.recruited import Recruited
 from mbdkit_biomech.muscles.muscle_summary import PULLING

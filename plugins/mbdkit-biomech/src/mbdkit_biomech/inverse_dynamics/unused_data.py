@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from mbdkit.base.text import listed
 from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.inverse_sections import TimeColumn
+from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.measured import Measured
 from mbdkit_biomech.inverse_dynamics.measured_table import Table
 from mbdkit_biomech.inverse_dynamics.several_quantities import without_scale
