@@ -43,10 +43,10 @@ def lazy(package: MutableMapping[str, Any], homes: Mapping[str, str]) -> Callabl
     def __getattr__(name: str) -> Any:  # noqa: N807
         if name not in homes:
             raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")
-        module = import_part(homes[name], f"{package['__name__']}.{name}")
-        package[name] = value = (
-            getattr(module, name) if hasattr(module, name) else importlib.import_module(f"{homes[name]}.{name}")
-        )
+        home, wanted = homes[name], f"{package['__name__']}.{name}"
+        module = None if home == package["__name__"] else import_part(home, wanted)
+        is_module = module is None or not hasattr(module, name)
+        package[name] = value = import_part(f"{home}.{name}", wanted) if is_module else getattr(module, name)
         return value
 
     return __getattr__
