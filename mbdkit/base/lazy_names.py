@@ -52,23 +52,27 @@ def lazy(package: MutableMapping[str, Any], homes: Mapping[str, str]) -> Callabl
     return __getattr__
 
 
-def door(package: MutableMapping[str, Any]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return the ``__getattr__`` and ``__dir__`` of a module whose names are what it imports for type checkers.
-
-    The imports are read from the source, so that each name is written once. The imports of the module in effect, such
-    as that of `door`, are no names of the door.
-
-    Parameters
-    ----------
-    package
-        The ``globals()`` of the module. Its first ``if`` statement, ``if TYPE_CHECKING``, has the imports.
-    """
-    body = ast.parse(Path(package["__file__"]).read_text(encoding="utf-8")).body
+def homes_of(file: str | Path) -> dict[str, str]:
+    """Return the module of each name of a door, from its source: what its first ``if`` statement imports."""
+    body = ast.parse(Path(file).read_text(encoding="utf-8")).body
     block = next(statement for statement in body if isinstance(statement, ast.If))
-    homes = {
+    return {
         alias.name: str(statement.module)
         for statement in block.body
         if isinstance(statement, ast.ImportFrom)
         for alias in statement.names
     }
+
+
+def door(package: MutableMapping[str, Any]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return the ``__getattr__`` and ``__dir__`` of a module whose names are those that it imports for type checkers.
+
+    Each name is thus written once, in the block ``if TYPE_CHECKING`` of the module.
+
+    Parameters
+    ----------
+    package
+        The ``globals()`` of the module.
+    """
+    homes = homes_of(package["__file__"])
     return lazy(package, homes), lambda: sorted(homes)

@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from mbdkit.base.errors import MbdkitError
+from mbdkit.base.lazy_names import homes_of
 from mbdkit.engine.native.machine_code import CORE, digest, kernel_packages, package_of, source_file
 
 _ROOMS = ("engine/kernels/", "integrators/", "engine/native/")
@@ -44,11 +45,23 @@ def _imported(file: str) -> tuple[str, ...]:
     for package, module, *names in _IMPORT.findall(source_file(file).read_text(encoding="utf-8")):
         if package not in kernel_packages():
             continue
+        if (package, module) == (CORE, "kernels"):
+            paths += [_homes()[name.split()[0]] for name in "".join(names).split(",") if name.strip()]
+            continue
         place = module.replace(".", "/")
         rooms, prefix = (_ROOMS, "") if package == CORE else (("kernels/",), f"{package}:")
         modules = (place, *(f"{place}/{name.strip()}" for name in "".join(names).split(",")))
         paths += [f"{prefix}{path}.py" for path in modules if path.startswith(rooms)]
     return tuple(path for path in paths if source_file(path).is_file())
+
+
+@cache
+def _homes() -> dict[str, str]:
+    """Return the file behind each name of the door `mbdkit.kernels`."""
+    door = source_file("kernels.py")
+    return {
+        name: f"{module.removeprefix(f'{CORE}.').replace('.', '/')}.py" for name, module in homes_of(door).items()
+    }
 
 
 @cache
