@@ -140,7 +140,3 @@ def test_the_reference_has_every_joint_force_law_model_and_integrator() -> None:
     for item in registry().only("mbdkit").items:
         if item.kind in ("model", "integrator", "force-law", "measure"):
             assert re.search(rf"^#+ `(name|law): {item.name}`$|`{item.name}`$", PAGES["spec"].text, flags=re.MULTILINE)
-
-
-def test_changes_begin_with_the_version_of_the_package() -> None:
-    assert re.findall(r"^## (\S+)", PAGES["changes"].text, flags=re.MULTILINE)[0] == mbdkit.__version__
