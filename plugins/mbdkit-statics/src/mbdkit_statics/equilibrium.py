@@ -26,15 +26,13 @@ from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.equilibrium_search import Rest, rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
-from mbdkit_statics.reduced import State, at_rest, coupled_states, in_statics, least_stiffness, reduce, softest_scale
+from mbdkit_statics.reduced import at_rest, in_statics
+from mbdkit_statics.stability import stability_of
 
-GROWS = 1e-9
-"""Small motions count as growing if the real part of an eigenvalue, relative to the largest eigenvalue, is above
-this.
-"""
-
-NEUTRAL = 1e-11
-"""The lowest stiffness counts as zero if it is below this fraction of the sum of the magnitudes of its terms."""
+UNDAMPED = (
+    "nothing damps the small motions of this equilibrium although its loads can supply energy, as follower loads do: a "
+    "little damping may make it unstable"
+)
 
 
 @dataclass(frozen=True)
@@ -61,12 +59,21 @@ class Equilibrium(HtmlView):
     residual
         Largest gap in the joints [m, rad].
     stiffness
-        Lowest eigenvalue of the stiffness along the degrees of freedom, for unit mass [1/s^2]. If positive, it is the
-        square of the lowest natural frequency. NaN without degrees of freedom. With more than 500 bodies and several
-        negative eigenvalues, it is the negative eigenvalue closest to zero.
+        Lowest eigenvalue of the stiffness along the degrees of freedom, for unit mass [1/s^2]; the lowest real part if
+        follower loads or feedback make eigenvalues complex. It is the resistance to slow displacements, in which
+        first-order states keep their values at rest. Only if forces have a potential and damping takes energy away,
+        its sign is that of the stability, and a positive stiffness without damping is the square of the lowest natural
+        frequency. Otherwise motions can grow although it is positive; see `stability`. NaN without degrees of freedom.
+        With more than 500 bodies and several negative eigenvalues, it is the negative eigenvalue closest to zero.
     stability
-        ``stable``, ``neutral`` (a motion without restoring force exists), ``unstable``, or ``fixed`` (no degrees of
-        freedom).
+        ``stable``, ``neutral`` (a motion without restoring force exists), ``unstable``, ``fixed`` (no degrees of
+        freedom), or ``unknown`` (more than 500 bodies, or beams with first-order states, whose forces can supply
+        energy: the motions that were examined do not grow). Small motions decide, to first order: the minimum of the
+        potential energy if forces have a potential and damping takes energy away, otherwise the eigenvalues of the
+        linearised motion, with its velocities and first-order states.
+    growth
+        Eigenvalue of the small motion that grows fastest [1/s], if it is unstable: a real number for divergence, a
+        complex one for flutter. 0 if no motion grows exponentially.
     iterations
         Number of Newton steps tried.
     states
@@ -97,6 +104,7 @@ class Equilibrium(HtmlView):
     residual: float
     stiffness: float
     stability: str
+    growth: complex
     iterations: int
     states: tuple[str, ...] = ()
     state: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -104,6 +112,11 @@ class Equilibrium(HtmlView):
     displacement: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
     warnings: tuple[str, ...] = ()
+
+    @property
+    def flutters(self) -> bool:
+        """Whether the small motion that grows fastest is an oscillation (flutter)."""
+        return self.growth.imag != 0
 
     def __getitem__(self, body: str) -> np.ndarray:
         """Return x, y [m] and angle [rad] of a body by its name."""
@@ -169,13 +182,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         found = rest(prepared)
         p, compiled = prepared.equations, prepared.workspace.mechanism
         at = at_rest(prepared, found.q, found.lam)
-        stiffness, stability = _stability(prepared, at)
-        if compiled.states and stability != "fixed":
-            small = reduce(dynamic, at, found.z)
-            matrix = coupled_states(dynamic, at, small, found.z).matrix(small.stiffness, small.damping)
-            values = np.linalg.eigvals(matrix)
-            if np.max(values.real) > GROWS * np.max(np.abs(values)):
-                stability = "unstable"
+        stability = stability_of(dynamic, prepared, at, found.z)
         rows = p.recorded_multipliers(p.t0, found.q, found.lam)
         force, torque = joint_reactions(prepared, p.t0, found.q, rows)
         residual = float(np.max(np.abs(p.constraints(p.t0, found.q)), initial=0.0))
@@ -194,15 +201,16 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         shared=compiled.redundancy.not_unique,
         imbalance=float(np.max(np.abs(found.left))),
         residual=residual,
-        stiffness=stiffness,
-        stability=stability,
+        stiffness=stability.stiffness,
+        stability=stability.verdict,
+        growth=stability.growth,
         iterations=found.iterations,
         states=tuple(one.name for one in compiled.states),
         state=found.z,
         beams=forces,
         displacement=(found.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
-        warnings=(*outside, *warnings),
+        warnings=(*outside, *warnings, *[UNDAMPED] * stability.is_undamped),
     )
 
 
@@ -225,16 +233,6 @@ def _internal_forces(prepared: PreparedMechanism, found: Rest) -> tuple[dict[str
         within = with_ends(out.beams[0, compiled.beam_elements(name), :3], angles, beam.element_length)
         forces[name] = np.column_stack([places_with_ends(beam.length, beam.elements), within])
     return forces, coarse.findings()
-
-
-def _stability(prepared: PreparedMechanism, at: State) -> tuple[float, str]:
-    """Return the lowest stiffness at rest [1/s^2], and the stability that it implies."""
-    if prepared.freedoms == 0:
-        return float("nan"), "fixed"
-    stiffness = least_stiffness(prepared, at)
-    if abs(stiffness) <= NEUTRAL * softest_scale(prepared, at):
-        return stiffness, "neutral"
-    return stiffness, "stable" if stiffness > 0 else "unstable"
 
 
 def joint_reactions(

@@ -19,9 +19,10 @@ from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.equilibrium import joint_reactions
 from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
-from mbdkit_statics.reduced import State, distance_to_singular, least_stiffness, singular_motion, unstable_motions
+from mbdkit_statics.reduced import State, distance_to_singular, least_stiffness, singular_motion
+from mbdkit_statics.stability import shape_of, unstable_motions
 
-Kind = Literal["limit point", "bifurcation"]
+Kind = Literal["limit point", "bifurcation", "flutter"]
 
 LONGEST, FINEST = 0.05, 1e-6
 """Largest and smallest length of a step along a path; lengths are relative to the size of the mechanism, to 1 rad, and
@@ -49,6 +50,15 @@ LOAD_STEP = 1e-5
 LOCATED = 1e-12
 """Tolerance of the position of a critical point on the path, relative to a step along it."""
 
+FLUTTER_LOCATED = 1e-9
+"""Tolerance of the position of the onset of flutter, which is found by bisection, relative to a step along the path."""
+
+SINGULAR = 1e-9
+"""Share of its diagonal that is added to the scaled matrix of a point if it is exactly singular, as at a bifurcation.
+
+The changes that the matrix determines are wrong by about this share; later corrections remove the error.
+"""
+
 APART = 1e-6
 """Two critical points are not distinguished if their distance, relative to a step along the path, is below this."""
 
@@ -61,19 +71,23 @@ class CriticalPoint:
     ----------
     kind
         ``limit point``: the path turns back in time, so that a mechanism under these loads snaps through to another
-        equilibrium; or ``bifurcation``: another path branches off, as when a straight column buckles.
+        equilibrium; ``bifurcation``: another path branches off, as when a straight column buckles; or ``flutter``: an
+        oscillation begins, or ceases, to grow, as under follower loads.
     time
         Time at which loads and drivers are evaluated [s].
     position : (B, 3) array
         x, y [m] and angle [rad] of each body.
     body
         The body whose centre of mass moves most when the mechanism leaves the path.
+    frequency
+        Frequency of the oscillation if it is flutter, otherwise 0 [rad/s].
     """
 
     kind: Kind
     time: float
     position: np.ndarray
     body: str
+    frequency: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -91,11 +105,12 @@ class EquilibriumPath:
     reaction_force, reaction_torque : (K, J, 2) and (K, J) arrays
         See `Equilibrium` [N, N m].
     stiffness : (K,) array
-        Lowest eigenvalue of the stiffness along the degrees of freedom, for unit mass [1/s^2]; negative where the
-        equilibrium is unstable.
+        Lowest eigenvalue of the stiffness along the degrees of freedom, for unit mass [1/s^2]; see
+        `Equilibrium.stiffness`, also for equilibria that are unstable although it is positive.
     unstable : (K,) int array
-        Number of independent motions along which each equilibrium is unstable; for mechanisms of more than 500 bodies,
-        1 if there are any.
+        Number of independent motions along which each equilibrium is unstable; an oscillation that grows counts as two.
+        For mechanisms of more than 500 bodies, 1 if there are any, or the number among the lowest motions if loads can
+        supply energy.
     critical
         Points at which `unstable` changes.
     """
@@ -165,13 +180,20 @@ def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> Equilib
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the path: time t, position q, multipliers lam, tangent, and number of unstable motions."""
+    """A point of the path: time t, position q, multipliers lam, tangent, and eigenvalues of unstable motions, which are
+    nan if the energy decides (see `unstable_motions`).
+    """
 
     t: float
     q: np.ndarray
     lam: np.ndarray
     tangent: np.ndarray
-    unstable: int
+    growing: np.ndarray
+
+    @property
+    def unstable(self) -> int:
+        """Number of unstable motions."""
+        return len(self.growing)
 
 
 class _Follower:
@@ -296,7 +318,11 @@ class _Follower:
             ],
             format="csc",
         )
-        return np.asarray(splu(matrix).solve(right))
+        try:
+            return np.asarray(splu(matrix).solve(right))
+        except RuntimeError:  # exactly singular: this point is a bifurcation
+            size = abs(matrix).max(axis=0).toarray().ravel()
+            return np.asarray(splu(matrix + SINGULAR * diags_array(size, format="csc")).solve(right))
 
     def _product(self, a: np.ndarray, b: np.ndarray) -> float:
         return float(np.sum(self.weight * a * b))
@@ -306,37 +332,76 @@ class _Follower:
     def _critical(self, here: _Point, there: _Point, step: float) -> list[CriticalPoint]:
         """Return the critical points between two points of the path, in order."""
         if here.tangent[-1] * there.tangent[-1] >= 0:
-            return self._bifurcations(here, 0.0, step)
+            return self._between(here, 0.0, step)
         turn = self._root(here, 0.0, step, lambda point: float(point.tangent[-1]))
         found, _ = self._at(here, turn)
         limit = self._described("limit point", found, found.tangent[: self.p.n])
-        before, after = (min(max(turn + side * APART * step, 0.0), step) for side in (-1, 1))
-        return [*self._bifurcations(here, 0.0, before), limit, *self._bifurcations(here, after, step)]
+        before, after = self._beside(turn, step)
+        return [*self._between(here, 0.0, before), limit, *self._between(here, after, step)]
 
-    def _bifurcations(self, here: _Point, low: float, high: float) -> list[CriticalPoint]:
-        """Return the bifurcations between two distances along the tangent from a point.
+    @staticmethod
+    def _beside(distance: float, step: float) -> tuple[float, float]:
+        """Return the distances just before and just after a critical point within a step."""
+        return max(distance - APART * step, 0.0), min(distance + APART * step, step)
 
-        The interval is halved until it contains only one bifurcation.
+    def _between(self, here: _Point, low: float, high: float) -> list[CriticalPoint]:
+        """Return the bifurcations and points of flutter between two distances along the tangent from a point.
+
+        The interval is halved until it contains only one of them.
         """
         first, last = (self._at(here, part)[0] if part else here for part in (low, high))
         change = abs(last.unstable - first.unstable)
         if not change:
             return []
-        middle = 0.5 * (low + high)
-        if change > 1 and high - low > APART * LONGEST:
-            return [*self._bifurcations(here, low, middle), *self._bifurcations(here, middle, high)]
+        critical = max(first, last, key=lambda point: point.unstable).growing[-1]
+        is_flutter = change == 2 and critical.imag != 0
+        is_short = high - low <= APART * LONGEST
+        halves = (low, 0.5 * (low + high)), (0.5 * (low + high), high)
+        if is_flutter:
+            return self._flutter(here, (low, first), (high, last))
+        if change > 1 and not is_short:
+            return [point for half in halves for point in self._between(here, *half)]
         border = singular_motion(self.prepared, self._state_of(last))
         try:
             place = self._root(
                 here, low, high, lambda point: distance_to_singular(self.prepared, self._state_of(point), border)
             )
-        except ValueError:  # two bifurcations coincide, or the bordered matrix is too far from its singular state
-            if high - low <= APART * LONGEST:
-                place = middle
-            else:
-                return [*self._bifurcations(here, low, middle), *self._bifurcations(here, middle, high)]
+        except (
+            ValueError,
+            RuntimeError,
+        ):  # two bifurcations coincide, or the bordered matrix is too far from its singular state
+            if not is_short:
+                return [point for half in halves for point in self._between(here, *half)]
+            place = 0.5 * (low + high)
         found, _ = self._at(here, place)
-        return [self._described("bifurcation", found, singular_motion(self.prepared, self._state_of(found)))]
+        bifurcation = self._described("bifurcation", found, singular_motion(self.prepared, self._state_of(found)))
+        if is_short or np.isnan(critical):
+            return [bifurcation]
+        before, after = self._beside(place, high)  # flutter may begin in the same interval
+        return [
+            *(self._between(here, low, before) if before > low else []),
+            bifurcation,
+            *(self._between(here, after, high) if after < high else []),
+        ]
+
+    def _flutter(self, here: _Point, low: tuple[float, _Point], high: tuple[float, _Point]) -> list[CriticalPoint]:
+        """Return the point between two distances, each with its point, at which an oscillation begins or ceases to
+        grow.
+        """
+        tolerance = FLUTTER_LOCATED * (high[0] - low[0])
+        while high[0] - low[0] > tolerance:
+            middle = 0.5 * (low[0] + high[0])
+            point, _ = self._at(here, middle)
+            if point.unstable == low[1].unstable:
+                low = middle, point
+            elif point.unstable == high[1].unstable:
+                high = middle, point
+            else:
+                return [*self._between(here, low[0], middle), *self._between(here, middle, high[0])]
+        found = max(low[1], high[1], key=lambda point: point.unstable)
+        value = complex(found.growing[-1])
+        shape = shape_of(self.prepared, self._state_of(found), value)
+        return [self._described("flutter", found, shape, abs(value.imag))]
 
     def _root(self, here: _Point, low: float, high: float, value: Callable[[_Point], float]) -> float:
         """Return the distance from a point at which a function of points of the path is zero.
@@ -352,11 +417,11 @@ class _Follower:
 
         return float(brentq(at, low, high, xtol=LOCATED * (high - low)))
 
-    def _described(self, kind: Kind, found: _Point, way: np.ndarray) -> CriticalPoint:
+    def _described(self, kind: Kind, found: _Point, way: np.ndarray, frequency: float = 0.0) -> CriticalPoint:
         """Return a critical point at which the mechanism leaves the path along `way` (n or more,)."""
         parts = way[: self.p.n].reshape(-1, 3)[:, :2]
         most = int(np.argmax(np.einsum("bx,bx->b", parts, parts)))
-        return CriticalPoint(kind, found.t, found.q.reshape(-1, 3), self.p.bodies[most])
+        return CriticalPoint(kind, found.t, found.q.reshape(-1, 3), self.p.bodies[most], frequency)
 
     def _state_of(self, point: _Point) -> State:
         return State(point.t, point.q, self.none, self.none, point.lam)

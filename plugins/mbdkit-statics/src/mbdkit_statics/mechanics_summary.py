@@ -23,8 +23,8 @@ AT_REST = 1e-9
 STABILITY = {
     "stable": "stable",
     "neutral": "neutral: a motion without restoring force exists",
-    "unstable": "UNSTABLE: any small disturbance grows",
     "fixed": "fixed: joints and drivers leave no degree of freedom",
+    "unknown": "unknown: the lowest motions do not grow, but higher ones were not examined",
 }
 
 
@@ -87,12 +87,24 @@ def equilibrium_facts(found: Equilibrium) -> list[tuple[str, str]]:
     left = f"remaining accelerations {found.imbalance:.1e}, misalignment of the joints {found.residual:.1e} (m, rad, s)"
     stiffness = f"{found.stiffness:.6g} 1/s^2 (lowest eigenvalue of the stiffness for unit mass)"
     return [
-        ("equilibrium", STABILITY[found.stability]),
+        ("equilibrium", stability_text(found)),
         ("time", f"{found.time:g} s, for drivers and loads"),
         *([("gravity", gravity_text(found.mechanism.gravity))] if found.mechanism is not None else []),
         ("found in", f"{counted(found.iterations, 'step')}; {left}"),
         *([("stiffness", stiffness)] if found.stability != "fixed" else []),
     ]
+
+
+def stability_text(found: Equilibrium) -> str:
+    """Return the stability of an equilibrium as a sentence; if it is unstable, with how it is lost."""
+    if found.stability != "unstable":
+        return STABILITY[found.stability]
+    if found.growth == 0:
+        return "UNSTABLE: small displacements drive it away"
+    within = f"e-fold in {1 / found.growth.real:.4g} s"
+    if found.flutters:
+        return f"UNSTABLE by flutter: oscillations of {abs(found.growth.imag):.4g} rad/s grow {within}"
+    return f"UNSTABLE: any small disturbance grows, {within}"
 
 
 def sharing(found: Equilibrium) -> str:
@@ -107,6 +119,8 @@ def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
     return {
         "time": found.time,
         "stability": found.stability,
+        "growth": [found.growth.real, found.growth.imag],
+        "flutters": found.flutters,
         "stiffness": _number(found.stiffness),
         "imbalance": found.imbalance,
         "residual": found.residual,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal, Unpack
 
 import numpy as np
-from scipy.linalg import eig, eigh, null_space
+from scipy.linalg import eig, null_space
 
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.logs import warn_on_stderr
@@ -15,13 +15,21 @@ from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.coarse_modes import coarse_modes
 from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
-from mbdkit_statics.reduced import DENSE, Reduced, State, at_rest, coupled_states, in_statics, lowest, reduce
+from mbdkit_statics.reduced import (
+    DENSE,
+    NOISE,
+    Reduced,
+    State,
+    at_rest,
+    coupled_states,
+    in_statics,
+    lowest,
+    reduce,
+    symmetric_modes,
+)
 from mbdkit_statics.states_at_rest import CoupledStates
 
 Where = Literal["equilibrium", "start"]
-
-NOISE = 64 * float(np.finfo(float).eps)
-"""Rounding error of an eigenvalue per degree of freedom, relative to the largest eigenvalue."""
 
 SPREAD = 1e6
 """If the ratio of the largest to the smallest eigenvalue exceeds this, the smaller ones are computed from the inverse
@@ -326,9 +334,8 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
     number of smallest eigenvalues is discarded.
     """
     f = len(stiffness)
-    is_symmetric = np.linalg.norm(stiffness - stiffness.T) <= 1e-10 * float(np.linalg.norm(stiffness))
-    if is_symmetric:
-        squares, basis = _undamped(0.5 * (stiffness + stiffness.T))
+    if np.array_equal(stiffness, stiffness.T):
+        squares, basis = symmetric_modes(stiffness)
         if np.any(damping):
             values, vectors = _first_order(np.diag(squares), basis.T @ damping @ basis, np.eye(f)[:, squares == 0])
             return values, basis @ vectors
@@ -336,22 +343,6 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
         roots = np.sqrt(np.abs(squares)) * np.where(grow, 1, 1j)
         return np.concatenate([roots, -roots[grow]]), np.concatenate([basis, basis[:, grow]], axis=1).astype(complex)
     return _first_order(stiffness, damping, null_space(stiffness, rcond=NOISE * f))
-
-
-def _undamped(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the eigenvalues (f,) and eigenvectors (f, f) of a symmetric stiffness.
-
-    An eigenvalue is zero if only round-off is left of it.
-
-    The lowest eigenvalues of slender beams are lost in the rounding errors of the largest one. They are recomputed by
-    Rayleigh's quotient, whose error is the round-off of its terms plus the square of the error of the eigenvector.
-    """
-    squares, vectors = eigh(stiffness)
-    largest = np.max(np.abs(squares), initial=0.0)
-    lost = np.abs(squares) <= NOISE * len(squares) * largest
-    squares = np.where(lost, np.sum(vectors * (stiffness @ vectors), axis=0), squares)
-    terms = np.sum(np.abs(vectors) * (np.abs(stiffness) @ np.abs(vectors)), axis=0)
-    return np.where(lost & (np.abs(squares) <= NOISE * (terms + NOISE * largest)), 0.0, squares), vectors
 
 
 def _first_order(stiffness: np.ndarray, damping: np.ndarray, loose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

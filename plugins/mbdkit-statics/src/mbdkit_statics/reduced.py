@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import eigvalsh_tridiagonal, ldl
+from scipy.linalg import eigh, eigvalsh_tridiagonal, ldl
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
@@ -29,8 +29,16 @@ BLURRED = 1e-10
 cent.
 """
 
-SYMMETRIC = 1e-15
-"""A skew part of a matrix below this share of the largest entry is attributed to rounding."""
+NOISE = 64 * float(np.finfo(float).eps)
+"""Rounding error of a sum relative to the magnitudes of its terms, and of an eigenvalue per degree of freedom relative
+to the largest one.
+"""
+
+SHIFT = 1e-12
+"""Share of its diagonal that is added to a damping matrix, which may be singular, before it is factorized."""
+
+NEAREST = 4
+"""Number of eigenvalues among which the lowest real part is chosen if the stiffness is not symmetric."""
 
 PILOTS = 3
 """Number of inverse iterations by which `_pilot` estimates the lowest frequency."""
@@ -56,7 +64,8 @@ class Reduced:
     basis : (n, f) array
         Basis of the degrees of freedom, orthonormal in the mass metric [1/sqrt(kg)].
     stiffness, damping : (f, f) arrays
-        Stiffness and damping in this basis [1/s^2, 1/s].
+        Stiffness and damping in this basis [1/s^2, 1/s]. The stiffness is exactly symmetric unless its skew part is
+        larger than its rounding errors.
     turning : (n, f) array
         Time derivative of the basis; zero at rest.
     """
@@ -65,6 +74,11 @@ class Reduced:
     stiffness: np.ndarray
     damping: np.ndarray
     turning: np.ndarray
+
+    def matrix(self) -> np.ndarray:
+        """Return the matrix of the first-order form of these equations, for ``(y, y')``."""
+        f = len(self.stiffness)
+        return np.block([[np.zeros((f, f)), np.eye(f)], [-self.stiffness, -self.damping]])
 
 
 def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
@@ -116,9 +130,14 @@ def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) 
     k, c = (x.toarray()[np.ix_(free, free)] for x in (tangents.stiffness, tangents.damping))
     turning = 0.5 * tangents.gamma_v.toarray()[:, free] @ basis  # d(Phi_q v + Phi_t)/dq is -gamma_v / 2
     normal = q[:, : p.m] @ np.linalg.solve(r[: p.m].T, turning)  # M^1/2 P
-    stiffness = basis.T @ (k @ basis + c @ (normal / root[:, None])) - normal.T @ normal
+    moved = normal / root[:, None]
+    stiffness = basis.T @ (k @ basis + c @ moved) - normal.T @ normal
+    size, sized = np.abs(basis), np.abs(normal)
+    terms = size.T @ (np.abs(k) @ size + np.abs(c) @ np.abs(moved)) + sized.T @ sized
+    if np.all(np.abs(stiffness - stiffness.T) <= NOISE * (terms + terms.T)):
+        stiffness = 0.5 * (stiffness + stiffness.T)
     everywhere, turned = np.zeros((2, p.n, basis.shape[1]))
-    everywhere[free], turned[free] = basis, normal / root[:, None]
+    everywhere[free], turned[free] = basis, moved
     return Reduced(everywhere, stiffness, basis.T @ c @ basis, turned)
 
 
@@ -130,6 +149,8 @@ def at_rest(prepared: PreparedMechanism, q: np.ndarray, lam: np.ndarray) -> Stat
 
 def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
     """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2].
+
+    It is the lowest real part if eigenvalues are complex, as under follower loads.
 
     Nodes of slender beams have so little inertia that the largest eigenvalues can be 1e15 times the lowest one. The
     rounding errors of the large eigenvalues then hide the lowest one, which is found by inverse iteration instead.
@@ -144,20 +165,89 @@ def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
 
 def _eigenvalues(stiffness: np.ndarray) -> np.ndarray:
     """Return the real parts of the eigenvalues of a stiffness (f, f), which is symmetric without follower forces."""
-    skew = np.max(np.abs(stiffness - stiffness.T), initial=0.0)
-    if skew <= SYMMETRIC * np.max(np.abs(stiffness), initial=0.0):
+    if np.array_equal(stiffness, stiffness.T):
         return np.asarray(np.linalg.eigvalsh(stiffness))
     return np.asarray(np.linalg.eigvals(stiffness).real)
+
+
+def symmetric_modes(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eigenvalues (f,) and eigenvectors (f, f) of a symmetric stiffness or damping.
+
+    An eigenvalue is zero if only round-off is left of it.
+
+    The lowest eigenvalues of slender beams are lost in the rounding errors of the largest one. They are recomputed by
+    Rayleigh's quotient, whose error is the round-off of its terms plus the square of the error of the eigenvector.
+    """
+    squares, vectors = eigh(stiffness)
+    largest = np.max(np.abs(squares), initial=0.0)
+    lost = np.abs(squares) <= NOISE * len(squares) * largest
+    squares = np.where(lost, np.sum(vectors * (stiffness @ vectors), axis=0), squares)
+    terms = np.sum(np.abs(vectors) * (np.abs(stiffness) @ np.abs(vectors)), axis=0)
+    return np.where(lost & (np.abs(squares) <= NOISE * (terms + NOISE * largest)), 0.0, squares), vectors
+
+
+def is_conservative(prepared: PreparedMechanism, at: State) -> bool:
+    """Return whether the energy decides the stability at rest: its eigenvalues are then not needed.
+
+    This is the case if the stiffness is symmetric and the damping takes no energy from the loads. If the potential has
+    no minimum, there may be no gyroscopic forces either, which can stabilise the equilibrium.
+    """
+    p = prepared.equations
+    tangents = p.tangents(at.t, at.q, at.v, at.a, at.lam)
+    if p.n > DENSE:
+        return _is_symmetric(tangents.stiffness) and _is_passive(tangents.damping)
+    if not tangents.damping.count_nonzero() and _is_symmetric(tangents.stiffness):
+        return True
+    small = reduce(prepared, at)
+    if not np.array_equal(small.stiffness, small.stiffness.T):
+        return False
+    if not np.any(small.damping):
+        return True
+    symmetric = 0.5 * (small.damping + small.damping.T)
+    is_gyroscopic = np.any(np.abs(small.damping - symmetric) > NOISE * np.max(np.abs(small.damping)))
+    if is_gyroscopic and np.min(_eigenvalues(small.stiffness)) <= 0:
+        return False
+    return bool(np.all(symmetric_modes(symmetric)[0] >= 0))
+
+
+def _is_symmetric(matrix: csr_array) -> bool:
+    """Return whether a large matrix is symmetric up to rounding errors relative to the largest entries of its rows."""
+    skew = csr_array(abs(matrix - matrix.T)).tocoo()
+    size = abs(matrix).max(axis=1).toarray().ravel()
+    return bool(np.all(skew.data <= NOISE * np.maximum(size[skew.row], size[skew.col])))
+
+
+def _is_passive(damping: csr_array) -> bool:
+    """Return whether a large damping matrix is symmetric and, by the pivots of its factorization, never negative."""
+    if not damping.count_nonzero():
+        return True
+    diagonal = damping.diagonal()
+    if np.any(diagonal < 0) or not _is_symmetric(damping):
+        return False
+    scale = diags_array(1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+    shifted = csc_array(scale @ damping @ scale + SHIFT * diags_array(np.ones(len(diagonal))))
+    try:
+        lu = splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:  # it is singular
+        return False
+    return bool(np.array_equal(lu.perm_r, lu.perm_c) and np.all(lu.U.diagonal() > 0))
 
 
 def softest_motion(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
     """Return the lowest stiffness at rest, for unit mass [1/s^2], and the motion (n,) that has this stiffness.
 
-    Only for mechanisms of up to `DENSE` coordinates.
+    Only for mechanisms of up to `DENSE` coordinates. If the stiffness is not symmetric, it is the lowest real
+    eigenvalue, along whose motion a displacement causes a force; infinite, for the motion zero, if there is none.
     """
     small = reduce(prepared, at)
-    values, vectors = np.linalg.eigh(0.5 * (small.stiffness + small.stiffness.T))
-    return float(values[0]), small.basis @ vectors[:, 0]
+    if np.array_equal(small.stiffness, small.stiffness.T):
+        values, vectors = np.linalg.eigh(small.stiffness)
+    else:
+        values, vectors = np.linalg.eig(small.stiffness)
+        values = np.where(values.imag == 0, values.real, np.inf)
+    least = int(np.argmin(values))
+    way = small.basis @ vectors[:, least].real
+    return float(values[least]), way if np.isfinite(values[least]) else np.zeros_like(way)
 
 
 def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
@@ -239,14 +329,14 @@ def _pilot(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
 
 def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float:
     """Return the lowest eigenvalue of a large mechanism [1/s^2]; if some are negative, the negative one closest to
-    zero.
+    zero. If the stiffness is not symmetric, it is the lowest real part of the `NEAREST` eigenvalues closest to zero.
 
     ARPACK first finds the eigenvalue of the inverse matrix with the largest absolute value. If it is positive, a second
     search looks for the lowest eigenvalue of the inverse. Most eigenvalues of the inverse are close to zero, where a
     relative tolerance would require more accuracy than is needed. The second search therefore shifts all eigenvalues by
     the first one, so that the tolerance `NEGATIVE` is relative to the first one.
     """
-    from scipy.sparse.linalg import LinearOperator, eigsh
+    from scipy.sparse.linalg import LinearOperator, eigs, eigsh
 
     p = prepared.equations
     square, first = _pilot(prepared, at)
@@ -261,6 +351,10 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
         operator = LinearOperator((p.n, p.n), matvec=matvec, dtype=float)
         return float(eigsh(operator, k=1, which=which, v0=start, tol=tolerance, return_eigenvectors=False)[0])
 
+    if not _is_symmetric(p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness) and prepared.freedoms > NEAREST + 1:
+        operator = LinearOperator((p.n, p.n), matvec=inverse, dtype=float)
+        nearest = eigs(operator, k=NEAREST, v0=root * first, tol=1e-12, return_eigenvectors=False)
+        return float(np.min((1 / nearest).real)) - 0.01 * square
     found = extreme(inverse, "LM", root * first, 1e-12)
     if found > 0:
         anything = np.random.default_rng(0).standard_normal(p.n)
@@ -273,19 +367,14 @@ INVERSE_ITERATIONS = 3
 """Number of inverse iterations used to find the motion for which a matrix is almost singular."""
 
 
-def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
-    """Return the number of independent motions along which an equilibrium is unstable.
+def negative_stiffnesses(prepared: PreparedMechanism, at: State) -> int:
+    """Return the number of independent directions of negative stiffness, if the stiffness is symmetric.
 
-    For mechanisms of more than `DENSE` coordinates, the result is 1 if there are any such motions, and otherwise 0. If
-    follower forces make the stiffness unsymmetric, the eigenvalues with negative real part are counted.
+    For mechanisms of more than 500 bodies, the number is 1 if there are any.
     """
-    if not prepared.freedoms:
-        return 0
     if prepared.equations.n > DENSE:
         return int(least_stiffness(prepared, at) < 0)
     matrix = static_matrix(prepared, at)[0].toarray()
-    if np.max(np.abs(matrix - matrix.T)) > SYMMETRIC * np.max(np.abs(matrix)):
-        return int(np.sum(np.linalg.eigvals(reduce(prepared, at).stiffness).real < 0))
     _, blocks, _ = ldl(0.5 * (matrix + matrix.T))
     # By Sylvester's law of inertia, the matrix has as many negative eigenvalues as the blocks of this factorization.
     signs = eigvalsh_tridiagonal(np.diag(blocks).copy(), np.diag(blocks, 1).copy())
