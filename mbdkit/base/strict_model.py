@@ -10,7 +10,7 @@ from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema
 
@@ -18,6 +18,18 @@ STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=Fals
 """Configuration of pydantic that rejects unknown keys, infinities and NaN, forbids assignment, and does not convert
 text or booleans to numbers.
 """
+
+
+def _accept_lists(schema: Any, owner: type[BaseModel]) -> None:
+    """Let the tuples in a schema accept lists, but not those in other models than `owner`, which have their own."""
+    if isinstance(schema, list):
+        for part in schema:
+            _accept_lists(part, owner)
+    elif isinstance(schema, dict) and (schema.get("type") != "model" or schema["cls"] is owner):
+        if schema.get("type") == "tuple":
+            schema["strict"] = False
+        for part in schema.values():
+            _accept_lists(part, owner)
 
 
 class StrictModel(BaseModel):
@@ -48,6 +60,13 @@ class StrictModel(BaseModel):
     def further_field(cls, key: str | int) -> FieldInfo | None:
         """Return the field of one of the `further_keys`; None for any other key."""
         return None
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: type[BaseModel], handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema with which lists are accepted for tuples, as JSON and YAML have no tuples."""
+        schema = handler(source)
+        _accept_lists(schema, cls)
+        return schema
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:

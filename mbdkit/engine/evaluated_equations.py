@@ -43,6 +43,7 @@ class EvaluatedEquations:
             array.flags.writeable = False
         self.counters = Counters()
         self.has_power = mechanism.has_power
+        self._has_friction = len(mechanism.topology.frictions) > 0
         self.first_step: float | None = None
         self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
 
@@ -137,11 +138,23 @@ class EvaluatedEquations:
         return self._solved(calls.solution, t)
 
     def forces(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the generalized applied forces Q (n,), gravity included."""
-        return 0.0 - self.residual(t, q, v, self._no_force, self._no_rows)
+        """Return the generalized applied forces Q (n,), gravity and friction in joints included.
+
+        Friction depends on the reactions of its joint. It is that of the index-1 multipliers at this state, so that
+        ``solve(t, q, forces(t, q, v), gamma(t, q, v))`` returns the accelerations and multipliers of `accelerations`.
+        With such friction, a call costs a solution for these multipliers, and counts as two evaluations. Methods with
+        multipliers of their own get the friction due to them from `residual`.
+        """
+        if not self._has_friction:
+            return 0.0 - self.residual(t, q, v, self._no_force, self._no_rows)
+        lam = self.accelerations(t, q, v)[1]
+        return self.constraint_forces(t, q, lam) - self.residual(t, q, v, self._no_force, lam)
 
     def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Return the residual of the equations of motion, ``M a + Phi_q^T lam - Q(t, q, v)`` (n,)."""
+        """Return the residual of the equations of motion, ``M a + Phi_q^T lam - Q(t, q, v)`` (n,).
+
+        Friction in joints, which is part of Q, is that of the multipliers `lam`.
+        """
         self.counters.rhs_evaluations += 1
         return self._residual(t, q, v, a, lam)
 

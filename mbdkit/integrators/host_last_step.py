@@ -180,7 +180,7 @@ class LastStep(HostRows):
             rows = self._due(end=t)
         self.last_step = taken[0] if taken else None
         if not self.finished:
-            state = replace(self.now.state, z=change(t, end), low=self.now.state.low[:2])
+            state = replace(self.now.state, z=change(t, end), low=self.now.state.low[:2], multipliers=None)
             self._watch.forget_energy()
             self.now = self.now._replace(state=state, why="stop" if self.now.why == "stop" else "event")
         return self._stretch(rows), taken

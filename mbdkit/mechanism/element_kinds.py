@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Any, TypeVar, cast
 
@@ -11,13 +12,17 @@ from pydantic import Field, TypeAdapter, create_model
 from pydantic.fields import FieldInfo
 
 from mbdkit.base import higher_layers
-from mbdkit.base.errors import MissingPartError, SpecError
+from mbdkit.base.errors import MissingPartError, PluginError, SpecError
 from mbdkit.base.parts import ELEMENTS_OF_PARTS
 from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.bodies import FromTo
 from mbdkit.mechanism.model_methods import of_models
-from mbdkit.registry.catalogue import MBDKIT, Registry
+from mbdkit.registry.catalogue import MBDKIT, Registered, Registry
 from mbdkit.registry.element_items import ElementKind
+from mbdkit.registry.item import described
 from mbdkit.registry.manager import log, registry
+from mbdkit.registry.target import Target
+from mbdkit.registry.use import use
 
 AnyModel = TypeVar("AnyModel", bound=StrictModel)
 
@@ -42,8 +47,33 @@ def _kinds(known: Registry) -> dict[str, ElementKind]:
             log.warning(text, clash[0], item.id)
             continue
         taken |= own
-        kinds[kind.key_in_model] = kind
+        kinds[kind.key_in_model] = kind if item.origin.distribution == MBDKIT else _blaming(item, kind)
     return dict(sorted(kinds.items(), key=lambda item: item[1].order))
+
+
+class _BlamingTarget(Target[Callable[..., Any]]):
+    """A function of a kind of elements, whose errors name the kind and its distribution."""
+
+    def __init__(self, item: Registered, target: Target[Callable[..., Any]]):
+        super().__init__(target.where, target.type)
+        self._item = item
+
+    def __call__(self) -> Callable[..., Any]:
+        function = super().__call__()
+        return lambda *arguments: use(self._item, lambda: function(*arguments))
+
+
+def _blaming(item: Registered, kind: ElementKind) -> ElementKind:
+    """Return a kind of a plugin whose functions, if they are wrong, raise PluginError."""
+    given = {name: target for name in _FUNCTIONS if (target := getattr(kind, name)) is not None}
+    return replace(kind, **{name: _BlamingTarget(item, target) for name, target in given.items()})
+
+
+_FUNCTIONS = (
+    "read_files", "check_elements", "check_run", "forces", "lower", "lower_expressions", "at_start", "members",
+    "obstacle", "stiffest", "sides", "gradient_doubts", "draw",
+)  # fmt: skip
+"""Attributes of `ElementKind` that are functions which mbdkit calls."""
 
 
 def kinds_in(data: Mapping[str, Any]) -> list[ElementKind]:
@@ -87,10 +117,26 @@ def builder_of(kind: ElementKind) -> Callable[..., Any]:
 
 
 def forces_of(kind: ElementKind, elements: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the force elements with laws by which elements of a kind act, by name; see `ElementKind.forces`."""
-    if kind.forces is not None:
-        return kind.forces()(elements)
-    return elements if kind.lower is None else {}
+    """Return the force elements with laws by which elements of a kind act, by name; see `ElementKind.forces`.
+
+    Raises
+    ------
+    PluginError
+        If they are not objects as `mbdkit.plugin.LawForce` describes.
+    """
+    if kind.forces is None and kind.lower is not None:
+        return {}
+    forces = elements if kind.forces is None else kind.forces()(elements)
+    if not isinstance(forces, Mapping):
+        raise PluginError(f"`forces` of the kind of elements '{kind.name}' returned {described(forces)}, not a mapping")
+    for name, force in forces.items():
+        what = f"the force element '{name}' of the kind of elements '{kind.name}'"
+        for attribute in ("law_id", "force_law", "pathway"):
+            if not hasattr(force, attribute):
+                raise PluginError(f"{what} has no `{attribute}`, which mbdkit.plugin.LawForce describes")
+        if isinstance(force, FromTo) and force.points is None:
+            raise PluginError(f"{what} has no `points`, the points in the frames of the bodies")
+    return forces
 
 
 def lines_of(kind: ElementKind, mechanism: Any, element: Any) -> list[list[tuple[str, tuple[float, float]]]]:

@@ -53,7 +53,7 @@ class LineForce(LinePathway):
     """
 
     force_law: ClassVar[ForceLaw]
-    """The force law, which gets the element as its options."""
+    """The force law, which gets the element as its options. Elements of a kind with `ElementKind.forces` need none."""
 
     @property
     def law_id(self) -> str:
@@ -68,7 +68,8 @@ class LineForce(LinePathway):
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the first-order states of the law."""
-        return tuple(state.name for state in self.force_law.states)
+        law = getattr(type(self), "force_law", None)
+        return () if law is None else tuple(state.name for state in law.states)
 
 
 class AnglePathway(Between):

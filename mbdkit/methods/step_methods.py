@@ -33,8 +33,8 @@ class StepState:
     q, v
         (n,) positions [m, rad] and velocities [m/s, rad/s], n = 3 B: x, y, theta of each body in turn.
     multipliers
-        (m,) multipliers computed by the method itself, in the order of ``/constraints``; None before the first step,
-        before a step that begins at a discontinuity of a motion or load, and for methods that compute none.
+        (m,) multipliers computed by the method itself, in the order of ``/constraints``; None before a step that begins
+        anew (see `StepMethod.begin`), except after a projection, and for methods that compute none.
     memory
         Any other data that the method needs in its next step, which must not be modified in place. Runs whose memory is
         None, a number, a text, an array, or a list, tuple or mapping of these can be resumed, and so can those whose

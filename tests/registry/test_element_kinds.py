@@ -5,6 +5,7 @@ plugin adds to mechanisms.
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 
@@ -98,3 +99,79 @@ def test_elements_act_by_laws_of_their_own_and_mechanisms_have_attributes_of_plu
     )
     for name in ("dop853", "gauss"):
         assert found[name] == pytest.approx([*speeds, work], rel=1e-9)
+
+
+LINKS = """
+from typing import ClassVar
+import sympy
+from mbdkit.plugin import ElementKind, ExpressionLaw, LineForce, Number, Positive, Target, hookimpl
+
+LENGTH, STIFFNESS = sympy.symbols("length stiffness", real=True)
+
+class Strand(LineForce):
+    stiffness: Positive
+    force_law: ClassVar[ExpressionLaw] = ExpressionLaw(
+        STIFFNESS * LENGTH, parameters=lambda strand: {"stiffness": strand.stiffness})
+
+class Link(LineForce):
+    stiffnesses: tuple[float, float]
+    turns: Number = 1.0
+
+def forces(links):
+    return {f"{name}.{k}": force(link, k) for name, link in links.items() for k in (0, 1)}
+
+def force(link, k):
+    if link.turns == 2.0:
+        return link
+    ends = {"from": (0.0, 1.0), "to": (0.0, 0.0)} if link.turns == 3.0 else {"points": link.ends}
+    return Strand(bodies=link.bodies, stiffness=link.stiffnesses[k], **ends)
+
+@hookimpl
+def mbdkit_items():
+    return [ElementKind(name="link", summary="Links by name.", key_in_model="links", builder="link",
+                        model=Target("link_kit:Link"), forces=Target("link_kit:forces"))]
+"""
+LINKED = """
+mbdkit: 1
+model:
+  name: mechanism
+  gravity: [0, 0]
+  bodies: {b: {mass: 2.0, position: [1.0, 0.0]}}
+  links: {l: {bodies: [ground, b], from: [0, 0], to: [1, 0], stiffnesses: [3.0, 5.0]}}
+integrator: {name: gauss, stages: 3}
+time: {end: 1.0, step: 0.01}
+"""
+FAILS = {
+    "stiffnesses: [3.0, -5.0]": (4, "the element kind 'link-kit:link' failed: ValidationError"),
+    "stiffnesses: [3.0, 5.0], turns: 2": (4, "element 'l.0' of the kind of elements 'link' has no `force_law`, which"),
+    "stiffnesses: [3.0, 5.0], turns: 3": (4, "element 'l.0' of the kind of elements 'link' has no `points`, the"),
+    "stiffnesses: [3.0]": (2, "model.links.l.stiffnesses[1]: is missing"),
+    "stiffnesses: 3.0": (2, "model.links.l.stiffnesses: should be a list, not 3.0"),
+}
+
+
+def test_elements_may_act_by_forces_of_another_class_whose_errors_name_the_plugin(tmp_path) -> None:
+    # expected: a mass of 2 kg on springs of 3 and 5 N/m without a free length, x = cos(2 t)
+    site = tmp_path / "site"
+    install_module(site, "link-kit", LINKS)
+    program = """
+import mbdkit
+m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+m.body("b", mass=2.0, position=(1.0, 0.0))
+m.link("l", bodies=("ground", "b"), from_=(0.0, 0.0), to=(1.0, 0.0), stiffnesses=[3.0, 5.0])
+m.link("idle", bodies=("ground", "b"), from_=(0.0, 0.0), to=(1.0, 0.0), stiffnesses=(1e-300, 1e-300))
+for model in (m, "linked.yaml"):
+    times = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 1.0, "step": 0.01}}
+    with mbdkit.run(model, **times if model is m else {}) as run:
+        print(repr(float(run["b"].position[-1, 0])))
+"""
+    (tmp_path / "linked.yaml").write_text(LINKED, encoding="utf-8")
+    done = python("-c", program, path=(site,), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [float(line) for line in done.stdout.split()] == pytest.approx([math.cos(2.0)] * 2, rel=1e-9)
+    for values, (status, sentence) in FAILS.items():
+        (tmp_path / "wrong.yaml").write_text(LINKED.replace("stiffnesses: [3.0, 5.0]", values), encoding="utf-8")
+        done = python("-m", "mbdkit", "run", "wrong.yaml", "-o", "wrong.h5", path=(site,), cwd=tmp_path)
+        assert (done.returncode, "bug" in done.stderr) == (status, False), done.stderr
+        assert sentence in done.stderr
+        assert not (tmp_path / "wrong.h5").exists()

@@ -12,6 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
+from mbdkit import EquationsOfMotion
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
@@ -121,6 +122,63 @@ def test_every_method_swings_a_pendulum_with_friction(
         assert done.status == "complete"
         assert done["rod"].angle[-1] == pytest.approx(swung(-1.0, 0.5)[0], abs=error)
         assert np.abs(done.energy.balance).max() < 100 * error
+
+
+def test_the_forces_of_the_equations_of_motion_hold_the_friction_of_the_reaction() -> None:
+    # expected: coefficient times radius times the reaction force, from the accelerations of `swing`
+    p = EquationsOfMotion.of(pendulum(-1.0))
+    turn = swing(0.0, np.array([1.2, -1.0]))[1]
+    radial, across = ARM * 1.0 + G * math.cos(1.2), ARM * turn + G * math.sin(1.2)
+    torque = MU * RADIUS * MASS * math.hypot(radial, across)
+    np.testing.assert_allclose(p.forces(0.0, p.q0, p.v0), [0.0, -MASS * G, torque], rtol=1e-12, atol=1e-13)
+    assert p.counters.rhs_evaluations == 2
+    a, lam = p.accelerations(0.0, p.q0, p.v0)
+    np.testing.assert_allclose(p.residual(0.0, p.q0, p.v0, a, lam), 0.0, atol=1e-13)
+    at_rest = p.forces(0.0, p.q0, 0.0 * p.v0)
+    np.testing.assert_allclose(at_rest, [0.0, -MASS * G, 0.0], rtol=1e-14, atol=1e-14)
+
+
+def half_explicit(p: EquationsOfMotion, h: float, steps: int) -> np.ndarray:
+    """The half-explicit Euler method of index 2 (Hairer, Lubich and Roche 1989), of order 1."""
+    q, v = p.q0, p.v0
+    for n in range(steps):
+        force, q = p.forces(n * h, q, v), q + h * v
+        v = v + p.solve((n + 1) * h, q, h * force, -p.constraint_rates((n + 1) * h, q, v))[0]
+    return np.array([q[2], v[2]])
+
+
+def averaged(p: EquationsOfMotion, h: float, steps: int) -> np.ndarray:
+    """The discrete gradient of Gonzalez (1996) with friction at the middle of the step, of order 2."""
+    q, v = p.q0, p.v0
+    for n in range(steps):
+        q1, v1, middle, before = q + h * v, v, (n + 0.5) * h, np.inf
+        for _ in range(50):
+            at, rate = (q + q1) / 2, (v + v1) / 2
+            force = p.forces(middle, at, rate)
+            # the gradient of gravity is constant, so that its discrete gradient is that of the middle
+            matrix = p.constraint_jacobian(middle, at).toarray()
+            by_end = p.constraint_jacobian(middle + h / 2, q1).toarray()
+            free = v + h * force / p.mass
+            lam = np.linalg.solve(
+                by_end @ (matrix.T / p.mass[:, None]) * h * h / 2,
+                by_end @ (q + h / 2 * (v + free) - q1) + p.constraints(middle + h / 2, q1),
+            )
+            v1 = free - h * (matrix.T @ lam) / p.mass
+            q1, change = q + h / 2 * (v + v1), np.max(np.abs(v1 - before))
+            before = v1
+            if change < 1e-13:
+                break
+        q, v = q1, v1
+    return np.array([q[2], v[2]])
+
+
+@pytest.mark.parametrize(("method", "order", "error"), [(half_explicit, 1, 0.03), (averaged, 2, 1e-4)])
+def test_methods_that_call_forces_converge_to_the_motion_with_friction(method: Any, order: int, error: float) -> None:
+    # expected: the angle and its rate by SciPy; without friction they are 0.044 rad and 0.18 rad/s off
+    p, exact = EquationsOfMotion.of(pendulum(-1.0)), swung(-1.0, 0.5)
+    coarse, fine = (np.max(np.abs(method(p, 0.5 / steps, steps) - exact)) for steps in (100, 200))
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
+    assert fine < error
 
 
 def slide(coefficient: float, torque: float) -> Mechanism:

@@ -146,6 +146,7 @@ class EventStep:
         begin = StepState(now.q, now.v, now.multipliers, now.memory, z=now.z)
         with self.events.acting():
             if now.memory is None:
+                begin = replace(begin, multipliers=None)
                 begin = replace(begin, memory=method.begin(equations, now.t, begin, "event"))
             new = method.step(equations, now.t, begin, h)
         made = new if isinstance(new, Step) else Step(new)

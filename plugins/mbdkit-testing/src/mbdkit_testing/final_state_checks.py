@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base.errors import MbdkitError
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
@@ -21,9 +22,9 @@ LAST_COUNT, LAST_TIMES = 24, 10.0
 """Number of steps before the shorter last one, and largest factor by which the last step may increase the error."""
 RESTING_TOLERANCES, RESTING_TIMES = (1e-4, 1e-7), 1e3
 """Tolerances of adaptive methods in runs from rest, and largest error as a multiple of the tolerance."""
-FINER_RESTING = (1, 2, 4, 8, 16)
-"""Factors by which the number of steps is multiplied; the last two are used only if the first three do not show the
-order.
+FINER_RESTING = (1, 2, 4, 8, 16, 32, 64)
+"""Factors by which the number of steps is multiplied; those after the first three are used only until the order is
+visible, and the last two only for orders below 2.
 """
 FIRST_RESTING, STARTS_OF_FIXED = 24, 3
 """For methods with fixed steps: smallest number of steps, and number of starts at rest that are tried.
@@ -92,32 +93,45 @@ def resting_starts(integrator: IntegratorUnderTest) -> Result:
     """From starts at rest at which derivatives of the motion vanish, the errors of the method decrease with the claimed
     order or, for an adaptive method, with the tolerance.
     """
-    worst, count = 0.0, len(RESTING) if integrator.claims.adaptive else STARTS_OF_FIXED
-    for name in list(RESTING)[:count]:
-        problem = f"resting: {name}"
-        state, _, floor = reference(problem)
-        small = max(100 * floor, NEAR_ROUNDING)
-        if integrator.claims.adaptive:
-            if "rtol" not in integrator.plugin.options.model_fields:
-                raise Skip("it has no option `rtol`")
-            for rtol in RESTING_TOLERANCES:
-                error = error_at_tolerance(integrator, problem, rtol, state)
-                if not error <= max(RESTING_TIMES * rtol, small):
-                    return failed(f"from rest with {name}, its error is {error:.2g} at a tolerance of {rtol:g}")
-        else:
-            first = FIRST_RESTING if integrator.order < HIGH else FIRST_RESTING // 2
-            model, end, errors = PROBLEMS[problem], ENDS[problem], list[float]()
-            for finer in FINER_RESTING:  # until the order is visible; large steps of a method of low order hide it
-                final = integrator.final_state(model, end, end / (first * finer))
-                errors.append(float(np.max(np.abs(final - state))))
-                error = errors[-1]
-                order = float(np.max(-np.diff(np.log2(np.maximum(errors, 1e-300))), initial=0.0))
-                if len(errors) > 2 and (error <= small or order >= 0.85 * integrator.order):
-                    break
-            else:
-                return failed(f"from rest with {name}, it has the order {order:.2f} at an error of {error:.2g}")
-        worst = max(worst, error)
+    count = len(RESTING) if integrator.claims.adaptive else STARTS_OF_FIXED
+    worst = max(
+        _finest_error(integrator, f"resting: {name}", f"from rest with {name}") for name in list(RESTING)[:count]
+    )
     return passed(starts=count, finest_error=worst)
 
 
-CHECKS = (free_fall, last_step, resting_starts)
+@check("state.joint-friction")
+def joint_friction(integrator: IntegratorUnderTest) -> Result:
+    """With friction in a joint, which depends on its reaction, the errors of the method decrease with the claimed order
+    or, for an adaptive method, with the tolerance.
+    """
+    return passed(finest_error=_finest_error(integrator, "joint-friction", "with friction in a joint"))
+
+
+def _finest_error(integrator: IntegratorUnderTest, problem: str, where: str) -> float:
+    """Return the error of the last run of a problem, after runs in ever smaller steps or at smaller tolerances.
+
+    Raises MbdkitError, with `where`, if the errors do not decrease as they should.
+    """
+    state, _, floor = reference(problem)
+    small = max(100 * floor, NEAR_ROUNDING)
+    if integrator.claims.adaptive:
+        if "rtol" not in integrator.plugin.options.model_fields:
+            raise Skip("it has no option `rtol`")
+        for rtol in RESTING_TOLERANCES:
+            error = error_at_tolerance(integrator, problem, rtol, state)
+            if not error <= max(RESTING_TIMES * rtol, small):
+                raise MbdkitError(f"{where}, its error is {error:.2g} at a tolerance of {rtol:g}")
+        return error
+    first = FIRST_RESTING if integrator.order < HIGH else FIRST_RESTING // 2
+    model, end, errors = PROBLEMS[problem], ENDS[problem], list[float]()
+    for finer in FINER_RESTING[: None if integrator.order < 2 else -2]:
+        final = integrator.final_state(model, end, end / (first * finer))
+        errors.append(float(np.max(np.abs(final - state))))
+        order = float(np.max(-np.diff(np.log2(np.maximum(errors, 1e-300))), initial=0.0))
+        if len(errors) > 2 and (errors[-1] <= small or order >= 0.85 * integrator.order):
+            return errors[-1]
+    raise MbdkitError(f"{where}, it has the order {order:.2f} at an error of {errors[-1]:.2g}")
+
+
+CHECKS = (free_fall, last_step, resting_starts, joint_friction)

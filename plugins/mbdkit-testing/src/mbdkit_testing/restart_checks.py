@@ -139,8 +139,8 @@ def discontinuities(integrator: IntegratorUnderTest) -> Result:
                 state = replace(state, v=now.project_velocities(t, state.q, 3.0 * state.v))
             if why == "event":
                 state = replace(state, z=state.z + 1.0)
-            state = replace(state, low=(0.0, 0.0), multipliers=None if why == "stop" else state.multipliers)
-            fresh = replace(state, memory=None, multipliers=None)
+            state = replace(state, low=(0.0, 0.0), multipliers=None)
+            fresh = replace(state, memory=None)
             ends = [_ended(method, now, t, begin, reason, h) for begin, reason in ((state, why), (fresh, "start"))]
             differences.append(float(np.max(np.abs(ends[0] - ends[1]))))
         if not differences[1] <= max(SAME, differences[0] / FALLS):

@@ -182,6 +182,12 @@ FLOATING: Model = {
 }
 """Two free bodies on the ends of a spring beside their centers: conserves energy and both momenta, without joints."""
 
+SLIPPING: Model = {**_two_rods((-0.6, 0.1), 4.0), "gravity": [0.0, -1.0]}
+SLIPPING["joints"]["J1"]["friction"] = {"coefficient": 0.3, "radius": 0.1}
+"""Two rods with friction in the first joint, whose slip is always far above the transition speed, so that the motion is
+smooth. Friction depends on the reaction of the joint.
+"""
+
 COASTING: Model = {**SWINGING, "gravity": [0.0, 0.0]}
 COASTING["bodies"] = {
     "rod1": _rod(1.0, 1.0, (0.0, 0.0), -1.0, 1.0),
