@@ -193,9 +193,9 @@ if not TYPE_CHECKING:  # type checkers see only the names above
 
     def __getattr__(name):
         if name == "__version__":
-            from importlib.metadata import version
+            from mbdkit.base.distributions import own_version
 
-            return version("mbdkit")
+            return own_version()
         if name in ("plot", "spec"):
             return import_part("mbdkit_report.plot" if name == "plot" else "mbdkit.spec", f"mbdkit.{name}")
         return _lazy(name)
