@@ -68,9 +68,9 @@ else:
 
     def __getattr__(name):
         if name == "__version__":
-            from importlib.metadata import version
+            from mbdkit.base.distributions import own_version
 
-            return version("mbdkit")
+            return own_version()
         return _names(name)
 
     def __dir__():

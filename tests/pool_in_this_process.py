@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from importlib import import_module
-from importlib.metadata import version
 
+import mbdkit
 from mbdkit_studies.pool import Pool
 from mbdkit_studies.tasks import Outcome, Task
 
@@ -17,7 +17,7 @@ class PoolInThisProcess(Pool):
     def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
         for task in tasks:
             message = json.loads(json.dumps(task.message()))
-            (answer,) = import_module(self.program).compute([message], version("mbdkit"))
+            (answer,) = import_module(self.program).compute([message], mbdkit.__version__)
             for note in answer.pop("notes"):
                 self.say(note)
             yield task, Outcome.of(json.loads(json.dumps(answer)))

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 
 from mbdkit.archive.hdf5_errors import cause, error_number
 from mbdkit.base import file_locks
@@ -85,25 +84,44 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
 
 
 class _Stream(io.FileIO):
-    """The open ``.part`` as HDF5 uses it on Windows and macOS.
+    """The open ``.part`` as HDF5 uses it.
 
-    If HDF5 opened the file itself, Windows could not rename it before the end of the run, and neither system has files
-    in memory, as Linux has, to which failed writes can be redirected.
+    HDF5 does not learn of failed writes: it would repeat them, and crash the interpreter if they fail again when it
+    closes the file. If HDF5 opened the file itself, Windows could not rename it before the end of the run either.
     """
 
+    _failure: OSError | None = None
+    """The first error of writing, after which nothing is written."""
+
     is_discarding = False
-    """Whether writes have no effect, so that HDF5 can close a file that cannot be written."""
+    """Whether writes have no effect, so that HDF5 can close the file without changing it."""
 
     def write(self, data: Any) -> int:
-        """Write all bytes, or raise OSError; h5py does not notice that a full disk has taken only some of them."""
+        """Write all bytes, of which the system may take only some at a time."""
         rest = memoryview(data)
-        while rest and not self.is_discarding:
-            rest = rest[super().write(rest) :]
+        try:
+            while rest and not self.is_discarding and self._failure is None:
+                rest = rest[os.write(self.fileno(), rest) :]
+        except OSError as error:
+            self._failure = error
         return len(data)
 
     def truncate(self, size: int | None = None) -> int:
         """Set the size of the file."""
-        return 0 if self.is_discarding else super().truncate(size)
+        try:
+            return 0 if self.is_discarding or self._failure is not None else super().truncate(size)
+        except OSError as error:
+            self._failure = error
+            return 0
+
+    @contextlib.contextmanager
+    def checked(self) -> Iterator[None]:
+        """Raise the error of a failed write at the end of a block, in place of errors of HDF5 that follow from it."""
+        try:
+            yield
+        finally:
+            if self._failure is not None:
+                raise self._failure
 
 
 class Target:
@@ -132,12 +150,15 @@ class Target:
         self._folder, self._process = os.getcwd(), os.getpid()
         self.overwrite = overwrite
         self.is_kept = False  # whether `drop` leaves the .part in place
-        self._torn = False  # whether a write is in progress or has failed halfway
         self._handle: int | None = self._create()
         self.file: h5py.File | None = None
         self._stream: _Stream | None = None
-        self._image = b""
-        remove_checkpoint(self.part)  # it may have been left by an earlier file of this name
+        try:
+            remove_checkpoint(self.part)  # it may have been left by an earlier file of this name
+        except OSError as error:
+            self.drop()
+            message = f"the checkpoint of an earlier file cannot be removed: {cause(error)}"
+            raise ResourceError(message, file=self.path) from error
 
     @property
     def path(self) -> Path:
@@ -193,13 +214,9 @@ class Target:
     def open(self) -> h5py.File:
         """Open the .part as an HDF5 file, for a run that writes rows before its end."""
         self._end_if_forked()
-        try:
-            if not hasattr(os, "memfd_create"):
-                self._stream = _Stream(self._open_handle(), "r+", closefd=False)
-            self.file = h5py.File(self._stream or self.part, "w", libver=LIBVER, locking=False)
-        except BlockingIOError:  # HDF5_USE_FILE_LOCKING=TRUE: HDF5 locks the file itself
-            self._unlock(self._open_handle())
-            self.file = h5py.File(self.part, "w", libver=LIBVER)
+        self._stream = _Stream(self._open_handle(), "r+", closefd=False)
+        with self._stream.checked():
+            self.file = h5py.File(self._stream, "w", libver=LIBVER)
         return self.file
 
     def _in_use(self) -> ResourceError:
@@ -235,11 +252,12 @@ class Target:
         """Reserve disk space for a block that writes about `size` bytes to the file, and flush the file after the
         block.
 
-        A full disk raises OSError before the block starts. If a write failed within HDF5 instead, all data written
+        A full disk raises OSError before the block starts. If a write failed in the block instead, all data written
         before would be lost, because HDF5 cannot undo a partial write.
         """
         self._end_if_forked()
         assert self.file is not None
+        assert self._stream is not None
         handle = self._open_handle()
         end = os.fstat(handle).st_size
         if hasattr(os, "posix_fallocate"):
@@ -251,11 +269,10 @@ class Target:
                     raise
         elif shutil.disk_usage(self.part.parent).free < size:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        self._torn = True
-        yield
-        self.file.flush()
+        with self._stream.checked():
+            yield
+            self.file.flush()
         os.ftruncate(handle, self.file.id.get_filesize())
-        self._torn = False
 
     def sync(self) -> None:
         """Wait until the flushed data are on the disk."""
@@ -264,28 +281,21 @@ class Target:
     def write(self, image: bytes) -> None:
         """Write the bytes of an HDF5 file that was created in memory, and wait until they are on the disk."""
         self._end_if_forked()
-        with open(self._open_handle(), "wb", closefd=False) as out:
-            out.write(image)
+        with _Stream(self._open_handle(), "r+", closefd=False) as stream, stream.checked():
+            stream.write(image)
         self.sync()
-        self._image = image
 
-    def amend(self, image: bytes) -> None:
-        """Overwrite the written image from the first to the last byte in which `image` differs from it.
-
-        Nothing is written if the two images differ in size.
-        """
-        if len(image) != len(self._image):
-            return
-        differing = np.flatnonzero(np.frombuffer(self._image, np.uint8) != np.frombuffer(image, np.uint8))
-        first, last = int(differing[0]), int(differing[-1])
-        os.lseek(self._open_handle(), first, os.SEEK_SET)
-        os.write(self._open_handle(), image[first : last + 1])
+    def end(self) -> None:
+        """Close the flushed HDF5 file, and wait until its data are on the disk."""
+        self._close_file()
+        self.sync()
 
     def publish(self, *, keep: bool = False) -> None:
-        """Rename the flushed .part to its final name, and rename or remove its checkpoint.
+        """Rename the complete .part to its final name, and rename or remove its checkpoint.
 
-        Unless `overwrite` is set, a file that was created there during the run is not replaced. The archive is still
-        open and locked, so that other runs do not take the .part for that of a crashed run and remove it.
+        Nothing is written to the file afterwards, so that an archive with its final name is sound. Unless `overwrite`
+        is set, a file that was created there during the run is not replaced. The .part is still locked, so that other
+        runs do not take it for that of a crashed run and remove it.
 
         Parameters
         ----------
@@ -298,9 +308,9 @@ class Target:
             If the .part cannot be renamed; it then keeps its name.
         """
         self._end_if_forked()
-        if not keep:
-            remove_checkpoint(self.part)
         try:
+            if not keep:
+                remove_checkpoint(self.part)
             if self.overwrite:
                 replace_file(self.part, self.path)
             else:
@@ -322,28 +332,23 @@ class Target:
         halfway.
         """
         self._end_if_forked()
-        if self.file is not None:
-            self._close_file(self.file)
+        self._close_file()
         if self._handle is not None:
             self._unlock(self._handle)
-            os.close(self._handle)
+            with contextlib.suppress(OSError):  # the data of an archive with its final name are on the disk
+                os.close(self._handle)
             self._handle = None
 
-    def _close_file(self, file: h5py.File) -> None:
-        # HDF5 keeps retrying a failed write and crashes the interpreter at exit. Redirecting its file descriptor to
-        # memory lets the write succeed.
-        if self._stream is not None:
-            self._stream.is_discarding = self._torn
-        elif self._torn and file:
-            nowhere = os.memfd_create("mbdkit")
-            os.dup2(nowhere, file.id.get_vfd_handle())
-            os.close(nowhere)
-        with contextlib.suppress(OSError, RuntimeError, ValueError):
-            self._unlock(file.id.get_vfd_handle())
-        with contextlib.suppress(OSError, RuntimeError):
-            file.close()
-        if self._stream is not None:
-            self._stream.close()
+    def _close_file(self) -> None:
+        """Close the HDF5 file if it is open, and discard what HDF5 writes: the file has had it since its last flush."""
+        if self._stream is None:
+            return
+        self._stream.is_discarding = True
+        if self.file is not None:
+            with contextlib.suppress(OSError, RuntimeError):
+                self.file.close()
+        self._stream.close()
+        self.file = self._stream = None
 
     def _unlock(self, handle: int) -> None:
         """Unlock an open file, because closing is not enough if a forked process, as of a plugin, has it open."""
@@ -354,7 +359,8 @@ class Target:
         """Close and remove the .part and its checkpoint, unless `take_place_of` has renamed them."""
         self.close()
         if not self.is_kept:
-            remove_part(self.part)
+            with contextlib.suppress(OSError):  # called when writing has failed, possibly on the whole disk
+                remove_part(self.part)
 
     def take_place_of(self, part: Path) -> None:
         """Rename this .part and its checkpoint to `part` and the checkpoint of `part`, and replace existing files.

@@ -199,7 +199,7 @@ class RunWriter(ABC):
         Parameters
         ----------
         ending
-            Results known at the end. Besides `Ending.stats`, this method stores its own duration up to the renaming
+            Results known at the end. Besides `Ending.stats`, this method stores its own duration up to the last write
             [s], as ``finish_s``.
         measured
             Function that evaluates the measures from the HDF5 file, which is otherwise complete, and returns the

@@ -223,11 +223,13 @@ class ArchiveWriter(RunWriter):
                 # Computed from the file, so that the hash covers all of its contents, except for known lines.
                 known = {**layout_lines(self.arrays), **self._grown(timings=True), **self._known}
                 set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file, known, unread))
+                seconds = time.perf_counter() - started
+                replace_number(file["stats"], "finish_s", np.float64(seconds))
+                self.ending = replace(ending, stats={**ending.stats, "finish_s": seconds})
             if self._target is not None:
-                self._publish(self._target, file, started, ending)
+                self._publish(self._target, file, keep=ending.status == "interrupted")
                 return None
             self._ended = True
-            self._write_duration(file, started, ending)
             file.flush()
             return file
 
@@ -246,25 +248,19 @@ class ArchiveWriter(RunWriter):
         changed = {"joints/misalignment", *(() if self.shared is None else layout.SHARED)}  # by `_write_end`
         return self._file, {path: lines for path, lines in skeleton.unread.items() if path not in changed}
 
-    def _publish(self, target: Target, file: h5py.File, started: float, ending: Ending) -> None:
-        """Rename the finished file; a file in memory is written first."""
-        self._write_duration(file, started, ending)
-        file.flush()
-        is_in_memory = target.file is None
-        if is_in_memory:
+    def _publish(self, target: Target, file: h5py.File, *, keep: bool) -> None:
+        """Close the file, which is complete, and rename it; a file in memory is written first."""
+        if target.file is None:
+            file.flush()
             file.flush()  # HDF5 releases space at the end of the file that the first flush has left unused
             target.write(file.id.get_file_image())
+            file.close()
         else:
-            target.sync()
+            target.end()
         self._ended = True
         try:
-            target.publish(keep=ending.status == "interrupted")
+            target.publish(keep=keep)
         finally:
-            self._write_duration(file, started, ending)
-            if is_in_memory:
-                file.flush()
-                target.amend(file.id.get_file_image())
-                file.close()
             target.close()
 
     def abandon(self) -> None:
@@ -349,12 +345,6 @@ class ArchiveWriter(RunWriter):
     def _write_verdict(self, file: h5py.File, judgement: Judgement, warnings: tuple[str, ...]) -> None:
         reasons = tuple(judgement.reasons)
         self._add(file, "", {"verdict": judgement.level, "verdict_reasons": reasons, "warnings": warnings})
-
-    def _write_duration(self, file: h5py.File, started: float, ending: Ending) -> None:
-        """Store the duration of `finish` so far."""
-        seconds = time.perf_counter() - started
-        replace_number(file["stats"], "finish_s", np.float64(seconds))
-        self.ending = replace(ending, stats={**ending.stats, "finish_s": seconds})
 
     def _write_tables(self, file: h5py.File, *, more: bool) -> None:
         for table in self._tables.values():

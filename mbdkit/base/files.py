@@ -266,7 +266,8 @@ def rename_new(source: Path, target: Path) -> None:
             raise FileExistsError(str(target)) from None
         os.rename(source, target)
     else:
-        source.unlink()
+        with suppress(OSError):  # the file has its new name; where the old one cannot be removed, it has both
+            source.unlink()
 
 
 def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:

@@ -6,13 +6,19 @@ import ast
 import inspect
 import linecache
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema
+
+# For its first schema, Pydantic reads the entry points of all distributions, and fails if one of them is damaged. Later
+# schemas have no plugins of Pydantic then.
+with suppress(Exception):
+    TypeAdapter(int)
 
 STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 """Configuration of pydantic that rejects unknown keys, infinities and NaN, forbids assignment, and does not convert

@@ -54,16 +54,26 @@ def one_line(error: BaseException) -> str:
 
     Control characters are escaped, see `shown`.
     """
-    try:
-        text = message_of(error)
-    except Exception:  # exception of a plugin
+    text = _text_of(error)
+    if text is None:
         return f"{type(error).__name__}, whose message cannot be shown"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def message_of(error: BaseException) -> str:
     """Return the message of an exception on one line, escaped and truncated as by `one_line`, but without the type."""
-    return shortened(shown(" ".join(str(error)[:10_000].split())))
+    text = _text_of(error)
+    return one_line(error) if text is None else text
+
+
+def _text_of(error: BaseException) -> str | None:
+    """Return the message of an exception, or None if it has none: that of a plugin may raise any exception itself."""
+    try:
+        return shortened(shown(" ".join(str(error)[:10_000].split())))
+    except KeyboardInterrupt:
+        raise
+    except BaseException:
+        return None
 
 
 def joined_lines(text: str) -> str:

@@ -11,11 +11,11 @@ import io
 import os
 import sys
 import warnings
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
 
+from mbdkit.base.distributions import own_version
 from mbdkit.base.interrupts import INTERRUPTED, stop_as_by_ctrl_c
 from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.base.terminal import PlainStream, keep_results_apart, open_streams, show
@@ -30,7 +30,7 @@ app = typer.Typer(cls=MainCommands, pretty_exceptions_enable=False, **PLAIN)
 
 def _print_version(value: bool) -> None:
     if value:
-        show(f"mbdkit {version('mbdkit')}")
+        show(f"mbdkit {own_version()}")
         raise typer.Exit
 
 

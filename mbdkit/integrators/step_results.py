@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError, StepError, in_this_process
-from mbdkit.base.text import one_line
+from mbdkit.base.text import message_of, one_line
 from mbdkit.engine.iteration_matrix import vector
 from mbdkit.integrators.kept_state import kept
 from mbdkit.methods.step_methods import Step, StepState
@@ -29,7 +29,7 @@ def called(name: str, function: Callable[..., Any], *given: Any) -> Any:
     except (KeyboardInterrupt, StepError):
         raise
     except BaseException as error:  # a plugin may raise any exception, including SystemExit
-        if isinstance(error, ValueError) and "read-only" in str(error):
+        if isinstance(error, ValueError) and "read-only" in message_of(error):
             raise ValueError(f"{name} changes an array in place that belongs to a state ({error})") from error
         if isinstance(error, Exception) and not isinstance(error, MbdkitError):
             raise
@@ -107,5 +107,5 @@ class StepResults:
         try:
             return vector(value, size)
         except (TypeError, ValueError) as error:
-            reason = "it is missing (None)" if value is None else str(error)
+            reason = "it is missing (None)" if value is None else message_of(error)
             raise ValueError(f"{self._name}.{what} returned an invalid `{name}`: {reason}") from None

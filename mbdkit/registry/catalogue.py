@@ -6,19 +6,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from mbdkit.base.distributions import MBDKIT, normalized_name
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.element_items import ElementKind, QuantityKind
 from mbdkit.registry.feature_items import FEATURES
 from mbdkit.registry.item import Item, Plugin
 from mbdkit.registry.items import ITEM_CLASSES
-from mbdkit.registry.policy import normalized_name
 
 Kind = str
 """Kind of a plugin: a key of `KINDS`."""
-
-MBDKIT = "mbdkit"
-"""The distribution of the core and of its own plugins."""
 
 _CLASSES: tuple[type[Item], ...] = (*ITEM_CLASSES, *FEATURES, ElementKind, QuantityKind)
 KINDS: dict[Kind, type[Item]] = {item_class.kind: item_class for item_class in _CLASSES}

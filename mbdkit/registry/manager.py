@@ -15,6 +15,12 @@ from typing import Any, Protocol, cast
 
 import pluggy
 
+from mbdkit.base.distributions import (
+    UnusableDistribution,
+    entry_points,
+    name_and_version,
+    own_entry_points,
+)
 from mbdkit.base.errors import MbdkitError, PluginError, SpecError, in_this_process, with_place
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
@@ -75,7 +81,8 @@ def installed() -> Registry:
 
     A wrong value of `MBDKIT_STRICT_PLUGINS` is thus reported by commands, not by ``--help``.
     """
-    return load_registry(importlib.metadata.entry_points(group=GROUP), _lenient())
+    points, unusable = entry_points(GROUP)
+    return load_registry(points, _lenient(), unusable)
 
 
 @functools.cache
@@ -83,12 +90,7 @@ def built_in() -> Registry:
     """Return the registry of mbdkit's own plugins; no other plugin is imported."""
     policy = _lenient()
     return load_registry(
-        point
-        for point in importlib.metadata.entry_points(group=GROUP)
-        # the name of the distribution is read from a file, so that it is asked for last
-        if point.value.startswith(MBDKIT)
-        and _origin(point).distribution == MBDKIT
-        and policy.reason_against(MBDKIT, point.name) is None
+        point for point in own_entry_points(GROUP) if policy.reason_against(MBDKIT, point.name) is None
     )
 
 
@@ -135,20 +137,24 @@ def checked(loaded: Registry) -> Registry:
     return loaded.without(wrong)
 
 
-def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = None) -> Registry:
+def load_registry(
+    points: Iterable[EntryPoint], policy: Policy | None = None, unusable: Iterable[UnusableDistribution] = ()
+) -> Registry:
     """Load each entry point separately. If one fails, its items are skipped, a warning of one line is printed, and the
     failure is listed in the registry.
 
     Parameters
     ----------
-    entry_points
+    points
         Entry points of the group ``mbdkit``. In the registry, the items of mbdkit itself come first, followed by the
         others in the order of their distributions.
     policy
         Decides which distributions are loaded; by default all of them.
+    unusable
+        Distributions whose entry points are not used, which are failures in the registry.
     """
     policy = policy or Policy()
-    origins = [(_origin(entry_point), entry_point) for entry_point in entry_points]
+    origins = [(_origin(point), point) for point in points]
     origins.sort(key=lambda pair: (pair[0].distribution != MBDKIT, pair[0].distribution, pair[1].name))
     manager = pluggy.PluginManager(hookspecs.PROJECT)  # has one plugin at a time
     manager.add_hookspecs(hookspecs)
@@ -183,6 +189,13 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
         for identifier, failed_kind, sentence in problems:
             reports.append(Report(identifier, failed_kind, origin, "error", sentence, seconds))
             log.warning("mbdkit: warning: plugin '%s' was not loaded: %s", identifier, sentence)
+    for folder, why in ((one.folder, one.why) for one in unusable):
+        origin = Origin(folder, "unknown", "")
+        if reason := policy.reason_against(folder, ""):
+            reports.append(Report(folder, None, origin, "disabled", reason, 0.0))
+        else:
+            reports.append(Report(folder, None, origin, "error", why, 0.0))
+            log.warning("mbdkit: warning: the plugins of %s were not loaded: %s", folder, why)
     return Registry(items, reports)
 
 
@@ -243,17 +256,10 @@ def _classes(hook: str) -> str:
     return listed([item_class.__name__ for item_class in KINDS.values() if hook in (item_class.hook, Item.hook)], "or")
 
 
-@functools.lru_cache
-def _name_and_version(dist: importlib.metadata.Distribution) -> tuple[str | None, str | None]:
-    """Return name and version of a distribution, whose metadata are parsed once, also if it has many entry points."""
-    metadata = dist.metadata
-    return metadata["Name"], metadata["Version"]
-
-
 def _origin(entry_point: EntryPoint) -> Origin:
     dist = entry_point.dist
     if isinstance(dist, importlib.metadata.Distribution):
-        name, version = _name_and_version(dist)
+        name, version = name_and_version(dist)
     else:
         name, version = getattr(dist, "name", None), getattr(dist, "version", None)
     return Origin(str(name or "unknown"), str(version or "unknown"), f"{entry_point.name} = {entry_point.value}")

@@ -6,8 +6,8 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 
+from mbdkit.base.distributions import normalized_name, own_version
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import listed
 
@@ -41,7 +41,7 @@ def check_api(module: object, distribution: str) -> None:
         raise PluginError(f"its `{API_NAME}` is {wanted!r}, not a whole number such as {API}")
     if OLDEST_API <= wanted <= API:
         return
-    served = f"mbdkit {version('mbdkit')} supports {API if OLDEST_API == API else f'{OLDEST_API} to {API}'}"
+    served = f"mbdkit {own_version()} supports {API if OLDEST_API == API else f'{OLDEST_API} to {API}'}"
     if wanted > API:
         raise PluginError(f"it was written for plugin API {wanted} and {served}: upgrade mbdkit")
     raise PluginError(f"it was written for plugin API {wanted} and {served}: upgrade {distribution}")
@@ -116,8 +116,3 @@ class Policy:
 
 def _names(text: str) -> frozenset[str]:
     return frozenset(normalized_name(name) for name in re.split(r"[,\s]+", text) if name)
-
-
-def normalized_name(distribution: str) -> str:
-    """Return the name of a distribution in the normalized form of PEP 503, in which names are compared."""
-    return re.sub(r"[-_.]+", "-", distribution).lower()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import pkgutil
 import re
 from typing import Any, Generic, TypeVar
 
+from mbdkit.base.distributions import entry_points, name_and_version
 from mbdkit.base.errors import MbdkitError, PluginError, in_this_process, with_place
 
 T = TypeVar("T")
@@ -71,9 +71,9 @@ class Target(Generic[T]):
 
     def _distribution(self) -> str:
         package = self.where.partition(".")[0].partition(":")[0]
-        for entry_point in importlib.metadata.entry_points(group="mbdkit"):
+        for entry_point in entry_points("mbdkit")[0]:
             if entry_point.value.partition(".")[0].partition(":")[0] == package and entry_point.dist is not None:
-                return entry_point.dist.name
+                return name_and_version(entry_point.dist)[0]
         return package
 
     def __eq__(self, other: object) -> bool:

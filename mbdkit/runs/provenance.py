@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from mbdkit.base.command_words import command_line
+from mbdkit.base.distributions import own_version
 from mbdkit.engine.native.machine_code import code_id
 from mbdkit.quantities.registered_kinds import kinds_of_others
 from mbdkit.registry.catalogue import MBDKIT, Registered
@@ -23,8 +24,8 @@ from mbdkit.spec.model_spec import ModelSpec
 
 @cache
 def _versions() -> dict[str, str]:
-    packages = ("mbdkit", "numpy", "scipy", "h5py", "pydantic", "pluggy")
-    return {**{name: version(name) for name in packages}, "machine_code": code_id()}
+    packages = ("numpy", "scipy", "h5py", "pydantic", "pluggy")
+    return {"mbdkit": own_version(), **{name: version(name) for name in packages}, "machine_code": code_id()}
 
 
 DECIDE_LAST_BITS = ("mbdkit", "numpy", "scipy", "machine_code", "processor")

@@ -222,13 +222,6 @@ def written_until_full(folder: Path, limit: int, interval: float, *, is_told: bo
     """
 
     def write() -> None:
-        memfd_create = os.memfd_create
-
-        def unlimited(name: str) -> int:  # memory is not limited when a disk is full
-            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-            return memfd_create(name)
-
-        os.memfd_create = unlimited  # type: ignore[assignment]
         if not is_told:
             os.posix_fallocate = lambda *_: None  # type: ignore[assignment]
         archive_writer.FLUSH_INTERVAL = interval

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import sys
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -17,17 +16,13 @@ from . import plugin
 @pytest.fixture(scope="package", autouse=True)
 def acme() -> Iterator[None]:
     """Let the registry find an entry point of distribution `acme`, version 2.0, whose module is `plugin`."""
-    installed = importlib.metadata.entry_points
+    points, unusable = manager.entry_points("mbdkit")
     module = sys.modules[plugin.__name__]
     entry = SimpleNamespace(
         name="laws", value="acme.laws", dist=SimpleNamespace(name="acme", version="2.0"), load=lambda: module
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            importlib.metadata,
-            "entry_points",
-            lambda **kind: [*installed(**kind), entry] if kind == {"group": "mbdkit"} else installed(**kind),
-        )
+        patch.setattr(manager, "entry_points", lambda group: ([*points, entry], unusable))
         manager.forget()
         yield
     manager.forget()

@@ -32,11 +32,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib.metadata import entry_points, packages_distributions
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from mbdkit.base.distributions import entry_points, own_entry_points
 from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, chosen_level, is_able, this_platform
 
@@ -47,6 +48,7 @@ CORE = "mbdkit"
 STORED = Path(__file__).parent / "stored"
 BUILT = Path(__file__).parent / "built"
 MANIFEST = "manifest.json"
+_GROUP = "mbdkit.kernels"
 TESTED = ("linux",)
 """Operating systems on which mbdkit as a whole has been run; on Windows, only its kernels have."""
 
@@ -114,9 +116,26 @@ def stored_folder(package: str, target: Platform) -> Path:
 
 @cache
 def kernel_packages() -> tuple[str, ...]:
-    """Return the packages that have kernels, mbdkit itself first; those that are not importable are left out."""
-    named = {found.value for found in entry_points(group="mbdkit.kernels")}
-    return (CORE, *sorted(name for name in named if importlib.util.find_spec(name.partition(".")[0]) is not None))
+    """Return the packages that have kernels, mbdkit itself first, those of other distributions last; of these, packages
+    that cannot be imported are left out.
+    """
+    own = own_kernel_packages()
+    named = {point.value for point in entry_points(_GROUP)[0]} - set(own)
+    return (*own, *sorted(name for name in named if _is_package(name)))
+
+
+@cache
+def own_kernel_packages() -> tuple[str, ...]:
+    """Return the packages of mbdkit that have kernels: the core, and parts."""
+    return (CORE, *sorted(point.value for point in own_entry_points(_GROUP)))
+
+
+def _is_package(name: str) -> bool:
+    try:
+        spec = importlib.util.find_spec(name)
+    except Exception:  # not the name of a package, or its parent cannot be imported
+        return False
+    return spec is not None and bool(spec.submodule_search_locations)
 
 
 @cache
@@ -157,7 +176,9 @@ def _damage_reported(package: str) -> Iterator[None]:
 
 
 def _distribution(package: str) -> str:
-    return next(iter(packages_distributions().get(package, [])), package)
+    with suppress(Exception):  # another distribution may be damaged
+        return next(iter(packages_distributions().get(package, [])), package)
+    return package
 
 
 def stored_file(symbol: str, level: Level) -> Path | None:
@@ -273,11 +294,14 @@ def _from_memory_file(name: str, content: bytes) -> ctypes.CDLL:
 
 
 def code_id() -> str:
-    """Return a digest of all stored libraries of this platform, which identifies its machine code."""
+    """Return a digest of the stored libraries of mbdkit for this platform, which identifies its machine code.
+
+    Machine code of other distributions is looked up when it is used; their versions identify it.
+    """
     digests = manifest().get("sha256", {})
     digests = digests | {
         f"{package}:{name}": digest
-        for package in kernel_packages()[1:]
+        for package in own_kernel_packages()[1:]
         for name, digest in manifest(package).get("sha256", {}).items()
     }
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()[:16] if digests else "none"

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import value_text
 from mbdkit.base.text import one_line
@@ -160,9 +160,9 @@ class ExecutorPool:
         futures: Iterator[Future[list[dict[str, Any]]]]
         try:
             if isinstance(self.executor, SubmititExecutor):
-                futures = iter(self.executor.submit_all(self._compute, messages, version("mbdkit")))
+                futures = iter(self.executor.submit_all(self._compute, messages, mbdkit.__version__))
             else:
-                futures = (self.executor.submit(self._compute, part, version("mbdkit")) for part in messages)
+                futures = (self.executor.submit(self._compute, part, mbdkit.__version__) for part in messages)
             for batch, future in zip(batches, futures, strict=True):
                 self._begun[future] = _Batch(batch)
                 submitted += 1

@@ -9,9 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import Generic, TypeVar
 
+import mbdkit
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit_studies import study_index
 from mbdkit_studies.folder_lock import Shard
@@ -114,7 +114,7 @@ class RunStore(ABC, Generic[Key]):
         """Return the index of an earlier call; None if this version of mbdkit has not written one for this study."""
         with suppress(SpecError, ResourceError):  # without a valid index, the files are read instead
             before = study_index.read(self.folder.index)
-            if before.study_sha256 == self.spec.sha256() and before.version == version("mbdkit"):
+            if before.study_sha256 == self.spec.sha256() and before.version == mbdkit.__version__:
                 return before
         return None
 

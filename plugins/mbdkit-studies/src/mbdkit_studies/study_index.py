@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+import mbdkit
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
@@ -236,7 +236,7 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
     with h5py.File(f"index-{id(index)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         set_text(file, "format", FORMAT)
         set_text(file, "format_version", BLOCKS_VERSION if in_blocks else FILES_VERSION)
-        set_text(file, "mbdkit", version("mbdkit"))
+        set_text(file, "mbdkit", mbdkit.__version__)
         set_text(file, "study", spec.canonical_json())
         set_text(file, "study_sha256", spec.sha256())
         _Table(file, "runs", "run", index).write(index.runs)

@@ -7,11 +7,11 @@ import operator
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+import mbdkit
 from mbdkit.archive.layout import COUNTERS
 from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.archive.reader import load
@@ -167,7 +167,7 @@ class StudyRuns:
             raise MbdkitError(
                 f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
             )
-        (written, read), now = self._written_by(chosen), version("mbdkit")
+        (written, read), now = self._written_by(chosen), mbdkit.__version__
         why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
         reference = self.reference(chosen)
         try:

@@ -20,6 +20,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+import mbdkit
 from mbdkit.base.command_words import executing
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
@@ -94,7 +95,7 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | Non
 def _answered(task: dict[str, Any], of_version: str, carry: Carry) -> dict[str, Any]:
     notes: list[str] = []
     host = socket.gethostname()
-    if version("mbdkit") != of_version:
+    if mbdkit.__version__ != of_version:
         why = f"{host} has mbdkit {version('mbdkit')}, the study needs {of_version}; install the same version there."
     elif not Path(task["path"]).parent.is_dir():
         folder = shown(Path(task["path"]).parent)

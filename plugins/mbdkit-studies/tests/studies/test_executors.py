@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -170,7 +169,7 @@ def test_a_worker_records_the_command_of_the_study_and_none_of_its_own(tmp_path)
         return {"status": "complete", "reason": command_line()}
 
     with executing(["another", "command"]):
-        answers = worker.compute([of_command, of_python], version("mbdkit"), carry)
+        answers = worker.compute([of_command, of_python], mbdkit.__version__, carry)
     assert [answer["reason"] for answer in answers] == ["mbdkit study pendulums.yaml", ""]
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import mbdkit
 from mbdkit.base.files import check_output, check_suffix, replacing
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_report.pages.templating import render
@@ -19,7 +19,7 @@ def html(reports: Sequence[Report]) -> str:
     """Return the page of one or several reports."""
     title = f"Verification of {', '.join(report.id for report in reports)}"
     filters: dict[str, Callable[..., Any]] = {"tone": _TONES.__getitem__, "figures": figures_text, "claimed": _claimed}
-    return render("verification.html", {"title": title, "version": version("mbdkit"), "reports": reports}, filters)
+    return render("verification.html", {"title": title, "version": mbdkit.__version__, "reports": reports}, filters)
 
 
 def check_page(target: Path, *, overwrite: bool) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
+import mbdkit
 from mbdkit_report.analysis.verdict import Answer, Verdict, columns_of
 from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Section, Table
 from mbdkit_report.figures.palette import color_key, color_number, line_styles
@@ -112,7 +112,7 @@ class ReportPage:
 
     def html(self) -> str:
         """Return the HTML."""
-        return render("report.html", {"page": self, "version": version("mbdkit")}, FILTERS)
+        return render("report.html", {"page": self, "version": mbdkit.__version__}, FILTERS)
 
 
 def cell_text(value: Cell) -> str:

@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, get_args
 
+import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import load_installed
@@ -274,7 +275,7 @@ def _files(name: str, package: str, item: str, template: str, flavour: _Flavour)
         **flavour.words,
         "formulation": "ggl" if template == "dae" else "index-1",
         "api": API,
-        "mbdkit_version": ".".join(version("mbdkit").split(".")[:2]),
+        "mbdkit_version": ".".join(mbdkit.__version__.split(".")[:2]),
         "dependencies": flavour.dependencies,
         "attribute": (attribute := item.replace("-", "_")),
         "command": flavour.command.format(name=name, item=item, attribute=attribute),
