@@ -57,7 +57,7 @@ def read_table(path: Path, key: str) -> Table:
     suffix = path.suffix.lower()
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     if suffix == ".c3d":
-        return _read_c3d(path, content)
+        return _read_c3d(path)
     readers = dict.fromkeys((".csv", ".tsv", ".txt"), _read_csv) | {
         ".mot": _read_storage,
         ".sto": _read_storage,
@@ -357,9 +357,9 @@ def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
     return markers
 
 
-def _read_c3d(path: Path, content: bytes) -> Table:
+def _read_c3d(path: Path) -> Table:
     """Read the markers and force plates of a C3D file; see `read_c3d`."""
-    found = read_c3d(path, content, MOST_CELLS)
+    found = read_c3d(path, MOST_CELLS)
     if found is None:
         raise _too_many_cells(str(path))
     return Table(str(path), found.headings, found.values.tolist(), units=found.units, remark=found.remark)
