@@ -52,8 +52,7 @@ def test_drawn_damages_are_refused_or_read(tmp_path: Path, count: int) -> None:
         file.write_bytes(damaged(walk(processor, scale, has_plate=bool(random.integers(2))), random))
         try:
             read_table(file, "motion.file")
-        except SpecError as error:
-            assert "\n" not in str(error)
+        except SpecError:
             refused += 1
     assert 0 < refused < count
 
