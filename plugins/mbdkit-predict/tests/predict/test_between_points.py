@@ -49,7 +49,7 @@ def test_a_short_pulse_belongs_to_the_optimum(value: Any, impulse: float, at: fl
     assert abs(run.objective - pushed(impulse, at)) <= run.objective_error < 2e-7 * run.objective
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.slow)])
 def test_no_drawn_pulse_is_skipped_with_a_good_verdict(count: int) -> None:
     # widths from 1/10000 of the motion on, some 2 of the nodes at which equations are evaluated
     random, good = np.random.default_rng(68), 0
