@@ -86,6 +86,11 @@ def shortened(text: str) -> str:
     return text if len(text) <= 300 else text[:297] + "..."
 
 
+def cited(text: object) -> str:
+    """Return text from files for a sentence about it: escaped, see `shown`, and shortened to 300 characters."""
+    return shortened(shown(str(text)[:301]))
+
+
 def shown(text: object, *, lines: bool = False) -> str:
     r"""Return text from files with control characters, such as those of a terminal, escaped as ``\u001b``.
 

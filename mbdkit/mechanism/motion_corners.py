@@ -124,7 +124,7 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     switches = [OPERATIONS[name] for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch]
     if not switches:
         return ()
-    roots = _switching_times(program, start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))))
+    roots = switching_times(program, start, end, samples)
     # A noise above `widest` occurs where the argument crosses zero slowly, as in abs(t**3). Several derivatives then
     # agree on both sides, so the exact time does not matter.
     found = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
@@ -192,9 +192,21 @@ def _described(
     return tuple(corners)
 
 
-def _switching_times(program: Program, start: float, end: float, samples: int) -> list[tuple[float, float]]:
-    """Return times at which a function of a program switches between its operands, with their rounding errors [s]."""
-    times = np.linspace(start, end, samples + 1)
+def switching_times(program: Program, start: float, end: float, samples: int = SAMPLES) -> list[tuple[float, float]]:
+    """Return the times [s] at which operations of a program switch between their operands, with their rounding errors.
+
+    Switches whose argument is not finite are left out.
+
+    Parameters
+    ----------
+    program
+        A function of time.
+    start, end
+        The span that is searched [s].
+    samples
+        Number of samples over the span; fewer are taken of long programs.
+    """
+    times = np.linspace(start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))) + 1)
     found: dict[float, float] = {}
     level = 0
     while True:
@@ -205,7 +217,7 @@ def _switching_times(program: Program, start: float, end: float, samples: int) -
             if switch.level == level:
                 new.update(_changes(_argument_of(program, number), times, switch.argument))
         found.update(new)
-        if level >= max(switch.level for switch in switches):
+        if level >= max((switch.level for switch in switches), default=0):
             return sorted(found.items())
         times = np.unique(np.concatenate([times, list(new)]))
 

@@ -194,6 +194,18 @@ def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray], rows: slice) -
     )
 
 
+def largest_peak(values: np.ndarray, half: slice) -> int:
+    """Return the index of the largest local maximum of values (T,) in a half of a stance; without one, of the largest.
+
+    At the end of a half, values may still increase to the peak of the other half.
+    """
+    own = np.arange(len(values))[half]
+    inner = own[(own > 0) & (own < len(values) - 1)]
+    peaks = inner[(values[inner] >= values[inner - 1]) & (values[inner] > values[inner + 1])]
+    chosen = peaks if len(peaks) else own
+    return int(chosen[np.argmax(values[chosen])])
+
+
 def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run: mbdkit.Run, rows: slice) -> list[str]:
     """Return the lines of the table, and the sources of error at the peaks."""
     start = phases[0].first
@@ -213,15 +225,18 @@ def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run
     for stance in (one for one in phases if one.name.startswith("stance")):
         first, middle, end = (frame - start for frame in (stance.first, (stance.first + stance.end) // 2, stance.end))
         for name, half in {"first": slice(first, middle), "second": slice(middle, end)}.items():
-            part, label = force.rows(half), f"{stance.name}, {name}"
-            at = int(np.argmax(part.computed))
-            inside = abs(np.max(part.measured) - part.computed[at]) <= part.bar[at]
+            label, at = f"{stance.name}, {name}", largest_peak(force.computed, half)
+            measured, computed, bar = (
+                force.measured[largest_peak(force.measured, half)],
+                force.computed[at],
+                force.bar[at],
+            )
             lines.append(
-                f"{label:<22}{np.max(part.measured):>13.0f}{part.computed[at]:>13.0f}"
-                f"{part.bar[at]:>9.0f}{part.bar[at] / WEIGHT:>10.2f}  {'yes' if inside else 'no'}"
+                f"{label:<22}{measured:>13.0f}{computed:>13.0f}{bar:>9.0f}{bar / WEIGHT:>10.2f}  "
+                f"{'yes' if abs(measured - computed) <= bar else 'no'}"
             )
             if has_contributions(run):
-                sources.append(f"{label:<22}{contributions(run, 'knee', float(run.time[rows][half][at])).sentence}")
+                sources.append(f"{label:<22}{contributions(run, 'knee', float(run.time[rows][at])).sentence}")
     both = angle._replace(bar=np.hypot(angle.bar, quantile(1.0) ** 0.5 * GONIOMETER))
     return [
         *(*lines, "", *sources, ""),

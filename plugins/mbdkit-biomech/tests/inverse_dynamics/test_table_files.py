@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -165,3 +166,40 @@ def test_marker_files_that_would_be_misread_are_refused(tmp_path: Path, change: 
     with pytest.raises(SpecError) as refused:
         trc(tmp_path, change)
     assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"nRows": "1e14"}, "the header has `nRows=1e14`, but there are 2 rows"),
+        ({"nRows": "3"}, "the header has `nRows=3`, but there are 2 rows; is the end missing?"),
+        ({"nRows": "9" * 100_000}, "the header has `nRows=999"),
+        ({"inDegrees": "x" * 100_000}, "the header has `inDegrees=xxx"),
+    ],
+)
+def test_a_wrong_header_of_a_storage_file_is_a_short_sentence(
+    tmp_path: Path, changed: dict[str, str], text: str
+) -> None:
+    header = {"version": "1", "nRows": "2", "nColumns": "2", "inDegrees": "yes"} | changed
+    lines = ["walk", *(f"{key}={value}" for key, value in header.items()), "endheader", "time\thip", "0\t1", "1\t2", ""]
+    (tmp_path / "walk.mot").write_text("\n".join(lines))
+    with pytest.raises(SpecError) as caught:
+        read_table(tmp_path / "walk.mot", "motion.file")
+    assert text in caught.value.message
+    assert len(caught.value.message) < 400
+
+
+@pytest.mark.parametrize(
+    ("rate", "frames", "text"),
+    [
+        ("nan", 1, "DataRate should be a rate in Hz, not 'nan'"),
+        ("1e400", 1, "DataRate should be a rate in Hz, not '1e400'"),
+        ("100", 2, "the header has `NumFrames=2`, but there are 1 rows"),
+    ],
+)
+def test_a_wrong_header_of_a_trc_file_is_refused(tmp_path: Path, rate: str, frames: int, text: str) -> None:
+    lines = ["PathFileType\t4\t(X/Y/Z)\tm.trc", "DataRate\tNumFrames\tNumMarkers\tUnits", f"{rate}\t{frames}\t1\tmm",
+             "Frame#\tTime\tTOE\t\t", "\t\tX1\tY1\tZ1", "1\t0\t1\t2\t3", ""]  # fmt: skip
+    (tmp_path / "walk.trc").write_text("\n".join(lines))
+    with pytest.raises(SpecError, match=re.escape(text)):
+        read_table(tmp_path / "walk.trc", "motion.file")

@@ -10,7 +10,7 @@ from tests.inverse_dynamics.c3d_files import Convention, c3d_bytes
 from tests.inverse_dynamics.test_c3d import plate
 
 import mbdkit
-from mbdkit_biomech.knee_challenge import compare, main
+from mbdkit_biomech.knee_challenge import compare, largest_peak, main
 from tests.benchmarks.person_markers import Array, Walker, in_laboratory
 
 NAMES = {"RASI": "RAsis", "LASI": "LAsis", "RPSI": "RPsis", "LPSI": "LPsis"}
@@ -70,6 +70,12 @@ def test_forces_in_pounds_are_compared_with_compression_along_the_shank_in_the_s
         ["stance", "2"],
     ]
     assert sum(line.startswith("swing") for line in lines) == 1
+
+
+def test_a_peak_is_no_value_at_the_end_of_a_half() -> None:
+    force = np.array([0.0, 700, 1327, 1100, 900, 1367, 1597, 800, 0])
+    assert [largest_peak(force, half) for half in (slice(0, 6), slice(6, 9))] == [2, 6]
+    assert largest_peak(force, slice(3, 6)) == 5
 
 
 def test_files_that_are_absent_or_of_another_trial_are_refused_in_a_sentence(folder: Path, tmp_path: Path) -> None:

@@ -15,7 +15,9 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
+from mbdkit.base.text import cited
 from mbdkit.plugin import read_data
+from mbdkit_opensim.osim_defaults import MOST, TooManyError, apply_defaults
 from mbdkit_opensim.osim_format_3 import as_format_4, rename_switches
 
 OLDEST, WITH_FRAMES, WITH_SWITCHES = 30_000, 30_500, 30_508
@@ -29,9 +31,13 @@ LARGEST = 50 * 2**20
 KEY = "model.file"
 
 
+LONGEST = 1000
+"""Largest number of characters of a message, which may contain texts of a file."""
+
+
 def refused(message: str) -> SpecError:
     """Return the exception for a file that cannot be read or is not planar."""
-    return SpecError(message, key=KEY)
+    return SpecError(message if len(message) <= LONGEST else f"{message[: LONGEST - 3]}...", key=KEY)
 
 
 def read_model(file: str) -> Element:
@@ -44,11 +50,30 @@ def read_model(file: str) -> Element:
     """
     path = Path(file)
     try:
-        path = path.expanduser()
+        path = path.expanduser().absolute()
     except RuntimeError as error:  # for ~ or ~USER without a home
         raise refused(f"{file}: {error}") from None
+    root, size = _read_document(path)
+    _read_parts(root, path, LARGEST - size, (path,))
+    model = root.find("Model")
+    if model is None:
+        raise refused(f"{path} contains no <Model>")
+    version = int(root.get("Version", ""))
+    if version < WITH_SWITCHES:
+        rename_switches(model)
     try:
-        content = read_data(path.absolute(), LARGEST)
+        apply_defaults(model)
+    except TooManyError:
+        raise refused(f"{path} has more than {MOST} components that its section `defaults` completes") from None
+    if version < WITH_FRAMES:
+        as_format_4(model)
+    return model
+
+
+def _read_document(path: Path) -> tuple[Element, int]:
+    """Return the root of a file of OpenSim, and the size of the file."""
+    try:
+        content = read_data(path, LARGEST)
     except (SpecError, ResourceError) as error:
         raise refused(str(error)) from None
     try:
@@ -63,24 +88,53 @@ def read_model(file: str) -> Element:
     if root.tag != "OpenSimDocument":
         raise refused(f"{path} is not a file of OpenSim: its root is <{root.tag}>, not <OpenSimDocument>")
     version = root.get("Version", "")
-    if not version.isdecimal() or int(version) < OLDEST:
+    if not version.isdecimal() or int(version[:20]) < OLDEST:
         raise refused(f"{path} has a format before that of OpenSim 3; open it in OpenSim 4 and save it again")
-    model = root.find("Model")
-    if model is None:
-        raise refused(f"{path} contains no <Model>")
-    if int(version) < WITH_SWITCHES:
-        rename_switches(model)
-    apply_defaults(model)
-    if int(version) < WITH_FRAMES:
-        as_format_4(model)
-    return model
+    return root, len(content)
 
 
-def apply_defaults(model: Element) -> None:
-    """Add the properties in the section `defaults` of a model to components of the same type that lack them."""
-    for default in model.iterfind("defaults/*"):
-        for element in model.iterfind(f".//{default.tag}"):
-            element.extend([part for part in default if element.find(part.tag) is None])
+def _read_parts(root: Element, path: Path, largest: int, readers: tuple[Path, ...]) -> int:
+    """Replace components with the attribute `file` by those in the files that it names, in the folder of the model.
+
+    Parameters
+    ----------
+    root, path
+        Root of a document, and its file.
+    largest
+        Largest size of all these files together [bytes].
+    readers
+        The file, and those that refer to it.
+
+    Returns
+    -------
+    int
+        What remains of `largest`.
+    """
+    for parent in root.iter():
+        for place, element in enumerate(parent):
+            if (name := element.get("file")) is None:
+                continue
+            of_part, label = path.parent / name, f"{label_of(element)} of {path}"
+            if not of_part.resolve().is_relative_to(readers[-1].parent.resolve()):
+                raise refused(f"{label} is in the file '{name}', which is not in the folder of the model")
+            if of_part.resolve() in [reader.resolve() for reader in readers]:
+                raise refused(f"{label} is in the file '{name}', which refers to itself")
+            document, size = _read_document(of_part)
+            if size > largest:
+                raise refused(f"the files of {readers[-1]} are larger than {LARGEST / 2**20:g} MiB together")
+            part = document.find(element.tag)
+            if part is None:
+                raise refused(f"{label} is in the file '{name}', which contains no <{element.tag}>")
+            if document.get("Version") != root.get("Version"):
+                raise refused(
+                    f"{label} is in the file '{name}' of another format than that of the model; save both again"
+                )
+            largest = _read_parts(document, of_part, largest - size, (of_part, *readers))
+            part = document.find(element.tag)
+            assert part is not None
+            part.set("name", part.get("name") or name_of(element))
+            parent[place] = part
+    return largest
 
 
 def name_of(element: Element) -> str:
@@ -90,7 +144,7 @@ def name_of(element: Element) -> str:
 
 def label_of(element: Element) -> str:
     """Return class and name of a component, for error messages."""
-    return f"{element.tag} '{name_of(element)}'"
+    return cited(f"{element.tag} '{name_of(element)}'")
 
 
 def text_of(element: Element, tag: str, default: str = "") -> str:

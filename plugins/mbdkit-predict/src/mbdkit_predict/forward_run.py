@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count, pairwise
 from typing import Any
@@ -68,16 +68,24 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
                 of_states[rows] = 0.0
                 return np.concatenate([y[n : 2 * n], a, of_states])
 
-            alone.append(_integrated(rates, (begin, end), predicted[i], scale))
-            ends.append(_integrated(rates, (begin, end), ends[-1], scale) if i else alone[0])
+            stops = [begin, *(t for t in method.breaks if begin < t < end), end]
+            alone.append(_integrated(rates, stops, predicted[i], scale))
+            ends.append(_integrated(rates, stops, ends[-1], scale) if i else alone[0])
     except StepError:
         return Difference()
     differences, defects = ((abs(x - predicted[1:]) / scale)[:, checked].max(axis=1) for x in (ends, alone))
     return Difference(float(differences[-1]), float(differences.max()), float(defects.sum()))
 
 
-def _integrated(rates: Rates, span: tuple[float, float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return the state at the end of an interval."""
+def _integrated(rates: Rates, stops: Sequence[float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return the state at the end of an interval, given its start, its end and the discontinuities in between."""
+    for span in pairwise(stops):
+        state = _between_stops(rates, span, state, scale)
+    return state
+
+
+def _between_stops(rates: Rates, span: tuple[float, float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return the state at the end of a span without discontinuities of functions of time."""
     absolute = PRECISION * np.where(np.isfinite(scale), scale, 1.0)
     evaluations = count(1)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+
+NEAR = 0.25
+"""Largest distance, as a share of an interval, by which its end is moved to a given time."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,25 @@ class Grid:
     def uniform(cls, counts: Sequence[int], c: np.ndarray) -> Grid:
         """Return intervals of equal length, given their number in each phase."""
         return cls(np.repeat(np.arange(len(counts)), counts), np.repeat(1.0 / np.array(counts), counts), c)
+
+    def with_ends(self, phase: int, shares: Iterable[float]) -> Grid:
+        """Return a grid in which intervals of a phase also end at given shares of its duration, in ascending order.
+
+        The nearest end moves there from at most `NEAR` of an interval; otherwise, an interval is divided.
+        """
+        own = self.phase == phase
+        ends = [0.0, *np.cumsum(self.share[own]).tolist()]
+        free = {*ends[1:-1]}
+        for share in shares:
+            nearest = min(ends, key=lambda end: abs(end - share))
+            if nearest in free and abs(nearest - share) * own.sum() <= NEAR:
+                free.discard(nearest)
+                ends.remove(nearest)
+            ends = sorted({*ends, share})
+        first, last = np.flatnonzero(own)[[0, -1]]
+        parts = [self.share[:first], np.diff(ends), self.share[last + 1 :]]
+        phases = [self.phase[:first], np.full(len(ends) - 1, phase), self.phase[last + 1 :]]
+        return Grid(np.concatenate(phases), np.concatenate(parts), self.c)
 
     def divided(self, parts: np.ndarray) -> Grid:
         """Return a finer grid, given the number of parts (N,) of each interval."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
+from mbdkit_predict.between_points import Residual, residual_between_points
 from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution, Stop
 from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
@@ -47,6 +49,8 @@ class Optimum:
         Estimated error of the objective; nan without an optimum.
     reason
         Code and sentence saying why the optimum was not found, or not accurately; empty if it was.
+    jumps
+        Times of ends of intervals at which forces jump as functions of the state.
     starts
         Objective on the first mesh from each first guess; nan where no optimum was found.
     is_minimum
@@ -55,23 +59,28 @@ class Optimum:
 
     def __init__(self, transcription: Transcription, stop: Stop):
         self.spec, self.transcription, self._stop = transcription.spec, transcription, stop
-        self.meshes, self.starts, self.reason = list[Mesh](), list[float](), ""
+        self.meshes, self.starts, self.reason, self.jumps = list[Mesh](), list[float](), "", list[float]()
+        self._halved = 0  # index of the mesh from which on all intervals are divided
         mesh = self._first()
         error = np.nan
         while _solution(mesh).is_optimum:
             self.meshes.append(mesh)
             error, is_known = self._error()
-            limit = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING
-            if is_known and error <= limit:
-                break
-            if len(self.meshes) > 1 and 2 * len(mesh.grid.phase) > MOST_INTERVALS:
-                if error > limit:
-                    self.reason = (
-                        f"mesh-limit: the error of the objective is still {error:.2g} on a mesh of "
-                        f"{len(mesh.grid.phase)} intervals, which is more than `tolerance`"
-                    )
-                break
-            mesh = self.transcription.solved(self.transcription.refined(mesh), self._stop)
+            limit, count = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING, len(mesh.grid.phase)
+            is_last = len(self.meshes) > self._halved + 1 and 2 * count > MOST_INTERVALS
+            chosen = None
+            if (is_known and error <= limit) or is_last:
+                residual = residual_between_points(self.transcription, mesh)
+                error = max(error, float(abs(residual.change).sum()))
+                chosen = residual.is_large(limit, math.sqrt(self.spec.tolerance))
+                if is_last and (error > limit or chosen.any()):
+                    self.reason = _mesh_limit(error, limit, residual, count)
+                if is_last or not chosen.any():
+                    jumps = residual.jump > math.sqrt(self.spec.tolerance)
+                    self.jumps = (mesh.values["duration"] @ mesh.grid.ends)[jumps].tolist()
+                    break
+                self._halved = len(self.meshes)
+            mesh = self.transcription.solved(self.transcription.refined(mesh, chosen), self._stop)
         if not _solution(mesh).is_optimum:
             self.reason = self._failure(mesh)
         self.mesh = self.meshes[-1] if self.meshes else mesh
@@ -132,7 +141,7 @@ class Optimum:
         meshes may agree by accident: then it takes four meshes, or two changes of nothing.
         """
         floor, is_smooth = self._floor(), _solution(self.meshes[-1]).is_smooth
-        changes = np.abs(np.diff([_solution(mesh).objective for mesh in self.meshes]))
+        changes = np.abs(np.diff([_solution(mesh).objective for mesh in self.meshes[self._halved :]]))
         if not len(changes):
             return np.inf, False
         settled = bool(np.all(changes[-1 if is_smooth else -2 :] <= floor)) and (is_smooth or len(changes) > 1)
@@ -194,6 +203,15 @@ def extrapolated(changes: Sequence[float] | np.ndarray, order: int, accident: fl
     ratios = [float(after / change) if change else 1.0 for change, after in pairwise(changes)]
     ratio = min(max(*ratios, 2.0**-order, FASTEST), SLOWEST)
     return SAFETY * ratio / (1.0 - ratio) * max(last, before * accident)
+
+
+def _mesh_limit(error: float, limit: float, residual: Residual, count: int) -> str:
+    """Return code and sentence for a mesh that is not divided any more."""
+    if error > limit:
+        why = f"the error of the objective is still {error:.2g}, which is more than `tolerance`,"
+    else:
+        why = f"between collocation points, {residual.impulse.sum():.2g} of the impulse of all forces is not balanced"
+    return f"mesh-limit: {why} on a mesh of {count} intervals"
 
 
 def _solution(mesh: Mesh) -> Solution:

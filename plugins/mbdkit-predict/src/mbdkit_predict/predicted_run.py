@@ -36,6 +36,7 @@ from mbdkit_predict.transcription import Transcription
 NO_OPTIMUM = "The motion is that of the best iterate: it is no optimum, and may violate conditions."
 INACCURATE = "The objective is less accurate than `tolerance`."
 UNKNOWN = "The motion is the optimum on the first mesh only, so that the error of the objective is not known."
+SMALL = "The error of the objective is more than `tolerance`: multiply `minimize`, so that it is not close to 1e-9."
 NO_MINIMUM = "The second-order condition does not hold: motions near it may have the same or a smaller objective."
 ESTIMATED = "The error of the objective is estimated, a forward run confirms the motion, and it is a local minimum."
 """Verdicts on motions."""
@@ -182,7 +183,16 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference) -> J
         return Judgement("bad", (NO_OPTIMUM,))
     # the objective of a minimum changes with the square of a change of the motion
     limit = math.sqrt(result.spec.tolerance)
-    doubts = [UNKNOWN if np.isnan(result.error) else INACCURATE] if result.reason else []
+    doubts = list[str]()
+    if result.reason:
+        doubts.append(UNKNOWN if np.isnan(result.error) else INACCURATE)
+    elif result.spec.tolerance * abs(result.objective) < result.error < abs(result.objective):
+        doubts.append(SMALL)
+    if result.jumps:
+        doubts.append(
+            f"A force jumps at a state that the motion passes at t = {result.jumps[0]:.6g} s, the end of an interval, "
+            "so that the optimizer does not know how this time changes; make it smooth, or begin a phase at this state."
+        )
     if not result.is_minimum:
         doubts.append(NO_MINIMUM)
     if not forward.of_intervals <= limit:

@@ -28,6 +28,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
+from mbdkit_predict.breaks import breaks_of
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.elastic_fibers import ElasticFibers
 from mbdkit_predict.grid import Grid, weights
@@ -112,6 +113,7 @@ class Transcription:
         self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
         self.has_nodes = spec.collocation.method == "gauss"
         ends = np.cumsum(lengths).tolist()
+        self.breaks = breaks_of(spec, system, float(self.limits["duration"][1].sum()))
         at_end = ca.SX(system.u)
         for name, table in spec.tables.items():
             at_end[spec.chosen.control_states.index(f"measured.{name}")] = float(curve_of(table)(ends[-1]))
@@ -137,7 +139,7 @@ class Transcription:
             self._add_path(spec.subject_to, "subject_to", None)
         conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
         self._is_free = np.array(ca.which_depends(ca.vertcat(ca.SX(0, 1), *conditions), system.z, 1), dtype=bool)
-        self._stage = self._stage_function()
+        self.stage = self._stage_function()
         self._projection, self._weights = self._projection_function()
         self._idle = self._without_effect()
 
@@ -172,8 +174,7 @@ class Transcription:
         drawn poses, and with drawn controls.
         """
         system, spec = self.system, self.spec
-        grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c)
-        low, high, durations = self.limits["duration"]
+        grid, (low, high, durations) = self._first_grid(), self.limits["duration"]
         if self.simpler is not None and self._simple is None:
             self._simple = self.simpler.solved(self.simpler.guess(), stop or Stop())
             self._known_motion = solved_motion(self._simple.times, self._simple.values, self.simpler.system, system)
@@ -222,17 +223,42 @@ class Transcription:
         done = self._simple.iterations if self._simple is not None and random is None else 0
         return Mesh(grid, self._with_nodes(values), done)
 
+    def _first_grid(self) -> Grid:
+        """Return the first mesh: intervals of equal length, some of which end earlier or later, at discontinuities of
+        functions of time, up to the first phase whose duration is free.
+        """
+        spec, begin = self.spec, 0.0
+        grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c)
+        for k, (low, high, _) in enumerate(self.limits["duration"].T.tolist()):
+            if low < high:
+                break
+            grid = grid.with_ends(k, [(t - begin) / low for t in self.breaks if begin < t < begin + low])
+            begin += low
+        return grid
+
     @property
     def is_guess_solved(self) -> bool:
         """Whether the simpler problem, if there is one, has an optimum."""
         return self._simple is None or (self._simple.solution is not None and self._simple.solution.is_optimum)
 
-    def refined(self, mesh: Mesh) -> Mesh:
+    def refined(self, mesh: Mesh, chosen: np.ndarray | None = None) -> Mesh:
         """Return a guess on a finer grid, from the polynomials of the solution.
 
         All intervals are halved. Those where controls, accelerations or multipliers are discontinuous, which is where
-        conditions become active and the order of the method is lost, are divided into more parts.
+        conditions become active and the order of the method is lost, are divided into more parts. If some intervals are
+        `chosen` (N,), only these are divided, into as many parts.
         """
+        divided = self._parts(mesh) if chosen is None else np.where(chosen, CUTS[1], 1)
+        values = dict(mesh.values)
+        within = {m: np.array([(j + c) / m for j in range(m) for c in self.c]) for m in set(divided.tolist())}
+        for name in OF_POINTS:
+            columns = {m: self.values_at(mesh, name, shares) for m, shares in within.items()}
+            values[name] = np.concatenate([columns[m][:, i] for i, m in enumerate(divided.tolist())], axis=1)
+        grid = mesh.grid.divided(divided)
+        return Mesh(grid, self._with_nodes(values), mesh.iterations, slopes=self._refined_slopes(mesh, grid))
+
+    def _parts(self, mesh: Mesh) -> np.ndarray:
+        """Return the number of parts (N,) into which intervals are divided for the next mesh."""
         s, count = len(self.c), len(mesh.grid.phase)
         jumps = np.zeros(count)
         for name in ("a", "lam", "u"):
@@ -242,19 +268,15 @@ class Transcription:
             jumps[1:] = np.maximum(jumps[1:], share)
             jumps[:-1] = np.maximum(jumps[:-1], share)
         most = np.partition(jumps, -int(MOST_UNEVEN * count) - 1)[-int(MOST_UNEVEN * count) - 1]
-        uneven = jumps > max(UNEVEN * np.median(jumps), most, 1e-3)
-        divided = np.where(uneven, CUTS[1], CUTS[0])
-        values = dict(mesh.values)
-        for name in OF_POINTS:
-            parts, points = mesh.values[name].reshape(-1, count, s), self.c
-            if name in self._rows:  # polynomials of states pass through the start of the interval
-                begins = self.nodes(mesh)[self._rows[name], :-1]
-                parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
-            within = {m: np.array([weights(points, (j + c) / m) for j in range(m) for c in self.c]).T for m in CUTS}
-            columns = [parts[:, i] @ within[m] for i, m in enumerate(divided)]
-            values[name] = np.concatenate(columns, axis=1)
-        grid = mesh.grid.divided(divided)
-        return Mesh(grid, self._with_nodes(values), mesh.iterations, slopes=self._refined_slopes(mesh, grid))
+        return np.where(jumps > max(UNEVEN * np.median(jumps), most, 1e-3), CUTS[1], CUTS[0])
+
+    def values_at(self, mesh: Mesh, name: str, shares: np.ndarray) -> np.ndarray:
+        """Return the polynomials of an unknown of `OF_POINTS` at K shares of each interval, (rows, N, K)."""
+        parts, points = mesh.values[name].reshape(-1, len(mesh.grid.phase), len(self.c)), self.c
+        if name in self._rows:  # polynomials of states pass through the start of the interval
+            begins = self.nodes(mesh)[self._rows[name], :-1]
+            parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
+        return np.asarray(parts @ np.array([weights(points, share) for share in shares]).T)
 
     def _refined_slopes(self, mesh: Mesh, grid: Grid) -> dict[str, np.ndarray]:
         """Return `Solution.slopes` on a finer grid.
@@ -275,10 +297,7 @@ class Transcription:
             values[:, points] = np.reshape(slopes[name], (-1, len(points)), order="F") / old[points]
             slopes[name] = values[:, nearest] * new
         rows = len(mesh.values["start"])
-        costates = slopes[COLLOCATION].reshape(rows, s, -1, order="F") / self.b[:, None]
-        if self.has_nodes:
-            costates += (self._weights * slopes[ENDS].reshape(rows, -1, order="F"))[:, None]
-        costates = costates.reshape(rows, -1, order="F")[:, nearest].reshape(rows, s, -1, order="F")
+        costates = self._costates(mesh)[:, nearest].reshape(rows, s, -1, order="F")
         if self.has_nodes:
             slopes[ENDS], slopes["nodes"] = costates[:, -1] / self._weights, 0.0 * costates[:, -1]
             slopes[JOINTS] = slopes["jumps"] = np.zeros((2 * len(self.system.constraint_names), len(grid.phase)))
@@ -376,7 +395,7 @@ class Transcription:
         """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
         system, n = self.system, len(self.system.q0)
         ends = [x for conditions in (self._initial, *self._ends) for x, _, _ in conditions.values()]
-        results = self._stage(*system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)))
+        results = self.stage(*system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)))
         known = [x for k, x in enumerate(results) if k != 1]  # without q'
         everything = ca.vertcat(*known, self.objective.finals, *ends, *(x for _, *both in self._periodic for x in both))
         of_q, of_v = (np.array(ca.which_depends(everything, system.symbols[name], 1)) for name in "qv")
@@ -393,7 +412,7 @@ class Transcription:
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
-        closed, position_rates, rates, integrands, balance, path = self._stage.map(total)(
+        closed, position_rates, rates, integrands, balance, path = self.stage.map(total)(
             x["q"], x["v"], x["a"], x["lam"], x["z"], x["u"], ca.repmat(x["p"], 1, total), times, x["mu"]
         )
         states, slopes = ca.vertcat(x["q"], x["v"], x["z"]), ca.vertcat(position_rates, x["a"], rates)
@@ -461,6 +480,29 @@ class Transcription:
         given = self.objective.value.sx_in()
         slope = ca.densify(ca.jacobian(self.objective.value(*given), given[0]))
         return np.array(ca.DM(slope)).ravel() if slope.is_constant() else None
+
+    def multipliers(self, mesh: Mesh, integrals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return derivatives of the objective: by integrals; and as functions of time, (rows, N s) at the collocation
+        points, by the values of the condition `MOTION` and by the rates of first-order states.
+        """
+        assert mesh.solution is not None
+        given, slopes = self.objective.value.sx_in(), mesh.solution.slopes
+        slope = ca.Function("slope", given, [ca.jacobian(self.objective.value(*given), given[0])])
+        end, duration = self.nodes(mesh)[:, -1], mesh.values["duration"].sum()
+        finals = self._at_node(self.objective.finals)(end, mesh.values["p"], duration)
+        of_motion = slopes[MOTION].reshape(-1, len(mesh.times), order="F") / np.kron(
+            mesh.values["duration"] @ mesh.grid.lengths, self.b
+        )
+        return np.array(slope(integrals, finals, duration)).ravel(), of_motion, self._costates(mesh)[self._rows["z"]]
+
+    def _costates(self, mesh: Mesh) -> np.ndarray:
+        """Return the costates (2 n + Z, N s) at the collocation points: derivatives of the objective by the states."""
+        assert mesh.solution is not None
+        slopes, rows, s = mesh.solution.slopes, len(mesh.values["start"]), len(self.c)
+        costates = slopes[COLLOCATION].reshape(rows, s, -1, order="F") / self.b[:, None]
+        if self.has_nodes:
+            costates += (self._weights * slopes[ENDS].reshape(rows, -1, order="F"))[:, None]
+        return np.asarray(costates.reshape(rows, -1, order="F"))
 
     def _points(self, grid: Grid, path: _Path) -> np.ndarray:
         """Return the indices of the collocation points at which a condition along the path is asked.

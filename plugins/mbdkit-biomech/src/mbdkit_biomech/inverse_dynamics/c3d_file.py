@@ -2,16 +2,23 @@
 
 The package ezc3d decodes the files: integers or floating-point numbers of Intel and DEC processors, scales and offsets
 of analog channels, and calibration matrices. It refuses files of MIPS processors; the byte order of such files is
-converted here first.
+converted here first. It reads some damaged files beyond the end of its memory, and thereby ends its process: files are
+read in a process of their own, which costs 0.1 s.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import re
+import signal
 import struct
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -33,6 +40,10 @@ LARGEST_OFFSET = 50.0
 
 In frames with a larger force, somebody probably stands on the plate, although the file names them as unloaded.
 """
+
+
+LONGEST = 300.0
+"""Time after which the process that reads a file is ended [s]; files of 128 MB take some seconds."""
 
 
 LARGEST_PLATE = 20.0
@@ -61,7 +72,7 @@ class Columns(NamedTuple):
     remark: str = ""
 
 
-def read_c3d(path: Path, content: bytes, most_cells: int) -> Columns | None:
+def read_c3d(path: Path, most_cells: int) -> Columns | None:
     """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
 
     Forces and torques of plates are those in the file, in the frame of the laboratory. They are given at the times of
@@ -76,24 +87,70 @@ def read_c3d(path: Path, content: bytes, most_cells: int) -> Columns | None:
     MbdkitError
         If ezc3d is not installed.
     """
-    try:
-        import ezc3d
-    except ImportError:
+    if find_spec("ezc3d") is None:
         raise MbdkitError(
             "reading C3D files needs the package ezc3d: install it with `pip install mbdkit[c3d]`, or export the "
             "markers as .trc"
-        ) from None
-    remark = ""
+        )
+    with TemporaryDirectory() as folder:
+        columns = Path(folder) / "columns.npz"
+        program = f"import sys; sys.path[:] = {[*map(str, sys.path)]!r}; from {__name__} import write_columns; write_columns()"
+        command = [sys.executable, "-c", program, str(path.absolute()), str(columns), str(most_cells)]
+        try:
+            code = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=LONGEST).returncode
+        except subprocess.TimeoutExpired:
+            code = -signal.SIGTERM
+        if not columns.exists():
+            why = f"its reader ended with the signal {signal.Signals(-code).name}" if code < 0 else "its reader ended"
+            raise _unreadable(path, f"{why}, as it does for some damaged files")
+        with np.load(columns) as arrays:
+            about, values = json.loads(str(arrays["about"])), arrays["values"]
+    if "error" in about:
+        raise SpecError(about["error"], file=path)
+    return Columns(values=values, **about) if about else None
+
+
+def write_columns() -> None:
+    """Write the columns of a C3D file, or the reason why there are none, to an archive of NumPy; this is the program of
+    the process that reads the file, with the arguments of the command line.
+    """
+    path, target, most_cells = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     try:
-        with _readable(path, content) as readable:
-            begin, end = struct.unpack_from("<2H", readable.read_bytes(), _FRAMES)
-            try:
-                file = ezc3d.c3d(str(readable), extract_forceplat_data=True)
-            except RuntimeError as error:
-                file = ezc3d.c3d(str(readable))  # the file is valid, but the description of its plates is not
-                remark = f"its force plates cannot be read: {shown(' '.join(str(error).split()))}"
-    except (OSError, RuntimeError, ValueError, IndexError, struct.error) as error:
-        raise SpecError(f"this is not a C3D file that can be read: {shown(str(error))}", file=path) from None
+        columns = _columns_of(path, most_cells)
+        about = {} if columns is None else columns._asdict()
+    except SpecError as error:
+        about = {"error": error.message}
+    values = about.pop("values", np.zeros(0))
+    with open(f"{target}.part", "wb") as file:
+        np.savez(file, about=json.dumps(about), values=values)
+    os.replace(f"{target}.part", target)
+
+
+def _unreadable(path: Path, why: str) -> SpecError:
+    return SpecError(f"this is not a C3D file that can be read: {why}", file=path)
+
+
+def _columns_of(path: Path, most_cells: int) -> Columns | None:
+    """Return what `read_c3d` does."""
+    try:
+        return _decoded(path, most_cells)
+    except KeyError as error:
+        raise _unreadable(path, f"it has no {shown(str(error))}") from None
+    except (OSError, RuntimeError, ValueError, IndexError, TypeError, MemoryError, struct.error) as error:
+        raise _unreadable(path, shown(str(error) or type(error).__name__)) from None
+
+
+def _decoded(path: Path, most_cells: int) -> Columns | None:
+    import ezc3d
+
+    remark = ""
+    with _readable(path, path.read_bytes()) as readable:
+        begin, end = struct.unpack_from("<2H", readable.read_bytes(), _FRAMES)
+        try:
+            file = ezc3d.c3d(str(readable), extract_forceplat_data=True)
+        except RuntimeError as error:
+            file = ezc3d.c3d(str(readable))  # the file is valid, but the description of its plates is not
+            remark = f"its force plates cannot be read: {shown(' '.join(str(error).split()))}"
     points = file["data"]["points"]  # (4, markers, frames)
     if points.size > most_cells:
         return None

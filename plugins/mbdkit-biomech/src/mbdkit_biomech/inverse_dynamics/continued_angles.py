@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.base.text import shown
+from mbdkit.base.text import cited
 from mbdkit_biomech.inverse_dynamics.measured_table import Table
 
 RATE_SAMPLES = 5
@@ -39,7 +39,7 @@ def continued(time: np.ndarray, values: np.ndarray, period: float, where: tuple[
             if not expected or abs(off - period * turns) > period / 4 or np.ptp(expected) > period / 2:
                 table, heading, rows = where
                 raise table.error(
-                    f"column '{shown(heading)}': the number of full turns during a gap of {lasts:.4g} s is not "
+                    f"column '{cited(heading)}': the number of full turns during a gap of {lasts:.4g} s is not "
                     "certain; fill the gap, or cut the motion with `time.start` and `time.end`",
                     row=int(rows[known[place] + 1]),
                 )

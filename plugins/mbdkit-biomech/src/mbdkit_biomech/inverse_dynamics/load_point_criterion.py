@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.base.text import listed, shown
+from mbdkit.base.text import cited, listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.plugin import Finding
@@ -247,10 +247,10 @@ def missing_points(problem: InverseProblem) -> Iterator[Finding]:
     for name, told, columns in _without_point(problem):
         if columns:
             look = "looks like its" if len(columns) == 1 else "look like columns of its"
-            example = f", as in `point: [{', '.join(map(shown, columns))}]`" if len(columns) == 2 else ""
+            example = f", as in `point: [{', '.join(map(cited, columns))}]`" if len(columns) == 2 else ""
             yield doubt(
                 "load-point",
-                f"{told}, but {listed([shown(column) for column in columns], 'and')} {look} point of application: give "
+                f"{told}, but {listed([cited(column) for column in columns], 'and')} {look} point of application: give "
                 f"`point`{example}, or write `kind: other` if the force does act at the centre of mass.",
             )
         elif problem.spec.loads[name].kind == "plate":
@@ -271,5 +271,5 @@ def _without_point(problem: InverseProblem) -> Iterator[tuple[str, str, tuple[st
     for name, load in problem.spec.loads.items():
         measured = any(not isinstance(one, float) for one in load.force or ())
         if measured and load.point is None and load.kind != "other":
-            told = f"load '{shown(name)}' has no `point`, so that its force acts at the centre of mass of {load.body}"
+            told = f"load '{cited(name)}' has no `point`, so that its force acts at the centre of mass of {load.body}"
             yield name, told, problem.loads[name].like_point

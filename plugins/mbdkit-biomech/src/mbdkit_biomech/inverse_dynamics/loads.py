@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import shown
+from mbdkit.base.text import cited
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.interpolating_splines import interpolating_spline
@@ -269,7 +269,7 @@ def _required(
                 f"in this row (for `kind: plate`, mbdkit does so below {UNLOADED:g} N and {UNLOADED_SHARE:.0%} of the "
                 "largest force)"
             )
-        raise table.error(f"column '{shown(column.column)}': {told}", row=int(missing[0]))
+        raise table.error(f"column '{cited(column.column)}': {told}", row=int(missing[0]))
     known = np.flatnonzero(~absent)
     rows = np.arange(len(values))
     return np.interp(rows, known, values[known]) if known.size else np.zeros(len(values))

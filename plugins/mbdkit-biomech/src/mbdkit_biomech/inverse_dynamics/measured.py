@@ -14,7 +14,7 @@ import numpy as np
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import counted, listed, shown
+from mbdkit.base.text import cited, counted, listed
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.mechanism.mechanism_quantities import Quantity
@@ -256,8 +256,8 @@ def contradicted_units(table: Table, columns: Iterable[GivenUnit]) -> Iterator[s
         with suppress(SpecError):  # the file has a unit that is not known, which may be the reason for `unit`
             if read_unit(unit).factor != read_unit(in_file).factor:
                 yield (
-                    f"the unit {shown(unit)} at {key}.unit contradicts the unit of column '{shown(heading)}' in the "
-                    f"file, {shown(in_file)}; leave out `unit` if the file is right"
+                    f"the unit {cited(unit)} at {key}.unit contradicts the unit of column '{cited(heading)}' in the "
+                    f"file, {cited(in_file)}; leave out `unit` if the file is right"
                 )
 
 
@@ -266,7 +266,7 @@ def _unit_in_file(table: Table, heading: str, text: str, key: str) -> Unit:
     try:
         return read_unit(text)
     except SpecError as error:
-        message = f"column '{shown(heading)}': its unit in the file, {error}; give `unit` in the spec"
+        message = f"column '{cited(heading)}': its unit in the file, {error}; give `unit` in the spec"
         raise table.error(message, key=key) from None
 
 
@@ -277,7 +277,7 @@ def si_values(column: ColumnOfTable, table: Table, unit: str, key: str) -> np.nd
     if large.size:
         row = int(large[0])
         raise table.error(
-            f"column '{shown(column.column)}': {values[row]:.6g} {unit} is not possible: its magnitude exceeds "
+            f"column '{cited(column.column)}': {values[row]:.6g} {unit} is not possible: its magnitude exceeds "
             f"{LARGEST:g}",
             row=row,
         )
@@ -289,13 +289,13 @@ def times_of(table: Table, column: TimeColumn, key: str) -> np.ndarray:
     in_file = None if "unit" in column.model_fields_set else table.unit(column.column)
     factor = column.factor if in_file is None else _unit_in_file(table, column.column, in_file, key).factor
     if in_file is not None and not read_unit(in_file).is_like(read_unit("s")):
-        raise table.error(f"column '{shown(column.column)}': '{shown(in_file)}' is not a unit of time (s, ms)", key=key)
+        raise table.error(f"column '{cited(column.column)}': '{cited(in_file)}' is not a unit of time (s, ms)", key=key)
     times = table.times(column.column, key, factor)
     wrong = np.flatnonzero((np.diff(times) < SHORTEST) | (np.diff(times) > LONGEST))
     if wrong.size:
         row = int(wrong[0]) + 1
         raise table.error(
-            f"column '{shown(column.column)}': the interval of {times[row] - times[row - 1]:.6g} s from the row before "
+            f"column '{cited(column.column)}': the interval of {times[row] - times[row - 1]:.6g} s from the row before "
             f"is not possible; it should be from {SHORTEST:g} to {LONGEST:g} s",
             row=row,
         )
@@ -330,7 +330,7 @@ def _bridged(
     table, heading, rows = where
     known = np.flatnonzero(~missing)
     first = int(np.flatnonzero(missing)[0])
-    column = f"column '{shown(heading)}'"
+    column = f"column '{cited(heading)}'"
     if gaps is None:
         raise table.error(
             f"{column}: the value is missing ({counted(int(missing.sum()), 'row')} without a value); give "
@@ -368,7 +368,7 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     """
     motion = spec.motion
     if not path.is_file():
-        raise SpecError(f"there is no such file: {shown(str(path))}", key="motion.file")
+        raise SpecError(f"there is no such file: {cited(str(path))}", key="motion.file")
     with load(path) as run:
         kept = rows_within(spec, run.time)
         time, archived = run.time[kept], list(run.bodies)
@@ -376,7 +376,7 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     bodies = list(names.mechanism.bodies)
     missing = [name for name in bodies if name not in archived]
     if missing:
-        raise SpecError(f"{shown(path.name)} has no body {listed(missing)} of the model", key="motion.file")
+        raise SpecError(f"{cited(path.name)} has no body {listed(missing)} of the model", key="motion.file")
     places = [archived.index(name) for name in bodies]
     q, v, a = (array[:, places].reshape(len(time), -1) for array in arrays)
     found: dict[str, Quantity]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.text import did_you_mean, listed, shown
+from mbdkit.base.text import cited, did_you_mean, listed
 from mbdkit.base.units import Unit, read_quantity, read_unit
 
 GAPS = (
@@ -124,7 +124,7 @@ class Table:
         """
         place = self._place.get(heading)
         if place is None:
-            names = [shown(name) for name in self.headings if name]
+            names = [cited(name) for name in self.headings if name]
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
             hint = did_you_mean(heading, names) or f"; its columns: {some}"
             remark = f" ({self.remark})" if self.remark else ""
@@ -132,9 +132,9 @@ class Table:
             with suppress(SpecError):  # a text that is almost a number with a unit
                 if quantity := read_quantity(heading):
                     remark += f"; for a constant, give the number in SI units without its unit: {quantity[0]:.6g}"
-            raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}{remark}", key=key)
+            raise SpecError(f"{self.name} has no column '{cited(heading)}'{hint}{remark}", key=key)
         if self.headings.count(self.headings[place]) > 1:
-            raise self.error(f"two columns have the heading '{shown(heading)}'")
+            raise self.error(f"two columns have the heading '{cited(heading)}'")
         try:
             texts = [cells[place] for cells in self.cells]
             if not all(map(_is_plain, texts)):
@@ -159,10 +159,10 @@ class Table:
                     raise ValueError
                 cell = float(text)
             except ValueError:
-                message = f"column '{shown(heading)}': {shown(text)!r} is not a number{self._hint(text, row)}"
+                message = f"column '{cited(heading)}': {cited(text)!r} is not a number{self._hint(text, row)}"
                 raise self.error(message, row=row) from None
         if math.isinf(cell):
-            raise self.error(f"column '{shown(heading)}': {cell} is not a finite number", row=row)
+            raise self.error(f"column '{cited(heading)}': {cell} is not a finite number", row=row)
         return float(cell)
 
     def _hint(self, text: str, row: int) -> str:
@@ -199,12 +199,12 @@ class Table:
             raise self.error("this table has no rows")
         missing = np.flatnonzero(np.isnan(values))
         if missing.size:
-            raise self.error(f"column '{shown(heading)}': the time is missing", row=int(missing[0]))
+            raise self.error(f"column '{cited(heading)}': the time is missing", row=int(missing[0]))
         back = np.flatnonzero(np.diff(values) <= 0)
         if back.size:
             row = int(back[0]) + 1
             raise self.error(
-                f"column '{shown(heading)}': times should increase, but {values[row]:.10g} s follows "
+                f"column '{cited(heading)}': times should increase, but {values[row]:.10g} s follows "
                 f"{values[row - 1]:.10g} s",
                 row=row,
             )
@@ -222,13 +222,13 @@ class Table:
         """
         of_time, stated = (read_unit(self.unit(heading) or default) for heading, default in ((x, "s"), (y, "1")))
         if not of_time.is_like(read_unit("s")):
-            raise self.error(f"column '{shown(x)}': {of_time} is not a unit of time (s, ms)")
+            raise self.error(f"column '{cited(x)}': {of_time} is not a unit of time (s, ms)")
         times, values = self.times(x, "x", of_time.factor), self.column(y, "y")
         missing = np.flatnonzero(np.isnan(values))
         if missing.size:
-            raise self.error(f"column '{shown(y)}': the value is missing; gaps are not bridged", row=int(missing[0]))
+            raise self.error(f"column '{cited(y)}': the value is missing; gaps are not bridged", row=int(missing[0]))
         if self.unit(y) is None and unit is None:
-            why = f"because {self.name} states no unit of '{shown(y)}'"
+            why = f"because {self.name} states no unit of '{cited(y)}'"
             raise SpecError(f"is missing, {why}; give deg, rad, mm, ..., or 1 for a number", key="unit")
         if self.unit(y) is not None and unit is not None and unit.factor != stated.factor:
             raise SpecError(f"{unit} contradicts the unit in {self.name}, {stated}; leave it out", key="unit")
@@ -256,6 +256,7 @@ def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> Table:
     lengths = {heading: len(values) for heading, values in data.items()}
     if len(set(lengths.values())) > 1:
         raise SpecError(
-            f"columns should be of equal length, not {listed(f'{name} {n}' for name, n in lengths.items())}", key=key
+            f"columns should be of equal length, not {listed(f'{cited(name)} {n}' for name, n in lengths.items())}",
+            key=key,
         )
     return Table("", list(data), list(zip(*data.values(), strict=True)))

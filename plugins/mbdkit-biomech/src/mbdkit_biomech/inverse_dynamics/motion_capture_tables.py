@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.text import listed, shown
+from mbdkit.base.text import cited, listed
 
 Rows = Sequence[tuple[int, list[str]]]
 """Rows of cells with the numbers of their lines, without empty lines."""
@@ -63,7 +63,7 @@ def read_qualisys(file: str, rows: Rows) -> Columns:
     kind, markers = header.get("DATA_INCLUDED", ["3D"])[0], [name for name in header.get("MARKER_NAMES", []) if name]
     if kind != "3D" or not markers:
         raise SpecError(
-            f"this file of Qualisys Track Manager has {'data of the kind ' + shown(kind) if kind != '3D' else 'no row'}"
+            f"this file of Qualisys Track Manager has {'data of the kind ' + cited(kind) if kind != '3D' else 'no row'}"
             f"{'' if kind != '3D' else ' MARKER_NAMES'}; 3D motion data with their header are read, and forces from "
             "C3D files",
             file=file,
@@ -125,7 +125,7 @@ def read_vicon(file: str, rows: Rows) -> Columns:
         if name in SECTIONS:
             found[name] = _section(file, name, rows[begin:end])
         else:
-            other.append(shown(name))
+            other.append(cited(name))
     devices = found.get(_DEVICES)
     of_cameras = [section for name, section in found.items() if name != _DEVICES]
     main = of_cameras[0] if of_cameras else next(iter(found.values()))
@@ -185,14 +185,14 @@ def _section(file: str, name: str, rows: Rows) -> _Section:
 
 def _whole(cell: str, file: str, line: int) -> int:
     if not _is_number(cell) or float(cell) != int(float(cell)):
-        raise SpecError(f"'{shown(cell.strip())}' is not the number of a frame", file=file, line=line)
+        raise SpecError(f"'{cited(cell.strip())}' is not the number of a frame", file=file, line=line)
     return int(float(cell))
 
 
 def _rate(text: str, file: str, line: int | None) -> float:
     """Return a rate [Hz]; raise SpecError if the text is not one."""
     if not _is_number(text) or float(text) <= 0:
-        raise SpecError(f"'{shown(text.strip())}' is not a rate in Hz, from which times follow", file=file, line=line)
+        raise SpecError(f"'{cited(text.strip())}' is not a rate in Hz, from which times follow", file=file, line=line)
     return float(text)
 
 

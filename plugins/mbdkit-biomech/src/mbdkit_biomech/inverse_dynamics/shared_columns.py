@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.base.text import listed, shown
+from mbdkit.base.text import cited, listed
 from mbdkit.engine.linear_systems import product
 from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
@@ -41,7 +41,7 @@ def shared_columns(problem: InverseProblem) -> Iterator[Finding]:
         if len(sharing) > 1:
             yield doubt(
                 "shared-column",
-                f"column '{shown(heading)}' is used for {listed(sharing, 'and')}: is another column meant? If not, as "
+                f"column '{cited(heading)}' is used for {listed(sharing, 'and')}: is another column meant? If not, as "
                 "in symmetric motions, write `accept: [shared-column]`.",
             )
 

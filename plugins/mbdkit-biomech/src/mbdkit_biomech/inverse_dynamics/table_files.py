@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import itertools
+import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,7 +14,7 @@ from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files_read import check_readable, read_data
-from mbdkit.base.text import shown
+from mbdkit.base.text import cited
 from mbdkit.base.units import NUMBER, read_unit
 from mbdkit_biomech.inverse_dynamics.c3d_file import read_c3d
 from mbdkit_biomech.inverse_dynamics.measured_table import DECIMAL_COMMA, Table, begins_like_number
@@ -53,11 +54,11 @@ def read_table(path: Path, key: str) -> Table:
     check_readable(path)
     if not os.path.exists(path) or os.path.isdir(path):
         what = "is a folder" if path.is_dir() else "there is no such file"
-        raise SpecError(f"{what}: {shown(str(path))}", key=key)
+        raise SpecError(f"{what}: {cited(str(path))}", key=key)
     suffix = path.suffix.lower()
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     if suffix == ".c3d":
-        return _read_c3d(path, content)
+        return _read_c3d(path)
     readers = dict.fromkeys((".csv", ".tsv", ".txt"), _read_csv) | {
         ".mot": _read_storage,
         ".sto": _read_storage,
@@ -65,7 +66,7 @@ def read_table(path: Path, key: str) -> Table:
     }
     if suffix not in readers:
         raise SpecError(
-            f"'{shown(path.name)}' does not have the suffix of a table; known suffixes: .csv, .tsv, .mot, "
+            f"'{cited(path.name)}' does not have the suffix of a table; known suffixes: .csv, .tsv, .mot, "
             f".sto, .trc, .c3d, and .h5 of a run",
             key=key,
         )
@@ -283,6 +284,7 @@ def _read_storage(file: str, lines: list[str]) -> Table:
     split = _cells_of(kept[0][1])
     rows = [cells for _, cells in _within(file, ((number, split(line)) for number, line in kept))]
     lines_of = [number for number, _ in kept[1:]]
+    _check_count(file, header, "nRows", len(rows) - 1)
     table = _checked(Table(file, rows[0], rows[1:], lines_of, in_degrees=_is_in_degrees(file, header)))
     if split is str.split:  # a missing cell would move the others
         for row, cells in enumerate(table.cells):
@@ -290,6 +292,14 @@ def _read_storage(file: str, lines: list[str]) -> Table:
                 few = f"this row has {len(cells)} cells, but there are {len(table.headings)} headings"
                 raise table.error(f"{few}; write nan for a missing value", row=row)
     return table
+
+
+def _check_count(file: str, header: Mapping[str, str], key: str, count: int) -> None:
+    """Raise SpecError if the header gives a number of rows that is none, or if the table ends before it."""
+    given = header.get(key, "0")
+    if not given.isdecimal() or int(given[:10]) > count:
+        raise SpecError(f"the header has `{cited(f'{key}={given}')}`, but there are {count} rows; is the end missing?",
+                        file=file)  # fmt: skip
 
 
 def _is_in_degrees(file: str, header: Mapping[str, str]) -> bool:
@@ -301,7 +311,7 @@ def _is_in_degrees(file: str, header: Mapping[str, str]) -> bool:
     if key is None:
         return "version" not in header
     if key != "inDegrees" or header[key].lower() not in ("yes", "no"):
-        given = shown(f"{key}={header[key]}")
+        given = cited(f"{key}={header[key]}")
         raise SpecError(f"the header has `{given}`; write `inDegrees=yes` or `inDegrees=no`", file=file)
     return header[key].lower() == "yes"
 
@@ -326,11 +336,15 @@ def _read_trc(file: str, lines: list[str]) -> Table:
     given = [axis[:1] for axis in axes if axis]
     if given[: 3 * len(markers)] != ["X", "Y", "Z"] * len(markers):
         raise SpecError("this row should be X1, Y1, Z1, X2 and so on, three for each marker", file=file, line=5)
+    rate = header.get("datarate") or "1"
+    if not re.fullmatch(NUMBER, rate) or not 0.0 < float(rate) < math.inf:
+        raise SpecError(f"DataRate should be a rate in Hz, not '{cited(rate)}'", file=file, line=3)
     if not header.get("units"):
         raise SpecError("this file states no unit; write, for example, mm below `Units`", file=file, line=3)
     headings = [*names[:2], *(f"{marker}.{axis}" if marker else "" for marker in markers for axis in "xyz")]
     kept = [(number, line) for number, line in enumerate(lines[5:], 6) if line.strip()]
     rows = [cells for _, cells in _within(file, ((number, line.split("\t")) for number, line in kept))]
+    _check_count(file, {"NumFrames": header.get("numframes") or "0"}, "NumFrames", len(rows))
     units = dict.fromkeys(headings[2:], header["units"])
     return _checked(Table(file, headings, rows, [number for number, _ in kept], units=units))
 
@@ -352,14 +366,14 @@ def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
     while markers and not markers[-1] and str(len(markers)) != count:
         markers.pop()
     if count != str(len(markers)):
-        have = f"NumMarkers is {shown(count)}, but this row has the names of {len(markers)} markers"
+        have = f"NumMarkers is {cited(count)}, but this row has the names of {len(markers)} markers"
         raise SpecError(f"{have}; each name is followed by two empty cells", file=file, line=4)
     return markers
 
 
-def _read_c3d(path: Path, content: bytes) -> Table:
+def _read_c3d(path: Path) -> Table:
     """Read the markers and force plates of a C3D file; see `read_c3d`."""
-    found = read_c3d(path, content, MOST_CELLS)
+    found = read_c3d(path, MOST_CELLS)
     if found is None:
         raise _too_many_cells(str(path))
     return Table(str(path), found.headings, found.values.tolist(), units=found.units, remark=found.remark)

@@ -85,7 +85,7 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
     if terms is None:
         names = [name for name in TERMS if name in relative][:most]
     shown = {name: relative.get(name, values[name]) for name in COLORS if name in names}
-    labels = {"potential": "potential (0 at the start)"} if base else {}
+    labels = {"potential": "potential, 0 at the start", "total": "total, minus potential at the start"} if base else {}
     lines = (_line(run, name, curve, labels.get(name, name)) for name, curve in shown.items())
     label = "energy balance" if names == ["balance"] else "energy"
     return Figure("energy", "Energy", "", TIME, Axis(label, "J"), tuple(lines))

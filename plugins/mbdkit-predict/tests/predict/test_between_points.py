@@ -1,0 +1,134 @@
+"""Pulses, breaks and jumps between the collocation points of predictions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import mbdkit
+from mbdkit_predict.grid import Grid
+from predict.exact_optima import EFFORT, PUSH, block
+
+TRIANGLE = {"table": [[0, 0.5166, 0.5206, 0.5246, 1], [0, 0, 1000, 0, 0]], "interpolation": "linear"}
+SWITCHED = "max(0, 1000*(1 - abs(t - 0.5206)/0.004))"
+WIDE: dict[str, Any] = {"controls": {PUSH: {"bounds": [-200, 200]}}}
+
+
+def loaded(value: Any, **sections: Any) -> dict[str, Any]:
+    return block(forces={"load": {"type": "force", "body": "block", "value": [value, 0]}}, **WIDE | sections)
+
+
+def pushed(impulse: float, at: float) -> float:
+    """Return the least effort with a pulse that is symmetric about a time `at`, of 1 kg by 1 m in 1 s.
+
+    Double integration is linear: the control reaches what the pulse misses, a distance x and a velocity v from rest,
+    with 12 x^2 - 12 x v + 4 v^2.
+    """
+    x, v = 1.0 - impulse * (1.0 - at), -impulse
+    return 12.0 * x**2 - 12.0 * x * v + 4.0 * v**2
+
+
+@pytest.mark.parametrize(
+    ("value", "impulse", "at", "intervals"),
+    [
+        (TRIANGLE, 4.0, 0.5206, 20),
+        (TRIANGLE | {"table": [TRIANGLE["table"][0], [0, 0, 100, 0, 0]]}, 0.4, 0.5206, 20),
+        (SWITCHED, 4.0, 0.5206, 20),
+        (f"{SWITCHED} + 0*block.vx", 4.0, 0.5206, 20),  # an expression of the state
+        ("1000*exp(-((t - 0.52)/0.0005)**2)", 0.5 * np.pi**0.5, 0.52, 20),
+        # no effect to first order: the multiplier of the force vanishes at half time
+        ("1000*exp(-((t - 0.5)/0.0005)**2)", 0.5 * np.pi**0.5, 0.5, 21),
+    ],
+)
+def test_a_short_pulse_belongs_to_the_optimum(value: Any, impulse: float, at: float, intervals: int) -> None:
+    run = mbdkit.predict(loaded(value, collocation={"intervals": intervals}))
+    assert (run.status, run.verdict) == ("complete", "good")
+    assert abs(run.objective - pushed(impulse, at)) <= run.objective_error < 2e-7 * run.objective
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.slow)])
+def test_no_drawn_pulse_is_skipped_with_a_good_verdict(count: int) -> None:
+    # widths from 1/10000 of the motion on, some 2 of the nodes at which equations are evaluated
+    random, good = np.random.default_rng(68), 0
+    for _ in range(count):
+        width, at, force = 10.0 ** random.uniform(-4, -2), random.uniform(0.1, 0.9), random.uniform(-1000, 1000)
+        method, points = [("radau", 2), ("radau", 3), ("radau", 5), ("gauss", 2), ("gauss", 3)][random.integers(5)]
+        collocation = {"method": method, "points": points, "intervals": int(random.integers(5, 30))}
+        run = mbdkit.predict(loaded(f"{force}*exp(-((t - {at})/{width})**2)", collocation=collocation))
+        is_right = abs(run.objective - pushed(force * width * np.pi**0.5, at)) <= run.objective_error
+        assert is_right or run.verdict == "doubtful", (force, at, width, collocation, run.objective)
+        good += run.verdict == "good"
+    assert good > 0.4 * count
+
+
+def test_a_pulse_of_a_measured_function_belongs_to_the_objective() -> None:
+    # the optimum is 12 as before, and the integral of the pulse is added: 1000 exp(-(t/w)^2) by its spline, whose
+    # points are 1e-4 s apart
+    times = np.concatenate([[0.0, 0.2, 0.4], np.linspace(0.5, 0.51, 101), [0.6, 0.8, 1.0]])
+    values = np.exp(-(((times - 0.505) / 5e-4) ** 2))
+    table = {"table": [times.tolist(), (1e4 * values).tolist()], "interpolation": "cubic"}
+    run = mbdkit.predict(block(measured={"pulse": table}, minimize=f"{EFFORT} + integral(measured.pulse)"))
+    assert run.objective == pytest.approx(12.0 + 5.0 * np.pi**0.5, rel=1e-5)
+
+
+@pytest.mark.parametrize("collocation", [{}, {"points": 5, "intervals": 10}, {"method": "gauss", "intervals": 20}])
+def test_a_jump_that_the_motion_passes_at_the_end_of_an_interval_is_doubtful(collocation: dict[str, Any]) -> None:
+    # the optimum is 17.39; on these meshes, the derivative of the friction is zero at all points
+    run = mbdkit.predict(loaded("-5*(1 + tanh(1e6*(block.x - .5)))", collocation=collocation))
+    assert run.verdict == "doubtful"
+    assert "A force jumps at a state that the motion passes at t = 0.5 s" in run.verdict_reasons[0]
+
+
+def test_a_jump_at_the_end_of_a_phase_is_right() -> None:
+    # x = 0.5 ends the first phase, after a time T with a velocity v; a force of 10 N acts in the second one
+    def effort(end: float, speed: float) -> float:
+        x, v = 0.5 + 5.0 * (1.0 - end) ** 2 - speed * (1.0 - end), 10.0 * (1.0 - end) - speed
+        first, last = ((12 * x**2 / h**3 - 12 * x * v / h**2 + 4 * v**2 / h)
+                       for x, v, h in ((0.5, speed, end), (x, v, 1.0 - end)))  # fmt: skip
+        return float(first + last)
+
+    exact = minimize(
+        lambda x: effort(*x), [0.6, 1.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12}
+    ).fun
+    free = {"bounds": [0.1, 0.9]}
+    spec = loaded(
+        "-5*(1 + tanh(1e6*(block.x - .5)))", duration=None, final={"block.x": 1, "block.vx": 0, "t": 1.0},
+        phases=[{"duration": free, "final": {"block.x": 0.5}}, {"duration": free}],
+    )  # fmt: skip
+    run = mbdkit.predict(spec)
+    assert run.objective == pytest.approx(exact, rel=1e-4)
+
+
+def test_objectives_close_to_the_accuracy_of_the_optimizer_are_doubtful() -> None:
+    # a pendulum of 1 kg needs 72.188 N^2 m^2 s; one of 1e-6 kg 1e-12 times as much, a relative change of no importance
+    def swing(mass: float) -> mbdkit.Run:
+        model = {
+            "name": "mechanism", "gravity": [0, -9.81],
+            "bodies": {"bob": {"mass": mass, "inertia": 0.1 * mass, "position": [0, -1]}},
+            "joints": {"pin": {"type": "revolute", "bodies": ["ground", "bob"], "points": [[0, 0], [0, 1]]}},
+            "forces": {"motor": {"type": "torque", "body": "bob", "value": 0.0}},
+        }  # fmt: skip
+        return mbdkit.predict(
+            {
+                "mbdkit_predict": 1, "base": {"model": model}, "duration": 2.0,
+                "controls": {"forces.motor.value": {"bounds": [-20 * mass, 20 * mass]}},
+                "initial": {"bob.angle": 0, "bob.angular_velocity": 0},
+                "final": {"bob.angle": 3.14159, "bob.angular_velocity": 0},
+                "minimize": "integral(forces.motor.value**2)",
+            }
+        )  # fmt: skip
+
+    whole, light = swing(1.0), swing(1e-6)
+    assert (whole.verdict, light.verdict) == ("good", "doubtful")
+    assert "multiply `minimize`" in light.verdict_reasons[0]
+    assert abs(light.objective - 1e-12 * whole.objective) <= light.objective_error
+
+
+def test_intervals_end_at_given_times() -> None:
+    grid = Grid.uniform([4, 2], np.ones(1)).with_ends(0, [0.3, 0.31, 0.6, 0.9])
+    ends = np.array([0.3, 0.31, 0.5, 0.6, 0.75, 0.9, 1.0, 1.5, 2.0])
+    np.testing.assert_allclose(np.ones(2) @ grid.ends, ends, atol=1e-15)
+    assert grid.counts == (7, 2)
