@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import count, groupby, pairwise
 
 ACCURACY = 1e-13
 """Accuracy of the time of a crossing, relative to the larger of the time and 1 s."""
@@ -19,6 +19,14 @@ times as large as at both points.
 
 LOW = 0.1
 """The extremum of a parabola through three points is examined if it is below this share of the middle one."""
+
+BESIDE = 1e-9
+"""Share of the step at whose distance from an end the scalar is evaluated if it has no finite value there."""
+
+SLACK, TRUNCATION = 8, 0.2
+"""Parameters n0 and kappa1 (relative to the first interval) of ITP; kappa2 is 2. Larger values of n0 leave more room to
+interpolation, which then needs fewer evaluations for smooth functions.
+"""
 
 _ROUNDING = 2.0**-52
 
@@ -53,7 +61,9 @@ def crossings(
     """Return the crossings within a step, in order, and the sign at the start of the next step.
 
     Only sign changes count. Touching zero is not a crossing. If the scalar is exactly zero, the crossing is counted
-    when the scalar leaves zero with the opposite sign.
+    when the scalar leaves zero with the opposite sign. If the sign at the start of the step differs from the last one
+    before, because the state has jumped there, this is a crossing at the start. A scalar without a finite value at an
+    end of the step, such as at a pole there, has the value close to this end instead.
 
     Parameters
     ----------
@@ -68,7 +78,7 @@ def crossings(
 
     Returns
     -------
-    found : list of Crossing
+    crossings : list of Crossing
         Crossings in increasing order.
     sign : int
         Last non-zero sign so far; 0 if there has been none.
@@ -76,26 +86,41 @@ def crossings(
     Raises
     ------
     UndefinedError
-        If the scalar has no finite value at an end of the step or where a crossing is located.
+        If the scalar has no finite value close to an end of the step, or where a crossing is located.
     """
-    for place, value in (shown[0], shown[-1]):
-        if not math.isfinite(value):
-            raise UndefinedError(place)
-    points = [shown[0], shown[-1]]
-    full = _with_turns([point for point in shown if math.isfinite(point[1])], dense)
+    first, last = (0.0, _at_end(shown[0], BESIDE, exact)), (1.0, _at_end(shown[-1], 1.0 - BESIDE, exact))
+    inner = [point for point in shown[1:-1] if math.isfinite(point[1])]
+    if not math.isfinite(shown[0][1]) and abs(first[1]) > POLE * abs(next(iter([*inner, last]))[1]):
+        before = sign(first[1])  # the scalar goes through infinity
+    points = [first, last]
+    full = _with_turns([first, *inner, last], dense)
     ends = _changes(before, points)
     if _changes(before, full) > ends:  # dense output shows a double crossing, which is verified on exact values
-        points = [shown[0], *((place, _defined(exact, place)) for place in _summits(full[1:-1])), shown[-1]]
-    found = []
-    now = before or sign(shown[0][1])
+        points = [first, *((theta, _defined(exact, theta)) for theta in _summits(full[1:-1])), last]
+    crossed = []
+    now = before or sign(first[1])
+    if sign(first[1]) == -now != 0:
+        now = -now
+        crossed.append(Crossing(0.0, now))
     for left, right in pairwise(points):
         new = sign(right[1])
         if new and now and new != now:
             theta = _located(left, right, new, exact, accuracy)
             if theta is not None:
-                found.append(Crossing(theta, new))
+                crossed.append(Crossing(theta, new))
         now = new or now
-    return found, now
+    return crossed, now
+
+
+def _at_end(end: Point, beside: float, exact: Scalar) -> float:
+    """Return the value at an end of a step, or that at the position `beside` if it is not finite."""
+    theta, value = end
+    if math.isfinite(value):
+        return value
+    value = exact(beside)
+    if not math.isfinite(value):
+        raise UndefinedError(theta)
+    return value
 
 
 def _changes(before: int, points: Sequence[Point]) -> int:
@@ -136,29 +161,72 @@ def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float
 
     None if the scalar changes its sign at a pole, through infinity instead of zero.
     """
+    (a, fa), (b, fb) = bracketed(exact, left, right, accuracy)
+    if min(abs(fa), abs(fb)) > POLE * max(abs(left[1]), abs(right[1])):
+        return None
+    return a if abs(fa) <= abs(fb) else b
+
+
+def bracketed(function: Scalar, left: Point, right: Point, accuracy: float) -> tuple[Point, Point]:
+    """Return two points with a distance of at most `accuracy` between which a function changes its sign.
+
+    The method is ITP: interpolation, truncation and projection (Oliveira and Takahashi 2020,
+    https://doi.org/10.1145/3423597). It converges superlinearly to simple zeros, and needs only a few evaluations more
+    than bisection for any function, such as one with a multiple zero, around which its values are rounding errors.
+
+    Parameters
+    ----------
+    function
+        The function.
+    left, right
+        Points with a value of different sign; the value on the left may be zero. The sign changes to that of `right`:
+        zeros count as the sign of `left`, so that the last zero is located if the function is zero for a while.
+    accuracy
+        Largest distance of the points; rounding errors of positions of about 1 limit it.
+
+    Raises
+    ------
+    UndefinedError
+        If the function has no finite value at a position and at two beside it.
+    """
     (a, fa), (b, fb) = left, right
-    if sign(fa) != -new:  # the left value is zero, so bisect for the last zero
-        while b - a > max(accuracy, _ROUNDING):
-            middle = 0.5 * (a + b)
-            if sign(_defined(exact, middle)) == new:
-                b = middle
-            else:
-                a = middle
-        return a
-    ends = {a: fa, b: fb}
-    smallest = abs(fa), abs(fb)
+    new, width, whole = sign(fb), max(accuracy, _ROUNDING), b - a
+    most = math.ceil(math.log2(max(whole / width, 1.0))) + SLACK
+    is_tried = False  # whether the position to the right of a zero has been tried
+    for k in count():
+        if b - a <= width:
+            return (a, fa), (b, fb)
+        x = middle = 0.5 * (a + b)
+        if fa != 0.0:
+            root = a + (b - a) * (fa / (fa - fb))
+            towards, shift = math.copysign(1.0, middle - root), TRUNCATION * (b - a) * ((b - a) / whole)
+            radius = max(0.0, width * 2.0 ** (most - k - 1) - 0.5 * (b - a))
+            if shift <= abs(middle - root):
+                x = root + towards * shift
+            if not abs(x - middle) <= radius:
+                x = middle - towards * radius
+        elif not is_tried:  # most functions are zero at one position only
+            x, is_tried = a + width, True
+        x, fx = _defined_beside(function, x if a < x < b else middle, a, b)
+        if sign(fx) == new:
+            b, fb = x, fx
+        else:
+            is_tried &= fa == 0.0
+            a, fa = x, fx
+    raise AssertionError
 
-    def function(place: float) -> float:
-        return ends[place] if place in ends else _defined(exact, place)
 
-    from scipy.optimize import brentq  # loaded only if an event is located
+def _defined_beside(function: Scalar, x: float, a: float, b: float) -> Point:
+    """Return the point at `x`, or one at a position half way to `a` or `b` if the value at `x` is not finite."""
+    for position in (x, 0.5 * (a + x), 0.5 * (x + b)):
+        value = function(position)
+        if math.isfinite(value):
+            return position, value
+    raise UndefinedError(x)
 
-    theta = float(brentq(function, a, b, xtol=max(accuracy, _ROUNDING), rtol=4 * _ROUNDING))
-    return None if abs(function(theta)) > POLE * max(smallest) else theta
 
-
-def _defined(scalar: Scalar, place: float) -> float:
-    value = scalar(place)
+def _defined(scalar: Scalar, theta: float) -> float:
+    value = scalar(theta)
     if not math.isfinite(value):
-        raise UndefinedError(place)
+        raise UndefinedError(theta)
     return value

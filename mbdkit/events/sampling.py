@@ -21,15 +21,20 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 
 from mbdkit.engine.linear_systems import inverse_of, product
+from mbdkit.events.crossing import UndefinedError, bracketed
 
 INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated first."""
+
+BREAK = 1e-13
+"""Accuracy of the positions of kinks, as a share of the step."""
 
 LARGEST_TURN = 1.0
 """Largest change of the argument of a periodic function between two samples [rad]; a period has at least 6 samples."""
@@ -139,20 +144,11 @@ def _divide(known: dict[float, Values], at: Callable[[float], Values], phase: Sc
 def _mark_break(known: dict[float, Values], values_at: Callable[[float], Values], argument: Scalar) -> None:
     """Add samples where `argument` changes sign."""
     for a, b in list(pairwise(sorted(known))):
-        if argument(known[a]) * argument(known[b]) < 0.0:
-            place = _root(lambda theta: argument(values_at(theta)), a, b)
-            if a < place < b:
+        ends = (a, argument(known[a])), (b, argument(known[b]))
+        if ends[0][1] * ends[1][1] < 0.0:
+            with suppress(UndefinedError):
+                (place, _), _ = bracketed(lambda theta: argument(values_at(theta)), *ends, BREAK)
                 known[place] = values_at(place)
-
-
-def _root(function: Callable[[float], float], a: float, b: float) -> float:
-    """Return a root between `a` and `b`, where the signs differ; `b` if the function is not finite on the way."""
-    try:
-        from scipy.optimize import brentq  # loaded only if an event is located
-
-        return float(brentq(function, a, b, xtol=1e-13))
-    except (RuntimeError, ValueError):
-        return b
 
 
 @lru_cache(maxsize=256)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, cast
 
@@ -38,16 +38,14 @@ from mbdkit.quantities.quantity import Quantity
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
 REPEATED = 10.0 * ACCURACY
-"""A run fails if an event that sets states crosses zero twice within this time, relative to the larger of the time and
-1 s.
+"""Crossings within this time, relative to the larger of the time and 1 s, are simultaneous. A run fails if an event
+that sets states crosses zero twice within this time.
 
 Otherwise, an infinite sequence of crossings at ever shorter intervals would not be noticed.
 """
 
 ZERO = 1e-9
-"""After an event has set states, values of its expression below this share of its largest value so far count as
-zero.
-"""
+"""After a jump of the state, values of an expression below this share of its largest value so far count as zero."""
 
 CLOSER = 0.1
 """After an event has set states, its expression is sampled at shares of the step that decrease by this factor.
@@ -133,19 +131,17 @@ class _Change:
         self._quantities, self._expressions = _prepared(list(event.changes.values()), workspace)
         self.undefined = ""
 
-    def states(self, t: float, state: Moment) -> np.ndarray:
-        """Return the first-order states (Z,) after the change at a time [s].
+    def apply(self, t: float, state: Moment, after: np.ndarray) -> None:
+        """Set the new values in the first-order states `after` (Z,), from the time [s] and the state before.
 
         If a value is not finite, `undefined` is the name of its state.
         """
         q, v, z = state
         values = self._quantities.values([t], q[None], v[None], z[None])[0]
-        after = z.copy()
         for name, place, one in zip(self._names, self._places, self._expressions, strict=True):
             after[place] = one.value(values)
             if not math.isfinite(after[place]):
                 self.undefined = name
-        return after
 
 
 @dataclass
@@ -197,7 +193,9 @@ class Watch:
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
         self._changes = [_Change(event, workspace) if event.changes else None for event in events]
-        self._fired: list[int] = []  # indices of events that set states before the next step
+        # Expressions of the events with the crossings at which states have been set before the next step: by index,
+        # their values before the states were set.
+        self._fired: dict[int, float] = {}
         self._set_at = [-math.inf] * len(events)
         self._latest = -math.inf
         expressions = [event.when for event in events]
@@ -210,10 +208,11 @@ class Watch:
         self._found: list[Found] = []
         self._nodes: list[Nodes] = []
         self._steps: list[ConsecutiveSteps] = []
-        self._raised: Exception | None = None
+        self._parts: list[Stretch] = []
         self._failure: Failure | None = None
         self._values: list[float] | None = None
-        self._ended: np.ndarray | None = None  # velocities and first-order states at the end of the last step
+        self._sides = workspace.scratch.sides
+        self._ended: np.ndarray | None = None  # see `_side` at the end of the last step
         self._largest = [0.0] * len(events)
         self.stopped: Found | None = None
         self._worst_before = stepper.worst_pairs.copy()
@@ -254,27 +253,19 @@ class Watch:
         return found
 
     def advance(self) -> Stretch:
-        """Advance for about `STRETCH` seconds of wall time and return the rows to be recorded.
-
-        If the method raises an exception after some steps, their rows are returned first and the next call raises it.
-        """
-        if self._raised is not None:
-            raise self._raised
+        """Advance for about `STRETCH` seconds of wall time and return the rows to be recorded."""
         until = time.perf_counter() + interface.STRETCH
-        parts: list[Stretch] = []
+        self._parts = parts = []
         while True:
-            try:
-                part = self._several_steps()
-            except Exception as error:
-                if not parts:
-                    raise
-                self._raised = error
-                break
+            part = self._several_steps()
             if len(part.time) or not parts:
                 parts.append(part)
             if self.finished or self.failure is not None or time.perf_counter() > until:
-                break
-        return joined(parts)
+                return joined(parts)
+
+    def rows_before_error(self) -> Stretch | None:
+        """See `Advancing.rows_before_error`."""
+        return joined(self._parts) if self._parts else None
 
     def _several_steps(self) -> Stretch:
         """Advance by one step, or by several steps that certainly contain no event; return the rows."""
@@ -291,7 +282,7 @@ class Watch:
         part = ahead.keep(clear)
         if clear:
             self._steps.append(ConsecutiveSteps(*(x[: clear + 1] for x in ends)))
-            self._values = None
+            self._values, self._ended = None, self._side(ends.v[clear], ends.z[clear])
         pace.took(clear, taken)
         return self._done(part)
 
@@ -336,7 +327,7 @@ class Watch:
             "ended": self._ended,
             "largest": self._largest,
             "near": self._quantities.kept,
-            "fired": self._fired,
+            "fired": [*self._fired.items()],
             "set_at": self._set_at,
             "latest": self._latest,
             "ahead": vars(self._pace),
@@ -352,7 +343,7 @@ class Watch:
         self._ended = state["ended"]
         self._largest = [float(value) for value in state["largest"]]
         fill(self._quantities.kept, state["near"])
-        self._fired = [int(number) for number in state["fired"]]
+        self._fired = {int(number): float(value) for number, value in state["fired"]}
         self._set_at = [float(time) for time in state["set_at"]]
         self._latest = float(state["latest"])
         self._pace = Lookahead(**{name: int(number) for name, number in state["ahead"].items()})
@@ -362,47 +353,85 @@ class Watch:
         step = self.stepper.last_step
         if step is None or not self.events:
             return stretch
-        found: list[tuple[Crossing, int]] = []
+        crossed: list[tuple[Crossing, int]] = []
         samples = self._shown(step)
         signs = [*self._signs]
         self._fired.clear()
+        accuracy = ACCURACY * max(1.0, abs(step.t1)) / (step.t1 - step.t0)
         for number, (event, shown) in enumerate(zip(self.events, samples, strict=True)):
             dense, exact = (self._scalar(number, state) for state in (self.stepper.inside, self.stepper.within))
-            accuracy = ACCURACY * max(1.0, abs(step.t1)) / (step.t1 - step.t0)
             try:
-                places, self._signs[number] = crossings(self._signs[number], shown, dense, exact, accuracy)
+                some, self._signs[number] = crossings(self._signs[number], shown, dense, exact, accuracy)
             except UndefinedError as error:
                 where = f"has no finite value at t = {step.time(error.theta):.6g} s"
                 self._failure = Failure("not-finite", f"the expression of event '{event.name}' {where}.")
                 return stretch
-            found += [(place, number) for place in places]
-        for place, number in sorted(found, key=lambda item: (item[0].theta, self.events[item[1]].action == "stop")):
-            event, signs[number] = self.events[number], place.direction
-            if place.direction not in DIRECTIONS[event.direction]:
+            crossed += [(crossing, number) for crossing in some]
+        counted = [(c, number) for c, number in crossed if c.direction in DIRECTIONS[self.events[number].direction]]
+        acting = min((c.theta for c, number in counted if self._acts(number)), default=math.inf)
+        until = (
+            acting + REPEATED / ACCURACY * accuracy
+        )  # crossings until then are simultaneous with the first that acts
+        together = {number for c, number in crossed if acting <= c.theta <= until}
+        for crossing, number in sorted(counted, key=lambda item: (min(item[0].theta, acting), self._stops(item[1]))):
+            if crossing.theta > until:
                 continue
-            self._latest = max(self._latest, step.time(place.theta))
-            one = Found(event.name, self._latest, place.direction, *self.stepper.within(place.theta)[:2])
-            self._found.append(one)
-            if event.action == "stop":
-                self.stopped = one
-                return self._cut(stretch, place.theta)
-            if self._changes[number] is not None:
-                self._signs = [before or sign(points[0][1]) for before, points in zip(signs, samples, strict=True)]
-                return self._set(place.theta, number)
-        return stretch
+            self._latest = max(self._latest, step.time(min(crossing.theta, acting)))
+            state = self.stepper.within(min(crossing.theta, acting))
+            record = Found(self.events[number].name, self._latest, crossing.direction, *state[:2])
+            self._found.append(record)
+            if self._stops(number):
+                self.stopped = record
+                return self._cut(stretch, acting)
+        if acting == math.inf:
+            return stretch
+        for crossing, number in crossed:
+            if crossing.theta <= until:
+                signs[number] = crossing.direction
+        self._signs = [before or sign(points[0][1]) for before, points in zip(signs, samples, strict=True)]
+        setting = [number for c, number in counted if number in together and self._changes[number] is not None]
+        return self._set(acting, together, list(dict.fromkeys(setting)))
 
-    def _set(self, theta: float, number: int) -> Stretch:
-        """End the last step at the share `theta`, where an event sets states; return the rows up to there."""
-        change, event = self._changes[number], self.events[number]
-        assert change is not None
+    def _stops(self, number: int) -> bool:
+        return self.events[number].action == "stop"
+
+    def _acts(self, number: int) -> bool:
+        """Return whether an event stops the run or sets states."""
+        return self._stops(number) or self._changes[number] is not None
+
+    def _set(self, theta: float, crossed: Collection[int], setting: Sequence[int]) -> Stretch:
+        """End the last step at the share `theta`, where events set states; return the rows up to there.
+
+        `crossed` are the indices of all events that cross zero there, and `setting` of those that set states.
+        """
+
+        def change(t: float, state: Moment) -> np.ndarray:
+            q, v, z = state
+            values, after = self._quantities.values([t], q[None], v[None], z[None])[0], z.copy()
+            self._fired = {number: self._expressions[number].value(values) for number in crossed}
+            for number in setting:
+                self._change(number).apply(t, state, after)
+            return after
+
         self._steps.pop()
         self.stepper.worst_pairs[:] = self._worst_before
-        stretch, steps = cast(Splitting, self.stepper).split(theta, change.states)
+        stretch, steps = cast(Splitting, self.stepper).split(theta, change)
         self._steps += [step.ends for step in steps]
-        self._values, t = None, self._latest
-        self._fired.append(number)
+        self._values = None
+        for number in setting:
+            self._note_setting(number)
+        return stretch
+
+    def _change(self, number: int) -> _Change:
+        change = self._changes[number]
+        assert change is not None
+        return change
+
+    def _note_setting(self, number: int) -> None:
+        """Note that an event has set states now; note the failure of the run if it does so too often."""
+        change, t = self._change(number), self._latest
         since, self._set_at[number] = t - self._set_at[number], t
-        what = f"event '{event.name}'"
+        what = f"event '{self.events[number].name}'"
         if change.undefined:
             state = change.undefined
             self._failure = Failure(
@@ -413,48 +442,58 @@ class Watch:
                 "zeno", f"{what} sets states again after less than {REPEATED:.0g} s at t = {t:.10g} s; its "
                 f"crossings would repeat without end."
             )  # fmt: skip
-        return stretch
+
+    def _side(self, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return values that differ at the two sides of a jump: velocities, first-order states, limits of motions."""
+        return np.concatenate([v, z, self._sides])
 
     def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
         """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
-        begin = np.concatenate([step.v0, step.z0])
-        if self._values is None or self._ended is None or not np.array_equal(self._ended, begin):
-            # This step does not continue the last one. Cases: the start of the run, an impulse, an event that sets
-            # states, and a sample of a controller.
+        # Jumps: an impulse, a sample of a controller, an event that sets states, a discontinuity of a motion or load.
+        is_after_jump = bool(self._fired) or (
+            self._ended is not None and not np.array_equal(self._ended, self._side(step.v0, step.z0))
+        )
+        if self._values is None or is_after_jump:
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), step.between(1.0)]
         q, v, z = (np.array([state[part] for state in states]) for part in range(3))
         rows = [self._values, *self._quantities.values([step.time(theta) for theta in (*INSIDE, 1.0)], q, v, z)]
-        self._values, self._ended = rows[-1], np.concatenate([step.v1, step.z1])
+        self._values, self._ended = rows[-1], self._side(step.v1, step.z1)
         points = list(zip((0.0, *INSIDE, 1.0), rows, strict=True))
         shown = []
         for number, (value, phases, breaks) in enumerate(self._expressions):
-            if number in self._fired:
-                samples = self._after_change(number, points)
-            else:
-                samples = refined(points, self._values_inside, value, phases, breaks, self._largest[number])
+            sets = number in self._fired and self._changes[number] is not None
+            close = self._close_points() if sets else []
+            samples = refined(
+                sorted([*points, *close]), self._values_inside, value, phases, breaks, self._largest[number]
+            )
+            if is_after_jump:
+                samples[0] = 0.0, self._after_jump(number, samples[0][1], sets=sets)
             self._largest[number] = max(self._largest[number], *(abs(x) for _, x in samples if math.isfinite(x)), 0.0)
             shown.append(samples)
         return shown
 
-    def _after_change(self, number: int, points: list[tuple[float, list[float]]]) -> list[tuple[float, float]]:
-        """Return samples of the scalar of an event that has set states at the start of the step.
-
-        A change of sign that is caused by the new states is not a crossing. If the scalar is zero up to rounding errors
-        after the change, it is set to zero, so that it may then leave zero in either direction without a crossing.
-        """
+    def _close_points(self) -> list[tuple[float, list[float]]]:
+        """Return quantities at positions that approach the start of the last step."""
         step = self.stepper.last_step
         assert step is not None
-        theta, early = CLOSER, []
+        theta, points = CLOSER, []
         while theta * (step.t1 - step.t0) > CLOSER * REPEATED * max(1.0, abs(step.t0)):
-            early.append((theta, self._values_of(theta, self.stepper.within)))
+            points.append((theta, self._values_of(theta, self.stepper.within)))
             theta *= CLOSER
-        all_points, expression = sorted([*points, *early]), self._expressions[number]
-        samples = refined(all_points, self._values_inside, *expression, self._largest[number])
-        (first, begin), *rest = samples
-        is_zero = abs(begin) <= ZERO * self._largest[number]
-        self._signs[number] = 0 if is_zero else sign(begin)
-        return [(first, 0.0 if is_zero else begin), *rest]
+        return points
+
+    def _after_jump(self, number: int, value: float, *, sets: bool) -> float:
+        """Return the scalar of an event right after a jump from its computed `value`.
+
+        It is zero if it is zero up to rounding errors, and if the jump does not change it and is at a crossing of this
+        event; it may then leave zero with the sign after that crossing. A change of sign due to states that the event
+        itself `sets` is not a crossing.
+        """
+        is_zero = abs(value) <= ZERO * self._largest[number] or self._fired.get(number) == value
+        if sets:
+            self._signs[number] = 0 if is_zero else sign(value)
+        return 0.0 if is_zero else value
 
     def _values_inside(self, theta: float) -> list[float]:
         """Return the quantities at a position in the last step, by dense output."""

@@ -478,6 +478,10 @@ class CompiledStepper(FailedSteps):
         c.nodes[1] = 0
         return Nodes(*(x[some].copy() for x in (c.node_time, c.node_weight, c.node_q, c.node_v)))
 
+    def rows_before_error(self) -> Stretch | None:
+        """See `Advancing.rows_before_error`."""
+        return None
+
     def last_state(self) -> Stretch:
         """See `Stepper.last_state`."""
         c = self.run_state

@@ -70,7 +70,6 @@ class StepHost(LastStep):
         self.finished = False
         self.failure: Failure | None = None
         self.last_step: StepTaken | None = None
-        self.raised: Exception | None = None
         self.worst_pairs = np.zeros(len(workspace.mechanism.topology.pairs))
         workspace.clamp_motions(*timetable.sides(0))
         z0 = states_at_start(workspace)
@@ -94,6 +93,7 @@ class StepHost(LastStep):
         self._retrying, self._rejected, self.next_row = False, 0, 1
         self._rows_before: tuple[int, Interval] = (1, Interval())
         self._inner_rows: list[float] = []
+        self._rows: list[Row] = []
         self._nodes = HostNodes(workspace.mechanism.size, workspace.scratch.sides)
         self._watch = StepWatch(workspace, timetable.guards, self.worst_pairs, method.advice)
 
@@ -212,13 +212,9 @@ class StepHost(LastStep):
     # ---- steps ---------------------------------------------------------------------------------------------------
 
     def advance(self) -> Stretch:
-        """See `Stepper.advance`. An exception of the method is raised by the next call, so that the rows before it are
-        not lost.
-        """
-        if self.raised is not None:
-            raise self.raised
+        """See `Stepper.advance`."""
         until, table = time.perf_counter() + interface.STRETCH, self.timetable
-        rows: list[Row] = []
+        self._rows = rows = []
         self.last_step = None
         while not self.finished and self.failure is None:
             if self.now.done >= table.max_steps:
@@ -241,12 +237,13 @@ class StepHost(LastStep):
                 near = f"; {near}" if near and error.code in ("singular", "step-too-small") else ""
                 self.failure = Failure(error.code, f"{error} {where}{near}; {self.method.advice}.")
                 break
-            except Exception as error:
-                self.raised = error
-                break
             if table.single or time.perf_counter() > until:
                 break
         return self._stretch(rows)
+
+    def rows_before_error(self) -> Stretch | None:
+        """See `Advancing.rows_before_error`."""
+        return self._stretch(self._rows) if self._rows else None
 
     def _take(self, before: Reached, there: Reached, taken: Taken) -> None:
         """Continue from the end of an accepted step."""

@@ -178,9 +178,11 @@ class SciPySolver(ExternalMethod):
         else:
             if self._inner is None:
                 try:
-                    self._inner = self._run.dense_output()
+                    self._inner = self._guarded(self._run.dense_output)
                 except NotImplementedError:
                     raise StepError("not-finite", "the solver has no dense output") from None
+                if self._error is not None:
+                    raise self._error
             y = np.asarray(self._inner(t0 + theta * (self._run.t - t0)))
         q, v, energies, z = np.split(y, self._parts)
         gained = energies - y0[self._parts[1] : self._parts[2]] if len(energies) else (0.0, 0.0)

@@ -207,7 +207,12 @@ def _advance(
             # the limit is that of the comparison run, not `limits.max_steps` of the spec
             most = companion.timetable.max_steps
             return f"it needs more than {most} steps" if failed.code == "max-steps" else failed.sentence
-        stretch = stepper.advance() if watched is None else watched.step()
+        try:
+            stretch = stepper.advance() if watched is None else watched.step()
+        except Exception:
+            if (rows := stepper.rows_before_error()) is not None:
+                found.take(rows)
+            raise
         if companion.within_steps:
             found.take_within(stepper)
         else:

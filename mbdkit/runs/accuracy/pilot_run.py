@@ -101,13 +101,13 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
     except (Exception, SystemExit) as error:
         return PilotRun(setting, position, 0, 0.0, plugin_failure(spec, error).code)
     failure: Failure | None = None
-    while not (stepper.finished or stepper.failure):
+    while not (stepper.finished or stepper.failure or failure):
+        stretch: Stretch | None
         try:
             stretch = stepper.advance()
         except (Exception, SystemExit) as error:  # the run itself will fail in the same way and report this
-            failure = plugin_failure(spec, error)
-            break
-        if not len(stretch.time):
+            failure, stretch = plugin_failure(spec, error), stepper.rows_before_error()
+        if stretch is None or not len(stretch.time):
             continue
         row = np.clip(np.round((stretch.time - start) / (end - start) * SAMPLES).astype(int), 0, SAMPLES)
         met = np.abs(stretch.time - samples[row]) <= 1e-9 * (end - start)
@@ -267,6 +267,10 @@ class Replay:
     def evidence(self) -> StepEvidence:
         """See `Advancing.evidence`."""
         return self._pilot.stepper.evidence
+
+    def rows_before_error(self) -> Stretch | None:
+        """See `Advancing.rows_before_error`."""
+        return None
 
     def last_state(self) -> Stretch:
         """See `Advancing.last_state`."""
