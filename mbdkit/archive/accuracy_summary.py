@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import Headline, excluded_error, largest_forces, plus_minus
-from mbdkit.archive.peak_errors import measures_of_largest, peak_errors
+from mbdkit.archive.headlines import excluded_error, largest_forces, plus_minus
+from mbdkit.archive.peak_errors import peak_errors
 from mbdkit.base.text import listed
 
 if TYPE_CHECKING:
@@ -47,14 +47,9 @@ def accuracy_sentence(run: Run, *, with_force: bool = True) -> str:
 
 
 def _largest_force(run: Run) -> str:
-    """Return the largest force of all joints with its error, as headlines or a measure state it; empty if unknown."""
+    """Return the largest force of all joints with its error, as headlines state it; empty if unknown."""
     largest = next(iter(largest_forces(run)), None)
-    if largest is None:
-        return ""
-    measure = measures_of_largest(run.spec.get("measures") or {}, "joints.force").get(largest.element, "")
-    if run.measures.units.get(measure) == "N":
-        largest = Headline(largest.label, run.measures[measure], "N", run.measure_errors[measure])
-    return "" if math.isnan(largest.error) else f"{largest.label} {largest.text()}"
+    return "" if largest is None or math.isnan(largest.error) else f"{largest.label} {largest.text()}"
 
 
 def _largest_known_force(run: Run, count: int) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
+from mbdkit.archive.peak_errors import measures_of_largest, missed_between_rows, peak_errors
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import HeadlineItem
 from mbdkit.registry.manager import registry
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 MOST = 5
 """Number of headlines of a run."""
 
-MOST_DIGITS = 6
-"""Largest number of significant digits of a headline."""
+MOST_DIGITS = 10
+"""Largest number of significant digits of a number with an error."""
+
+DIGITS_ALONE = 6
+"""Number of significant digits of a number whose error was not estimated."""
 
 #: The value between recorded rows is printed if the number misses more than this share of it: with a known error, and
 #: without one.
@@ -88,14 +91,15 @@ class Headline(NamedTuple):
     def text(self, sign: str = "+-") -> str:
         """Return the number with the digits that its error justifies, its error and its unit.
 
-        If the value between recorded rows is clearly larger, the text has both values and the error of the larger one.
-        If it is unknown, the text says that the number is that of the rows.
+        The number is the largest value between recorded rows if that is known; if it is clearly larger than the value
+        in the rows, the text has both. If it is unknown, the text says that the number is that of the rows.
         """
+        if math.isnan(self.missed):
+            return self._with_error(self.value, self.error, sign) + " in the recorded rows"
+        between = self._with_error(self.largest, self.error - self.missed, sign)
         if self.misses:
-            between = self._with_error(self.largest, self.error - self.missed, sign)
             return f"{self.value:.4g} {self._unit}".rstrip() + f" in the recorded rows, {between} between them"
-        of_rows = " in the recorded rows" if math.isnan(self.missed) else ""
-        return self._with_error(self.value, self.error, sign) + of_rows
+        return between
 
     def answer(self, sign: str = "+-") -> str:
         """Return `text`, and say if the number is that at the end of the run."""
@@ -110,7 +114,7 @@ class Headline(NamedTuple):
             return f"{plus_minus(value, error, sign)} {self._unit}".rstrip()
         if self.is_checked:
             return f"{value:.4g} {self._unit}".rstrip() + " (error unknown)"
-        return f"{value:.{MOST_DIGITS}g} {self._unit}".rstrip()
+        return f"{value:.{DIGITS_ALONE}g} {self._unit}".rstrip()
 
 
 def excluded_error(run: Run) -> str:
@@ -133,7 +137,8 @@ def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_
     The value is rounded to the place of the error's first digit. If the error is 10 or more and the value is printed
     without an exponent, it is rounded to the place of the error's second digit, as in ``3600 +- 210``. A value that is
     smaller than its error keeps as many digits of its own, as in ``430 +- 1800``, so that it is not rounded to zero.
-    A value that is not finite has no known error.
+    If the value has too few digits for its error, the error is half a unit of its last digit, which is what rounding
+    may change. A value without an error is exact. A value that is not finite has no known error.
 
     Parameters
     ----------
@@ -147,10 +152,11 @@ def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_
     if not (math.isfinite(value) and math.isfinite(error)):
         return f"{value:.4g} (error unknown)"
     if error <= 0:
-        return f"{value:.{digits}g} {sign} 0"
+        return f"{value:.{digits}g}"
     of_error = math.floor(math.log10(error))
     own = math.floor(math.log10(abs(value))) if value else of_error
     first = max(own, of_error)
+    error = max(error, 0.5 * 10.0 ** (first - digits + 1)) if of_error < first - digits + 1 else error
     if not SMALLEST_PLACE <= first <= LARGEST_PLACE:
         return f"{value:.{min(first - of_error, digits - 1)}e} {sign} {error:.2g}"
     last = max(min(own, of_error), first - digits + 1)
@@ -226,7 +232,7 @@ def largest_forces(run: Run) -> list[Headline]:
     force = np.hypot(vectors[..., 0], vectors[..., 1])  # does not overflow after a motion that flew apart
     errors = _errors(run, "reaction_error", force)
     missed = missed_between_rows(run, "joints.force", run.joint_names, force)
-    return largest_of("force in", run, run.joint_names, force, "N", errors, missed)
+    return _as_measured(run, "joints.force", largest_of("force in", run, run.joint_names, force, "N", errors, missed))
 
 
 def largest_torques(run: Run) -> list[Headline]:
@@ -236,7 +242,19 @@ def largest_torques(run: Run) -> list[Headline]:
     torque = np.abs(run.array("joints/reaction_torque"))
     errors = _errors(run, "torque_error", torque)
     missed = missed_between_rows(run, "joints.torque", run.joint_names, torque)
-    return largest_of("torque of", run, run.joint_names, torque, "N m", errors, missed)
+    found = largest_of("torque of", run, run.joint_names, torque, "N m", errors, missed)
+    return _as_measured(run, "joints.torque", found)
+
+
+def _as_measured(run: Run, quantity: str, found: list[Headline]) -> list[Headline]:
+    """Return headlines in which a number that is also a measure does not depend on rows."""
+    known = measures_of_largest(run.spec.get("measures") or {}, quantity).keys() & {
+        one.element for one in found if math.isfinite(one.error) and math.isfinite(one.missed)
+    }
+    return [
+        one._replace(value=one.largest, error=one.error - one.missed, missed=0.0) if one.element in known else one
+        for one in found
+    ]
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:

@@ -6,13 +6,15 @@ between rows as well, as measures do.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mbdkit.archive.measured_values import ComparedMeasures, Integrals
+from mbdkit.base.units import read_unit
 from mbdkit.quantities.registered_kinds import mode_arrays
 from mbdkit.trust.measure_error import measure_error
 
@@ -49,8 +51,9 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
     In a simulated run, the error is the sum of two terms: the largest error of the method in any of these rows, because
     the true peak may be in another row, and the height by which the largest value during the run exceeds the recorded
     one, with its error. This height is known only for all rows. For fewer rows, it is estimated by interpolation if
-    every step is recorded; otherwise the errors are nan. For inverse dynamics, whose values belong to the frames of the
-    data, see `errors_of_frames`.
+    every step is recorded; otherwise the errors are nan. If the largest value is also a measure, the error is the sum
+    of the height and the error of the measure, so that a number has the same error wherever it is printed. For inverse
+    dynamics, whose values belong to the frames of the data, see `errors_of_frames`.
 
     Parameters
     ----------
@@ -71,12 +74,26 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
         return errors_of_frames(run, _ATTRIBUTES[name], run.joint_names, size, errors)
     missed = missed_between_rows(run, _ATTRIBUTES[name], run.joint_names, size)
     if missed is not None and count == len(run.time):
-        missed = missed * (1.0 + BETWEEN / _steps_per_row(run) ** 2)  # peaks are parabolas near their vertices
-    elif skips_steps(run.spec):
+        between = BETWEEN * missed / _steps_per_row(run) ** 2  # peaks are parabolas near their vertices
+        of_run = np.max(errors, axis=0) + between
+        for place, _, error in errors_of_measures(run, _ATTRIBUTES[name], run.joint_names):
+            of_run[place] = error
+        return np.asarray(of_run + missed)
+    if skips_steps(run.spec):
         missed = np.full(size.shape[1], np.nan)
     else:
         missed = excess_between_rows(np.asarray(run.time)[:count], size, jumps(run))
     return np.asarray(np.max(errors, axis=0) + missed)
+
+
+def errors_of_measures(run: Run, quantity: str, names: Sequence[str]) -> Iterator[tuple[int, float, float]]:
+    """Yield the index of each element whose largest magnitude is a measure with a known error, the value of this
+    measure and its error, both in SI units.
+    """
+    for name, measure in measures_of_largest(run.spec.get("measures") or {}, quantity).items():
+        if name in names and math.isfinite(error := run.measure_errors.get(measure, math.nan)):
+            factor = read_unit(run.measures.units[measure]).factor
+            yield names.index(name), run.measures[measure] * factor, error * factor
 
 
 def _steps_per_row(run: Run) -> float:
@@ -209,12 +226,9 @@ def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.nda
     if "reaction_peak_error" in parts:  # contains that another frame may have the largest force
         of_data = np.take_along_axis(parts["reaction_error_data"], rows[None], axis=0)[0]
         found = np.where(np.isfinite(found), np.sqrt(of_data**2 + parts["reaction_peak_error"] ** 2), np.nan)
-    for name, measure in measures_of_largest(run.spec.get("measures") or {}, quantity).items():
-        if name in names and measure in run.measures:
-            place = list(names).index(name)
-            is_same = np.isclose(run.measures[measure], size[rows[place], place], rtol=1e-9, atol=0.0)
-            if is_same and np.isfinite(run.measure_errors[measure]):
-                found[place] = run.measure_errors[measure]
+    for place, value, error in errors_of_measures(run, quantity, names):
+        if np.isclose(value, size[rows[place], place], rtol=1e-9, atol=0.0):
+            found[place] = error
     return np.asarray(found)
 
 

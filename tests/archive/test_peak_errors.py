@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 import mbdkit
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.accuracy_summary import accuracy_sentence
-from mbdkit.archive.headlines import Headline, headlines, largest_loads
+from mbdkit.archive.headlines import Headline, headlines, largest_loads, plus_minus
 from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps, peak_errors
 from mbdkit.archive.run_summary import summary, summary_lines
 
@@ -119,8 +119,19 @@ def test_peaks_that_all_rows_miss_make_a_run_bad(output: dict[str, float]) -> No
 def test_a_largest_force_that_is_a_measure_has_one_value_and_does_not_depend_on_rows() -> None:
     run = _turning({"peak": "max(abs(joints.pin.force))"}, every=200)
     assert run.measures["peak"] == pytest.approx(MASS * (ARM * SPEED**2 + 9.81), rel=1e-9)
-    assert accuracy_sentence(run).startswith("largest force in pin 59.0984 +- ")
+    assert accuracy_sentence(run).startswith("largest force in pin 59.098417")
     assert run.verdict == "good"
+
+
+def test_a_largest_load_that_is_a_measure_has_the_error_of_the_measure_everywhere() -> None:
+    """The rows show a torque of zero; the largest one, m g r, is known as well as the measure knows it."""
+    run = _turning({"peak": {"value": "max(abs(joints.motor.torque))", "unit": "mN m"}}, every=200)
+    error = run.measure_errors["peak"]
+    torque = next(one for one in largest_loads(run) if one.element == "motor")
+    assert torque.largest == pytest.approx(MASS * 9.81 * ARM, abs=1e-3 * error)
+    assert (torque.error, torque.missed) == (pytest.approx(1e-3 * error, rel=1e-6), 0.0)
+    told = next(text for label, text in summary_lines(run) if label == "drivers")
+    assert told.startswith(f"largest torque of motor {plus_minus(MASS * 9.81 * ARM, 1e-3 * error)} N m at ")
 
 
 def test_peaks_between_coarse_steps_are_covered_and_count_in_the_verdict() -> None:

@@ -162,6 +162,7 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     """
     from mbdkit_design.design_loading import load_design_spec
     from mbdkit_design.evaluation import Evaluator
+    from mbdkit_design.gains import heading, measure_units, variable_unit
     from mbdkit_design.limits_in_degrees import limits_in_degrees
     from mbdkit_design.search import check_installed
 
@@ -172,8 +173,9 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     for warning in (*limits_in_degrees(spec), *of_scenarios):
         say(f"warning: {warning}")
     show(f"{name}: this design is valid")
-    show(f"variables    {', '.join(spec.variables)}")
-    show(f"goals        {', '.join(spec.goals)}")
+    show(f"variables    {', '.join(heading(name, variable_unit(spec, name)) for name in spec.variables)}")
+    units = {measure: unit for (_, measure), unit in measure_units(spec).items()}
+    show(f"goals        {', '.join(heading(measure, units[measure]) for measure in spec.goals)}")
     if spec.subject_to:
         show(f"limits       {', '.join(spec.subject_to)}")
     if spec.scenarios:

@@ -12,6 +12,7 @@ from mbdkit.base.errors import RunError
 from mbdkit.base.text import counted, table
 from mbdkit_design.design_spec import DesignSpec, LocalOptimizer
 from mbdkit_design.evaluation import Evaluator
+from mbdkit_design.gains import goal_units, heading, variable_unit, with_unit
 from mbdkit_design.point import DesignPoint, point_of
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import searches
@@ -47,9 +48,9 @@ class Comparison:
     own_start: DesignPoint | None = None
     own_best: DesignPoint | None = None
 
-    def confirmation(self) -> str:
-        """Return a sentence that compares the goal at the start and at the best point of the design, both computed with
-        the other settings; empty if `own_start` or `own_best` is None.
+    def confirmation(self, unit: str) -> str:
+        """Return a sentence that compares the goal, in its unit, at the start and at the best point of the design, both
+        computed with the other settings; empty if `own_start` or `own_best` is None.
         """
         if self.own_start is None or self.own_best is None:
             return ""
@@ -58,7 +59,9 @@ class Comparison:
         if np.isnan(after):
             return f"With {self.name}, a run fails at the best point of this design."
         change = f" ({100 * (after - before) / abs(before):+.3g} %)" if before else ""
-        return f"With {self.name}, this design changes the {goal} from {before:.6g} to {after:.6g}{change}."
+        return (
+            f"With {self.name}, this design changes the {goal} from {before:.6g} to {with_unit(after, unit)}{change}."
+        )
 
     @property
     def fails(self) -> bool:
@@ -103,17 +106,19 @@ def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -
         return Comparison(name, None, None, False, f"There is no best point with {name}: {str(error).rstrip('.')}.")
     end = found.end
     stages.notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
-                  f"{other.totals(end)[0]:.6g}")  # fmt: skip
+                  f"{with_unit(other.totals(end)[0], *goal_units(evaluator.spec).values())}")  # fmt: skip
     is_feasible = Problem(evaluator).is_feasible(end)
     reason = "" if found.feasible else f"With {name}, the search found no point that satisfies all limits."
     own = point_of(other, evaluator.first), point_of(other, best)
     return Comparison(name, point_of(other, end), point_of(evaluator, end), is_feasible, reason, *own)
 
 
-def comparison_table(best: DesignPoint, compared: Sequence[Comparison]) -> str:
+def comparison_table(spec: DesignSpec, best: DesignPoint, compared: Sequence[Comparison]) -> str:
     """Return a table of the best points found with several settings, as text for a terminal."""
     (goal,) = best.goals
-    rows = [("BEST POINT WITH", *best.variables, f"{goal.upper()} IT HAS THERE", "IN FACT", "")]
+    variables = (heading(name, variable_unit(spec, name)) for name in best.variables)
+    goals = (heading(words, goal_units(spec)[goal]) for words in (f"{goal.upper()} IT HAS THERE", "IN FACT"))
+    rows = [("BEST POINT WITH", *variables, *goals, "")]
     rows.append(
         ("this design", *(f"{value:.6g}" for value in best.variables.values()), f"{best.goals[goal]:.6g}", "", "")
     )

@@ -17,7 +17,7 @@ from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.front import front_table, pareto_front
-from mbdkit_design.gains import Gain, gains, goal_words, violations
+from mbdkit_design.gains import Gain, gains, goal_units, goal_words, measure_units, variable_unit, violations, with_unit
 from mbdkit_design.identifiability import sentence, undetermined
 from mbdkit_design.limits_in_degrees import limits_in_degrees
 from mbdkit_design.point import DesignPoint, numbers, point_of
@@ -148,16 +148,22 @@ class Design:
 
     def summary(self) -> str:
         """Return the result as text for a terminal."""
-        rows = [("", "START", "BEST", "ERROR")]
+        rows, goals, measured = (
+            [("", "START", "BEST", "ERROR", "UNIT")],
+            goal_units(self.spec),
+            measure_units(self.spec),
+        )
         told = {name: "unknown" if np.isnan(one) else f"{one:.1g}" for name, one in self.trust.errors.items()}
         for name, value in self.best.variables.items():
-            rows.append((name, f"{self.start.variables[name]:.6g}", f"{value:.6g}", ""))
+            rows.append((name, f"{self.start.variables[name]:.6g}", f"{value:.6g}", "",
+                         variable_unit(self.spec, name)))  # fmt: skip
         for name, value in self.best.goals.items():
-            rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told[name]))
+            rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told[name], goals[name]))
         for name in self.spec.subject_to:
             for scenario, measures in self.best.measures.items():
                 label = f"{scenario}: {name}" if scenario else name
-                rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", told[name]))
+                rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", told[name],
+                             measured[scenario, name]))  # fmt: skip
         at_best, every = self.searches
         lines = [*filter(None, [self.doubt]), self.trust.judgement]
         lines += [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]
@@ -165,10 +171,12 @@ class Design:
         if self.derivatives:
             lines.append(self.derivatives)
         if len(self.front) > 1:
-            lines.append(front_table(self.front, self.best))
+            lines.append(front_table(self.spec, self.front, self.best))
         if self.compared:
-            remarks = (text for one in self.compared for text in (one.confirmation(), one.reason) if text)
-            lines += [comparison_table(self.best, self.compared), *remarks]
+            remarks = (
+                text for one in self.compared for text in (one.confirmation(*goals.values()), one.reason) if text
+            )
+            lines += [comparison_table(self.spec, self.best, self.compared), *remarks]
         return "\n".join([*lines, *self.warnings])
 
     @property
@@ -208,19 +216,27 @@ class Design:
             for name, side in sides.items()
             if not side and abs(self.best.variables[name] - self.start.variables[name]) <= self._slack(name)
         ]
-        told = [*at_bounds, *held, *map(sentence, self.undetermined), *self.unconfirmed, *self.changed_starts]
+        told = [
+            *at_bounds,
+            *held,
+            *(sentence(self.spec, one) for one in self.undetermined),
+            *self.unconfirmed,
+            *self.changed_starts,
+        ]
         told += map(_as_sentence, limits_in_degrees(self.spec))
-        return [*told, *self._uncertain_limits(), *self.trust.sentences()]
+        return [*told, *self._uncertain_limits(), *self.trust.sentences(goal_units(self.spec))]
 
     def _uncertain_limits(self) -> list[str]:
         """Return sentences about limits that the best point may violate because of the errors of its runs."""
-        found = []
+        found, units = [], {name: unit for (_, name), unit in measure_units(self.spec).items()}
         for name, limit in self.spec.subject_to.items():
             values, error = [measures[name] for measures in self.best.measures.values()], self.trust.errors[name]
+            unit = units[name]
             for end in (limit.max, limit.min):
                 is_near = end is not None and min(abs(value - end) for value in values) < error
                 if is_near and error > LEAST_ERROR * abs(end or 1.0) and self.is_feasible:
-                    found.append(f"{name} may violate its limit of {end:g}, because its error is {error:.2g}.")
+                    found.append(f"{name} may violate its limit of {with_unit(end, unit)}, because its error is "
+                                 f"{with_unit(error, unit, 2)}.")  # fmt: skip
         return found
 
     @property
@@ -248,10 +264,12 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
     stages.begin("optimisation", evaluator)
     problem = Problem(evaluator)
     found = searches(problem, spec.optimizer, first)
-    at = ", ".join(f"{name} {value:.6g}" for name, value in evaluator.variables(found[0].end).items())
+    at = ", ".join(f"{name} {with_unit(value, variable_unit(spec, name))}"
+                   for name, value in evaluator.variables(found[0].end).items())  # fmt: skip
     least, before = evaluator.totals(found[0].end)[0], evaluator.totals(first)[0]
-    stages.notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {least:.6g} at {at}; "
-                  f"at the start it is {before:.6g}")  # fmt: skip
+    unit = goal_units(spec)[spec.totals[0]]
+    stages.notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {with_unit(least, unit)} at {at}; "
+                  f"at the start it is {with_unit(before, unit)}")  # fmt: skip
     front = [found[0]] if len(spec.totals) == 1 else pareto_front(evaluator, found[0], stages.notify)
     best = front[0] if len(front) == 1 else _knee(evaluator, front)
     stages.begin("errors of the result")

@@ -15,12 +15,11 @@ from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import recorded, unit_of
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec import RunSpec
-from mbdkit.spec.reading import variable_path
-from mbdkit_design.gains import goal_words
+from mbdkit_design.gains import goal_words, variable_unit
 from mbdkit_design.landscape import Cut
 from mbdkit_report.figures.curves import band_over_time, bands, errors_at
 from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
-from mbdkit_report.key_words import key_unit, key_words
+from mbdkit_report.key_words import key_words
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -141,7 +140,7 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
         " Where a limit is violated, the goal may be smaller than at the best point." if design.spec.subject_to else ""
     )
     for index, cut in enumerate(around[""]):
-        words, unit = key_words(cut.variable), variable_unit(design, cut.variable)
+        words, unit = key_words(cut.variable), variable_unit(design.spec, cut.variable)
         lines = []
         for settings, found in around.items():
             beside = f" with {settings}" if settings else ""
@@ -161,8 +160,3 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
 def _common(units: Mapping[str, str]) -> str:
     found = set(units.values())
     return found.pop() if len(found) == 1 else ""
-
-
-def variable_unit(design: Design, name: str) -> str:
-    """Return the unit of a variable; empty if it is unknown."""
-    return key_unit(variable_path(name), design.spec.specs.values())

@@ -16,9 +16,9 @@ from mbdkit.base.terminal import say
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
-from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts, variable_unit
+from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
-from mbdkit_design.gains import costs, goal_units, goal_words, measure_units
+from mbdkit_design.gains import costs, goal_units, goal_words, measure_units, variable_unit, with_unit
 from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit_design.robustness import robustness
 from mbdkit_design.sensitivity_bars import sensitivity_section
@@ -146,7 +146,7 @@ def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
 
 def _value(design: Design, point: DesignPoint, name: str) -> str:
     """Return the value of a variable at a point, with its unit, as text."""
-    return f"{point.variables[name]:.6g} {variable_unit(design, name)}".rstrip()
+    return with_unit(point.variables[name], variable_unit(design.spec, name))
 
 
 def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, Any]]:

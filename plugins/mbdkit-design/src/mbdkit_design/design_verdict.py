@@ -9,8 +9,7 @@ import numpy as np
 
 from mbdkit.base.text import counted
 from mbdkit.spec.yaml_reader import write_yaml
-from mbdkit_design.design_charts import variable_unit
-from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units
+from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.robustness import Deviation
 from mbdkit_design.trust import QUESTIONED
 from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
@@ -92,11 +91,18 @@ def _compared(design: Design, one: Comparison) -> Claim:
     in_fact = "a run fails there" if one.fails else f"it is {actual:.6g}{unit}"
     text = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
     if same:
-        return Claim(name, statement, "", text, Answer.YES, f"{one.confirmation()} {one.reason}".strip())
+        return Claim(
+            name,
+            statement,
+            "",
+            text,
+            Answer.YES,
+            f"{one.confirmation(goal_units(design.spec)[goal])} {one.reason}".strip(),
+        )
     beyond = "" if one.is_feasible or one.fails else ", and limits are violated there"
     sentence = (
         f"With {one.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
-        f"{in_fact}{beyond}. {one.confirmation()} {one.reason}"
+        f"{in_fact}{beyond}. {one.confirmation(goal_units(design.spec)[goal])} {one.reason}"
     )
     return Claim(name, statement, "", text, Answer.NO, sentence.rstrip())
 
@@ -108,7 +114,7 @@ def _tables(design: Design) -> Iterator[Table]:
     start, best = design.start.variables, design.best.variables
     rows: list[tuple[Cell, ...]] = [
         (key_words(name), variable.bounds[0], start[name], best[name], variable.bounds[1],
-         variable_unit(design, name), design.side(name))
+         variable_unit(design.spec, name), design.side(name))
         for name, variable in design.spec.variables.items()
     ]  # fmt: skip
     names = ("variable", "lower bound", "start", "best", "upper bound", "unit", "at a bound")
@@ -185,7 +191,7 @@ def _comparison_table(design: Design) -> Table:
     unit = goal_units(design.spec)[goal]
     columns = (
         Column("best point with"),
-        *(Column(key_words(name), variable_unit(design, name)) for name in best.variables),
+        *(Column(key_words(name), variable_unit(design.spec, name)) for name in best.variables),
         Column("goal with it", unit),
         Column("goal in fact", unit),
         Column("satisfies limits"),
@@ -202,7 +208,7 @@ def _front_table(design: Design) -> Table:
     units = goal_units(design.spec)
     columns = (
         *(Column(name, units[name]) for name in design.best.goals),
-        *(Column(key_words(name), variable_unit(design, name)) for name in design.best.variables),
+        *(Column(key_words(name), variable_unit(design.spec, name)) for name in design.best.variables),
     )
     rows = tuple((*one.goals.values(), *one.variables.values()) for one in design.front)
     return Table("front-points", "Points of the Pareto front", columns, rows)

@@ -8,7 +8,9 @@ from itertools import product
 import numpy as np
 
 from mbdkit.base.text import counted, table
+from mbdkit.spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
+from mbdkit_design.gains import goal_units, heading, variable_unit
 from mbdkit_design.point import DesignPoint, Notify
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, searches
@@ -66,9 +68,10 @@ def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
     return [one for one, is_worse in zip(points, worse, strict=True) if not is_worse]
 
 
-def front_table(front: Sequence[DesignPoint], best: DesignPoint) -> str:
+def front_table(spec: DesignSpec, front: Sequence[DesignPoint], best: DesignPoint) -> str:
     """Return a table of the points of a front as text for a terminal."""
-    rows = [("POINT OF THE FRONT", *best.goals, *best.variables)]
+    units = goal_units(spec) | {name: variable_unit(spec, name) for name in best.variables}
+    rows = [("POINT OF THE FRONT", *(heading(name, units[name]) for name in (*best.goals, *best.variables)))]
     for number, one in enumerate(front[:ROWS], start=1):
         name = f"{number} (best)" if one == best else f"{number}"
         rows.append((name, *(f"{value:.6g}" for value in (*one.goals.values(), *one.variables.values()))))

@@ -10,8 +10,10 @@ import numpy as np
 
 from mbdkit.archive.headlines import largest_loads
 from mbdkit.measures.take import describe
+from mbdkit.spec.reading import variable_path
 from mbdkit_design.design_spec import GOAL
 from mbdkit_design.problem import FEASIBLE
+from mbdkit_report.key_words import key_unit
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -72,6 +74,21 @@ class Cost:
         return f"{self.label}{where} from {self.start:.4g} to {self.best:.4g} {self.unit} ({100 * self.share:+.3g} %)"
 
 
+def variable_unit(spec: DesignSpec, name: str) -> str:
+    """Return the unit of a variable; empty if it is unknown."""
+    return key_unit(variable_path(name), spec.specs.values())
+
+
+def with_unit(value: float, unit: str, digits: int = 6) -> str:
+    """Return a number with its unit as text."""
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def heading(name: str, unit: str) -> str:
+    """Return a name with its unit as the heading of a column of text."""
+    return f"{name} [{unit}]" if unit else name
+
+
 def goal_words(name: str) -> str:
     """Return a goal in words."""
     return "goal" if name == GOAL else f"goal {name}"
@@ -125,10 +142,11 @@ def violations(spec: DesignSpec, point: DesignPoint, start: DesignPoint) -> list
             sizes = [abs(one) for one in (limit.min, limit.max, start.measures[scenario][name]) if one is not None]
             slack = FEASIBLE * max(one for one in sizes if np.isfinite(one))
             label = f"{name} in {scenario}" if scenario else name
+            shown = with_unit(value, unit, 4)
             for side, end, word in ((1.0, limit.max, "above"), (-1.0, limit.min, "below")):
                 if end is not None and side * (value - end) > slack:
-                    away = f"{side * (value - end):.4g} {unit}".rstrip()
-                    found.append(f"{label} is {f'{value:.4g} {unit}'.rstrip()}, {away} {word} its limit of {end:g}")
+                    away = with_unit(side * (value - end), unit, 4)
+                    found.append(f"{label} is {shown}, {away} {word} its limit of {with_unit(end, unit)}")
     return found
 
 

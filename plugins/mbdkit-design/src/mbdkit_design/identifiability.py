@@ -7,10 +7,13 @@ Active limits determine variables by the first derivatives of the limits, and an
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
 
+from mbdkit.spec import DesignSpec
+from mbdkit_design.gains import variable_unit
 from mbdkit_design.problem import Problem
 
 STEP = 1e-3
@@ -82,11 +85,11 @@ def _change(problem: Problem, free: np.ndarray, direction: np.ndarray) -> dict[s
     return {name: float(side * value) for name, value in found.items()}
 
 
-def sentence(change: dict[str, float]) -> str:
+def sentence(spec: DesignSpec, change: Mapping[str, float]) -> str:
     """Return a message to the user about a combination of variables that is not determined."""
     if len(change) == 1:
         return f"{next(iter(change))} is not determined: the goal does not depend on it near the best point."
-    parts = ", ".join(f"{name} by {value:+.3g}" for name, value in change.items())
+    parts = ", ".join(f"{name} by {value:+.3g} {variable_unit(spec, name)}".rstrip() for name, value in change.items())
     return (
         f"Only a combination of {', '.join(change)} is determined: changing {parts} together does not affect the goal. "
         "Fix one of them, or add a goal or limit."

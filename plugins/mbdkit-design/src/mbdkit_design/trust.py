@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +13,7 @@ from mbdkit.spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
+from mbdkit_design.gains import with_unit
 
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
 """Verdicts from the worst to the best."""
@@ -81,20 +83,28 @@ class Trust:
         )
         return f"Verdict on the runs: {self.level}, nothing suspicious seen; errors are {errors}."
 
-    def sentences(self) -> list[str]:
-        """Return remarks for the user: goals without a gain or with unknown error, and reasons for unknown errors."""
+    def sentences(self, units: Mapping[str, str]) -> list[str]:
+        """Return remarks for the user: goals without a gain or with unknown error, and reasons for unknown errors.
+
+        Parameters
+        ----------
+        units
+            Units of the goals by name.
+        """
         told = []
         for name, real in self.is_gain.items():
-            gain = f"The gain of {name}, {self.gain[name]:.3g},"
+            gain = f"The gain of {name}, {with_unit(self.gain[name], units[name], 3)},"
             if real is None:
                 told.append(f"{gain} may be due to errors of the runs, which were not estimated.")
             elif not real and self.gain[name] < 0:
-                told.append(f"There is no gain of {name}, which grows by {-self.gain[name]:.3g}.")
+                grown = with_unit(-self.gain[name], units[name], 3)
+                told.append(f"There is no gain of {name}, which grows by {grown}.")
             elif not real:
                 told.append(f"{gain} is within the estimated errors: it does not count as a gain.")
             elif self.is_of_data:
+                error = with_unit(self.gain_errors[name], units[name], 2)
                 told.append(
-                    f"{gain} has an error of at most {self.gain_errors[name]:.2g} with a probability of {LEVEL:.0%}, "
+                    f"{gain} has an error of at most {error} with a probability of {LEVEL:.0%}, "
                     "due to the noise of the data, the cutoff, and the deviations of muscles if they are given."
                 )
         unknown = [name for name, error in self.errors.items() if np.isnan(error) and name not in self.is_gain]

@@ -11,9 +11,7 @@ from typing import Any
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.mechanism.parameters import ParameterValues
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit_explore.unit_of_use import unit_of_use
 from mbdkit_report.key_words import key_unit, key_words, keys_ending_in
 
 MOST = 12
@@ -89,17 +87,6 @@ def _path_of(spec: ModelSpec, name: str) -> Path:
     return ("parameters", name) if name in spec.parameters else parse_path(name)
 
 
-def _parameter_unit(spec: ModelSpec, path: Path) -> str:
-    """Return the unit of a named parameter, as given or from its uses; empty if it is not known."""
-    if path[0] != "parameters" or len(path) != 2:
-        return ""
-    name, numbers = str(path[1]), spec.numbers
-    units = numbers.units if isinstance(numbers, ParameterValues) else {}
-    if name in units:
-        return units[name].si
-    return unit_of_use(name, ((text, key_unit(key, [spec])) for key, text in spec.written.items()), units)
-
-
 def _numbers(holder: Any, path: Path) -> Iterator[Path]:
     """Yield the paths of the numbers in plain data, except those of positions and settings."""
     if isinstance(holder, dict):
@@ -126,7 +113,7 @@ def _slider(spec: ModelSpec, data: Any, path: Path) -> Slider:
             raise SpecError(f"the spec has no number '{path_text(path)}'{hint}") from None
     if isinstance(holder, bool) or not isinstance(holder, int | float):
         raise SpecError(f"'{path_text(path)}' is not a number of the spec")
-    value, unit = float(holder), key_unit(path, [spec]) or _parameter_unit(spec, path)
+    value, unit = float(holder), key_unit(path, [spec])
     if unit in _TURNS:
         low, high = value - _TURNS[unit], value + _TURNS[unit]
     else:

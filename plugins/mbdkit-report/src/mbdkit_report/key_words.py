@@ -12,7 +12,10 @@ from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.strict_model import description
 from mbdkit.base.units import described_units
 from mbdkit.mechanism.bodies import Element
+from mbdkit.mechanism.parameters import ParameterValues, names_in
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import parse_key
+from mbdkit_report.unit_of_use import unit_of_use
 
 _WORDS = {
     "time.step": "step",
@@ -52,7 +55,8 @@ def key_words(key: str | Path) -> str:
 
 
 def key_unit(key: str | Path, specs: Iterable[BaseModel]) -> str:
-    """Return the unit in the description of the option that a key sets; empty if there is none.
+    """Return the unit in the description of the option that a key sets, or the unit of a named parameter; empty if
+    there is none.
 
     Parameters
     ----------
@@ -90,6 +94,8 @@ def _parts(key: str | Path) -> Path:
 
 def _unit(holder: Any, path: Path) -> str:
     """Return the unit in the description of the last field along a path through pydantic models."""
+    if len(path) == 2 and path[0] == "parameters" and isinstance(holder, ModelSpec):
+        return _parameter_unit(holder, str(path[1]))
     described = along = ""
     for part in path:
         if isinstance(holder, BaseModel):
@@ -101,6 +107,19 @@ def _unit(holder: Any, path: Path) -> str:
         else:
             holder = holder[int(part)]
     return described_unit(described, along)
+
+
+def _parameter_unit(spec: ModelSpec, name: str) -> str:
+    """Return the SI unit of a named parameter, as given or from its uses; empty if it has none, or if it is unknown."""
+    numbers = spec.numbers
+    units = numbers.units if isinstance(numbers, ParameterValues) else {}
+    if name in units:
+        return units[name].si.removesuffix("1")
+    uses = [(text, key_unit(key, [spec])) for key, text in spec.written.items() if name in names_in(text)]
+    for other, text in spec.parameters.items():
+        if name in names_in(text):
+            uses.append((str(text), _parameter_unit(spec, other)))
+    return unit_of_use(name, uses, units)
 
 
 def _field(holder: BaseModel, key: str) -> tuple[str, str]:

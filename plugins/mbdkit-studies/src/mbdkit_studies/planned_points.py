@@ -16,6 +16,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text, plain
 from mbdkit.base.text import listed, shortened
+from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
@@ -97,6 +98,14 @@ class Grid:
             value = float(self.table[key][0])
             settings[key, unit] = Setting(parse_key(key), f"{value!r} {unit}", ("sample", "variables", key))
         return list(settings.values())
+
+    @cached_property
+    def stated_units(self) -> dict[str, str]:
+        """SI units by dotted key: those of parameters of the base, and of values of the study that have a unit."""
+        parameters = parameter_values(json.loads(self.base_json).get("parameters"))
+        units = {f"parameters.{name}": unit.si for name, unit in parameters.units.items()} | dict(self.sample_units)
+        units |= {key: value.unit for axis in self.axes for key, values in axis for value in values if value.unit}
+        return {key: unit.removesuffix("1") for key, unit in units.items()}
 
     @property
     def count(self) -> int:

@@ -169,9 +169,10 @@ def value_words(key: str, point: StudyPoint, unit: str | None = None) -> str:
     return " ".join(filter(None, (key_words(key), f"{label:.6g}", axis_unit(key, [point]) if unit is None else unit)))
 
 
-def axis_unit(key: str, points: Iterable[StudyPoint]) -> str:
+def axis_unit(key: str, points: Sequence[StudyPoint]) -> str:
     """Return the unit of an axis; empty if the axis has no unit, or if no spec of the points is valid here."""
-    return key_unit(key, valid_specs(points))
+    stated = points[0].planned.grid.stated_units.get(key, "") if points else ""
+    return stated or key_unit(key, valid_specs(points))
 
 
 def valid_specs(points: Iterable[StudyPoint]) -> Iterator[RunSpec]:

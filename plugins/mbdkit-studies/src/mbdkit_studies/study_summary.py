@@ -99,10 +99,15 @@ def _grid_lines(grids: Iterable[Grid], *, is_drawn: bool = False) -> Iterator[tu
         if grid.name:
             yield "family", grid.name
         for key in grid.table if not is_drawn else ():
-            yield "values", f"{key}: {_few(grid.table[key].tolist())}"
+            yield "values", f"{_with_unit(key, grid)}: {_few(grid.table[key].tolist())}"
         for axis in grid.axes:
-            keys = " with ".join(key for key, _ in axis)
+            keys = " with ".join(_with_unit(key, grid) for key, _ in axis)
             yield "axis", f"{keys}: {_few([value.label for value in axis[0][1]])}"
+
+
+def _with_unit(key: str, grid: Grid) -> str:
+    unit = grid.stated_units.get(key, "")
+    return f"{key} [{unit}]" if unit else key
 
 
 def _sample_lines(spec: StudySpec) -> Iterator[tuple[str, str]]:

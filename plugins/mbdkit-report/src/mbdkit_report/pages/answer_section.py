@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF, Headline, excluded_error, plus_minus
+from mbdkit.archive.headlines import ROUND_OFF, Headline, excluded_error
 from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.archive.run_summary import derivative_texts
 from mbdkit_report.figures.beam_curves import bending_moments, distributed_loads, has_beams
@@ -122,7 +122,7 @@ class _Quantity:
         if self.known is None or time > self.known_until:
             unknown = "" if self.known is None else ", error unknown"
             return f"{value:.4g} {self.unit} (at {time:.4g} s{unknown})"
-        return f"{plus_minus(value, float(self.error[joint]), '±')} {self.unit} (at {time:.4g} s)"
+        return f"{one.text('±')} (at {time:.4g} s)"
 
 
 def standard_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbdkit.base.units import read_unit
-from mbdkit_explore.unit_of_use import unit_of_use
+from mbdkit_report.unit_of_use import unit_of_use
 
 USES: dict[str, tuple[list[tuple[str, str]], str]] = {
     "alone": ([("k", "N m/rad")], "N m/rad"),
