@@ -59,9 +59,7 @@ def _imported(file: str) -> tuple[str, ...]:
 def _homes() -> dict[str, str]:
     """Return the file behind each name of the door `mbdkit.kernels`."""
     door = source_file("kernels.py")
-    return {
-        name: f"{module.removeprefix(f'{CORE}.').replace('.', '/')}.py" for name, module in homes_of(door).items()
-    }
+    return {name: f"{module.removeprefix(f'{CORE}.').replace('.', '/')}.py" for name, module in homes_of(door).items()}
 
 
 @cache

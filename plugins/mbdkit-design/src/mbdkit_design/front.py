@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from mbdkit.base.text import counted, table
-from mbdkit.spec import DesignSpec
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.gains import goal_units, heading, variable_unit
 from mbdkit_design.point import DesignPoint, Notify

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.spec import DesignSpec
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.gains import variable_unit
 from mbdkit_design.problem import Problem
 

@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 import mbdkit
-from mbdkit.spec import load_design_spec, load_study_spec
 from mbdkit_design.commands import validate_design
+from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_report import design_report
+from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.study_plan import plan_study
 from mbdkit_studies.study_report import study_report
 from mbdkit_studies.study_summary import plan_summary
