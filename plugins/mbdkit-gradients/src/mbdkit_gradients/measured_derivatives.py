@@ -21,7 +21,6 @@ from mbdkit.expressions.program import execute
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.reductions import Functional
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.runs.continuous_functionals import no_events
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
 from mbdkit_gradients.derived_values import Value, of_operands
@@ -74,7 +73,7 @@ class MeasureOfRun:
         """
         functionals = [one for expression in expressions for one in expression.functionals]
         span = float(self.run.rows.time[0]), float(self.run.rows.time[-1])
-        values = [one.time({}, span, no_events) for one in functionals if one.is_value and not one.is_nested]
+        values = [one.time({}, span, lambda _: np.nan) for one in functionals if one.is_value and not one.is_nested]
         split = sum(one.reduction == "integral" and not one.is_of_stages for one in functionals)
         if not self.run.motions or max(len(values), split) < 2:
             return
