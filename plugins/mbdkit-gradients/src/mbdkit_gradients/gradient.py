@@ -218,7 +218,7 @@ def gradient(
     expressions = expressions_of(spec, definitions)
     require_derivatives(expressions)
     with one_thread_of_linear_algebra():
-        found = gradient_of_run_spec(spec, definitions, expressions, chosen, check=check)
+        found = gradient_of_run_spec(spec, definitions, chosen, check=check)
     of_spec = [*caution(spec), *findings("start", spec, build(spec)[1])]
     of_run = open_doubts(of_spec, spec.accept)
     notes = [text for text in map(str, of_spec) if text not in of_run]
@@ -262,8 +262,7 @@ def gradients_json(spec: RunSpec) -> str:
     try:
         with one_thread_of_linear_algebra():
             definitions = definitions_of(spec, list(spec.measures))
-            expressions = expressions_of(spec, definitions)
-            found = gradient_of_run_spec(spec, definitions, expressions, resolved(spec, spec.gradients), check=True)
+            found = gradient_of_run_spec(spec, definitions, resolved(spec, spec.gradients), check=True)
     except MbdkitError as error:
         text = {name: {"reason": str(error)} for name in spec.measures}
     else:
@@ -272,15 +271,11 @@ def gradients_json(spec: RunSpec) -> str:
 
 
 def gradient_of_run_spec(
-    spec: RunSpec,
-    definitions: Definitions,
-    expressions: Mapping[str, MeasureExpression],
-    parameters: Sequence[Parameter],
-    *,
-    check: bool,
+    spec: RunSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool
 ) -> Gradient:
-    """Return the gradient of measures of a run, given their definitions and expressions; see `gradient`."""
+    """Return the gradient of measures of a run; see `gradient`."""
     prepared = prepared_derivatives(spec, parameters, definitions)
+    expressions = expressions_of(spec, definitions)
     every = [needs_of(one) for one in expressions.values()]
     needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
     run = differentiated_run(spec, prepared.seeds, needs)
