@@ -54,6 +54,8 @@ NOISE = 1e-12
 """Second differences below this share of the values count as rounding errors."""
 EQUAL = 1e-9
 """Two extrema that differ by less than this share of the range of a quantity count as equal."""
+MANY = 64
+"""Quantities at more times than this are kept for the next functional."""
 FEW = 64
 """If there are at most this many steps, all are searched for an extremum, whatever the second differences."""
 PEAK = 1e-3
@@ -122,6 +124,7 @@ class MotionPart:
         sides: tuple[float, float] = (-np.inf, np.inf),
     ):
         self._observer, self._names, self.ends, self.steps, self.sides = observer, names, ends, steps, sides
+        self._last: dict[bytes, Series] = {}
 
     @property
     def size(self) -> np.ndarray:
@@ -133,9 +136,24 @@ class MotionPart:
         begin = self.ends.time[self.steps.start + steps]
         return np.asarray(begin + places * (self.ends.time[self.steps.start + steps + 1] - begin))
 
+    @property
+    def nodes(self) -> np.ndarray:
+        """Times of the nodes of the quadrature over steps that no point divides [s]."""
+        count = len(self.steps)
+        return self.times(np.repeat(np.arange(count), POINTS), np.tile(_NODES, count))
+
     def series(self, time: np.ndarray) -> Series:
-        """Return the quantities at times [s], in order."""
-        return self._series_of(time, *self.ends.at(time), self.ends.held_at(time))
+        """Return the quantities at times [s], in order.
+
+        Those of the last call with many times are kept, because functionals of the same steps have the same samples.
+        """
+        key = time.tobytes() if len(time) > MANY else b""
+        if key in self._last:
+            return self._last[key]
+        series = self._series_of(time, *self.ends.at(time), self.ends.held_at(time))
+        if key:
+            self._last = {key: series}
+        return series
 
     @cached_property
     def at_ends(self) -> Series:
@@ -205,14 +223,14 @@ class Sampled:
 
     def quadrature(self, steps: np.ndarray) -> Quadrature:
         """Return the quadrature over some steps, split at the roots."""
-        time, weight = [], []
-        for step in steps:
-            places = np.array([0.0, *np.unique(self.roots[self.roots[:, 0] == step, 1]), 1.0])
-            lengths = np.diff(places)[:, None]
-            number = np.full(len(lengths) * POINTS, int(step))
-            time.append(self.part.times(number, (places[:-1, None] + lengths * _NODES).ravel()))
-            weight.append((lengths * _WEIGHTS).ravel() * self.part.size[int(step)])
-        return Quadrature(np.concatenate(time or [np.zeros(0)]), np.concatenate(weight or [np.zeros(0)]))
+        number, share, _ = self.roots[np.isin(self.roots[:, 0], steps)].T
+        number = np.concatenate([np.repeat(steps, 2), number.astype(int)])
+        borders = np.unique(np.column_stack([number, np.concatenate([np.tile([0.0, 1.0], len(steps)), share])]), axis=0)
+        begins = np.flatnonzero(borders[1:, 0] == borders[:-1, 0])
+        number, lengths = borders[begins, 0].astype(int), np.diff(borders[:, 1])[begins, None]
+        places = borders[begins, 1, None] + lengths * _NODES
+        weight = lengths * _WEIGHTS * self.part.size[number, None]
+        return Quadrature(self.part.times(np.repeat(number, POINTS), places.ravel()), weight.ravel())
 
     def peak(self, best: float = -np.inf) -> Peak:
         """Return the extremum over the steps; nan if the quantity is undefined somewhere.

@@ -33,6 +33,11 @@ five. At a share of 1e-4, as for a last step that is cut by an event, they reach
 digit is right.
 """
 
+FEW = 16
+"""Largest number of steps in a call whose polynomials are kept."""
+MOST_KEPT = 2**22
+"""Largest number of coefficients that are kept (32 MB)."""
+
 
 @dataclass(frozen=True, eq=False)
 class StepEnds:
@@ -109,17 +114,24 @@ class StepEnds:
     def _newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return nodes (K, S) and coefficients (K, S, n) of the Newton form over each step, in units of the step.
 
-        Those of the last call are kept, because an extremum is refined by many evaluations in one step.
+        Those of few steps are kept, because roots and extrema of several measures are refined by many evaluations in
+        the same steps.
         """
-        key = steps.tobytes()
-        if key not in self._last:
-            self._last.clear()
-            self._last[key] = self._new_newton(steps)
-        return self._last[key]
+        if len(steps) > FEW:
+            return self._new_newton(steps)
+        numbers = steps.tolist()
+        if missing := [number for number in numbers if number not in self._kept]:
+            nodes, newton = self._new_newton(np.array(missing))
+            if (len(self._kept) + len(missing)) * newton[:, 0].size > MOST_KEPT:
+                self._kept.clear()
+                missing, (nodes, newton) = numbers, self._new_newton(steps)
+            self._kept.update((number, (nodes[:, k], newton[:, k])) for k, number in enumerate(missing))
+        kept = [self._kept[number] for number in numbers]
+        return np.stack([nodes for nodes, _ in kept], axis=1), np.stack([newton for _, newton in kept], axis=1)
 
     @cached_property
-    def _last(self) -> dict[bytes, tuple[np.ndarray, np.ndarray]]:
-        """The last result of `_newton`, by its steps."""
+    def _kept(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Nodes (K,) and coefficients (K, n) of the Newton forms over steps."""
         return {}
 
     def _new_newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from mbdkit.integrators.interface import SAME_TIME
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.continuous_motion import MotionPart
 from mbdkit.runs.step_interpolation import StepEnds
-from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, merged_states
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator
 from mbdkit_gradients.sided_stepper import Corner, SidedStepper
@@ -175,11 +175,40 @@ class DifferentiatedPart:
         return self._evaluator.states(np.clip(time, *self._sides), _whole(q), _whole(v), new_duals(len(time), 0))
 
 
-def states_of(motions: Sequence[DifferentiatedMotion], number: int, time: np.ndarray) -> DifferentiatedStates:
-    """Return the states at times (T,) [s] in part `number`, counted from 0, with the derivatives with respect to all
-    parameters.
+class MotionStates:
+    """The states of a motion with the derivatives with respect to all parameters.
+
+    States that several measures use are evaluated together, and kept.
+
+    Parameters
+    ----------
+    motions
+        The motion, for up to `DIRECTIONS` parameters each.
     """
-    return joined_states([motion.parts[number].states(time) for motion in motions])
+
+    def __init__(self, motions: Sequence[DifferentiatedMotion]):
+        self._motions = motions
+        self._kept: dict[int, DifferentiatedStates] = {}
+
+    def keep(self, number: int, time: np.ndarray) -> None:
+        """Evaluate the states at times [s] in part `number`, counted from 0, and keep them."""
+        if len(time):
+            self._kept[number] = self._evaluated(number, np.unique(time))
+
+    def at(self, number: int, time: np.ndarray) -> DifferentiatedStates:
+        """Return the states at times (T,) [s] in part `number`."""
+        if number not in self._kept:
+            return self._evaluated(number, time)
+        known = self._kept[number]
+        rows = np.minimum(np.searchsorted(known.time, time), len(known.time) - 1)
+        is_known = known.time[rows] == time
+        if not is_known.any():
+            return self._evaluated(number, time)
+        others = None if is_known.all() else self._evaluated(number, time[~is_known])
+        return merged_states(known, rows[is_known], others, is_known)
+
+    def _evaluated(self, number: int, time: np.ndarray) -> DifferentiatedStates:
+        return joined_states([motion.parts[number].states(time) for motion in self._motions])
 
 
 def _whole(x: np.ndarray) -> Duals:

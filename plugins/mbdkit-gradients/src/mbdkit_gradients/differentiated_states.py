@@ -119,6 +119,31 @@ def one_after_another(parts: Sequence[DifferentiatedStates]) -> DifferentiatedSt
     return _together(parts, np.concatenate, ("time", *_ARRAYS))
 
 
+def merged_states(
+    known: DifferentiatedStates, rows: np.ndarray, others: DifferentiatedStates | None, is_known: np.ndarray
+) -> DifferentiatedStates:
+    """Return T states, some of which are rows of `known`.
+
+    Parameters
+    ----------
+    rows
+        Indices of the known states, in the order of the result.
+    others
+        The other states, in the order of the result; None if there are none.
+    is_known
+        (T,) whether each state is known.
+    """
+    if others is None:
+        return _together([known], lambda x: x[0][rows], ("time", *_ARRAYS))
+
+    def merged(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        result = np.empty((len(is_known), *arrays[0].shape[1:]))
+        result[is_known], result[~is_known] = arrays[0][rows], arrays[1]
+        return result
+
+    return _together([known, others], merged, ("time", *_ARRAYS))
+
+
 def joined_states(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:
     """Return states with the derivatives of all parts, which have the same states and different parameters."""
 
@@ -137,11 +162,14 @@ def _together(
 ) -> DifferentiatedStates:
     """Return states in which the arrays with these `names` are joined from those of the parts."""
     first = parts[0]
-    observed = Observed(*(join(x) for x in zip(*(part.observed for part in parts), strict=True)))
     known = [name for name in names if np.ndim(getattr(first, name)) > 1 or name == "time"]
     arrays: dict[str, Any] = {name: join([getattr(part, name) for part in parts]) for name in known}
     handles = {kind: _joined([part.handles[kind] for part in parts], join) for kind in first.handles}
-    return replace(first, observe=lambda: observed, handles=handles, **arrays)
+
+    def observe() -> Observed:
+        return Observed(*(join(x) for x in zip(*(part.observed for part in parts), strict=True)))
+
+    return replace(first, observe=observe, handles=handles, **arrays)
 
 
 def _joined(handles: Sequence[Any], join: Callable[[Sequence[np.ndarray]], np.ndarray]) -> Any:

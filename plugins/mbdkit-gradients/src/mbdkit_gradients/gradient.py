@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -215,14 +215,15 @@ def gradient(
     spec = load_spec(source, (), **sections)
     chosen = resolved(spec, wanted)
     definitions = definitions_of(spec, measures)
-    require_derivatives(expressions_of(spec, definitions))
+    expressions = expressions_of(spec, definitions)
+    require_derivatives(expressions)
     with one_thread_of_linear_algebra():
         found = gradient_of_run_spec(spec, definitions, chosen, check=check)
     of_spec = [*caution(spec), *findings("start", spec, build(spec)[1])]
     of_run = open_doubts(of_spec, spec.accept)
     notes = [text for text in map(str, of_spec) if text not in of_run]
     known = {measure.expression for measure in spec.defined_measures()}
-    for name, expression in expressions_of(spec, definitions).items():
+    for name, expression in expressions.items():
         if expression.text not in known:  # otherwise, the warnings contain the notes on it
             notes += zero_reactions_in(spec, f"'{name}'", expression)
     remarks = tuple(dict.fromkeys((*notes, *found.remarks)))
@@ -288,12 +289,14 @@ def gradient_of_run_spec(
         return plain_run(varied)
 
     def measured(settings: Settings) -> list[float]:
-        return _values(specs.spec(settings), definitions, again)
+        varied = specs.spec(settings)
+        own = expressions_of(varied, definitions) if spec.parameters else expressions
+        return _values(varied, own.values(), again)
 
     if not check:
         return gradient_of_run(run, expressions, parameters, prepared, None)
     step = spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))
-    reference = Reference(spec, definitions, prepared, needs, step)
+    reference = Reference(spec, expressions, prepared, needs, step)
     return gradient_of_run(run, expressions, parameters, prepared, measured, reference)
 
 
@@ -327,8 +330,10 @@ def gradient_of_run(
     mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
     mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))
     scales = natural_scales(mechanism.length, mass, mechanism.topology.gravity.tolist(), duration)
+    constants = {name: slopes_of(one.program, prepared.seeds, of_measure(name)) for name, one in expressions.items()}
+    measure.prepare(expressions.values())
     for name, one in expressions.items():
-        found, slope = measure.of(one, slopes_of(one.program, prepared.seeds, of_measure(name)))
+        found, slope = measure.of(one, constants[name])
         values.append(found)
         slopes.append(slope)
         natural = natural_size(one.unit, *scales)
@@ -350,10 +355,13 @@ def gradient_of_run(
     )  # fmt: skip
 
 
-def _values(spec: RunSpec, definitions: Definitions, again: Callable[[RunSpec], DifferentiatedRun]) -> list[float]:
+def _values(
+    spec: RunSpec, expressions: Collection[MeasureExpression], again: Callable[[RunSpec], DifferentiatedRun]
+) -> list[float]:
     """Return the measures of a run; nan if it stops early."""
     try:
         measure = MeasureOfRun(again(spec))
     except RunError:
-        return [np.nan] * len(definitions)
-    return [measure.of(one)[0] for one in expressions_of(spec, definitions).values()]
+        return [np.nan] * len(expressions)
+    measure.prepare(expressions)
+    return [measure.of(one)[0] for one in expressions]

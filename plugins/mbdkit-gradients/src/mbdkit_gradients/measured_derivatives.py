@@ -10,7 +10,7 @@ scalar g that changes sign there, where g_p is its derivative with respect to th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
 from mbdkit_gradients.derived_values import Value, of_operands
-from mbdkit_gradients.differentiated_motion import DifferentiatedMotion, states_of
+from mbdkit_gradients.differentiated_motion import DifferentiatedMotion, MotionStates
 from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, quantity_of
 from mbdkit_gradients.sided_stepper import Corner
@@ -60,10 +60,29 @@ class MeasureOfRun:
 
     def __init__(self, run: DifferentiatedRun):
         self.run = run
+        self.states = MotionStates(run.motions)
         self.count = run.rows.q.shape[-1] - 1
         self.doubts: list[str] = []
         self.remarks: list[str] = []
         self.size = 0.0
+
+    def prepare(self, expressions: Iterable[MeasureExpression]) -> None:
+        """Evaluate together the states between the steps that several measures use.
+
+        These are the states at given times, and those of the quadrature of integrals in steps that no point divides.
+        """
+        functionals = [one for expression in expressions for one in expression.functionals]
+        span = float(self.run.rows.time[0]), float(self.run.rows.time[-1])
+        values = [one.time({}, span, lambda _: np.nan) for one in functionals if one.is_value and not one.is_nested]
+        split = sum(one.reduction == "integral" and not one.is_of_stages for one in functionals)
+        if not self.run.motions or max(len(values), split) < 2:
+            return
+        for number, part in enumerate(self.run.motions[0].parts):
+            begin, end = part.span
+            time = [np.array([value for value in values if begin <= value <= end])]
+            if split > 1:
+                time.append(part.plain.nodes)
+            self.states.keep(number, np.concatenate(time))
 
     def of(self, expression: MeasureExpression, constants: np.ndarray | None = None) -> tuple[float, np.ndarray]:
         """Return the value of a measure and its derivatives (K,), in its unit.
@@ -75,7 +94,7 @@ class MeasureOfRun:
         """
         self.size = 0.0
         slopes = np.zeros((len(expression.program), self.count)) if constants is None else constants
-        one = _Evaluation(self.run, expression, slopes)
+        one = _Evaluation(self.run, self.states, expression, slopes)
         found = one.result()
         self.remarks = list(dict.fromkeys(one.remarks))
         self.doubts, self.size = list(dict.fromkeys(one.doubts)), one.size / expression.unit.factor
@@ -89,12 +108,15 @@ class _Evaluation(DoubtedMeasure):
 
     Parameters
     ----------
+    states
+        The states between the steps.
     slopes
         (I, K) derivatives of the numbers in the I instructions of the expression.
     """
 
-    def __init__(self, run: DifferentiatedRun, expression: MeasureExpression, slopes: np.ndarray):
+    def __init__(self, run: DifferentiatedRun, states: MotionStates, expression: MeasureExpression, slopes: np.ndarray):
         super().__init__(run, expression)
+        self.states = states
         self.slopes, self.count = slopes, slopes.shape[1]
         self._begins = _begins(expression)
         self._reduced: dict[int, Value] = {}  # by index of the instruction
@@ -224,7 +246,7 @@ class _Evaluation(DoubtedMeasure):
         for number, part in enumerate(self.run.motions[0].parts):
             found = self._sampled(functional, number)
             nodes = found.quadrature(found.steps)
-            states = states_of(self.run.motions, number, nodes.time)
+            states = self.states.at(number, nodes.time)
             switches: list[Value] = []
             values = self._of_operand(index, states, square=square, switches=switches)
             self._note_rest(switches, nodes.time)
@@ -293,7 +315,7 @@ class _Evaluation(DoubtedMeasure):
         """Return the value with derivatives at an extremum."""
         part, time = self.run.motions[0].parts[number], np.array([peak.time])
         switches: list[Value] = []
-        here = self._of_operand(index, states_of(self.run.motions, number, time), switches=switches)
+        here = self._of_operand(index, self.states.at(number, time), switches=switches)
         self._largest_term = max(self._largest_term, float(np.max(np.abs(here.slope), initial=0.0)))
         for place, one in enumerate(switches):
             if place != peak.switch and one.slope.any() and np.abs(one.value) <= AT_ZERO * np.abs(here.value):
@@ -333,7 +355,7 @@ class _Evaluation(DoubtedMeasure):
         powers = np.vander(side * places, increasing=True)
         to_limit = np.linalg.inv(powers)[:2]
         switches: list[Value] = []
-        values = self._of_operand(index, states_of(self.run.motions, number, time), switches=switches)
+        values = self._of_operand(index, self.states.at(number, time), switches=switches)
 
         def extrapolated(x: Value) -> tuple[Value, np.ndarray]:
             value, rate = x.value @ to_limit[0], x.value @ to_limit[1]
@@ -376,7 +398,7 @@ class _Evaluation(DoubtedMeasure):
 
     def _on_part(self, number: int, at: float, index: int, moved: np.ndarray) -> Value:
         """Return an operand at the time `at` in a part of the motion; `moved` (K,) has the derivatives of the time."""
-        here = self._of_operand(index, states_of(self.run.motions, number, np.array([at])))
+        here = self._of_operand(index, self.states.at(number, np.array([at])))
         return self._moved(here, number, at, index, moved)
 
     def _moved(self, here: Value, number: int, at: float, index: int, moved: np.ndarray) -> Value:

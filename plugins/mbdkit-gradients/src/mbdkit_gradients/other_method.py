@@ -6,18 +6,19 @@ If force laws have discontinuities, the differentiated run has fixed steps, beca
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
+from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps
 from mbdkit.runs.preparation import build, make_method
 from mbdkit.runs.simulation import measured_in
 from mbdkit.spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit_gradients.differentiated_expressions import Definitions, expressions_of, of_measure, slopes_of
+from mbdkit_gradients.differentiated_expressions import of_measure, slopes_of
 from mbdkit_gradients.differentiated_run import Needs, differentiated_run
 from mbdkit_gradients.gradient_check import Settings
 from mbdkit_gradients.law_corners import with_sides
@@ -41,7 +42,7 @@ class Reference:
 
     Parameters
     ----------
-    spec, definitions
+    spec, expressions
         The run and its measures.
     prepared
         Derivatives of the preparation of the run.
@@ -52,7 +53,7 @@ class Reference:
     """
 
     spec: RunSpec
-    definitions: Definitions
+    expressions: Mapping[str, MeasureExpression]
     prepared: PreparedDerivatives
     needs: Needs
     step: float
@@ -65,8 +66,8 @@ class Reference:
 
     def values(self, settings: Settings) -> Sequence[float]:
         """Return the measures (M,) of a run with other values of parameters; nan if no method reaches its end."""
-        spec, texts = self._specs.spec(settings), [text for text, _ in self.definitions.values()]
-        factors = [one.unit.factor for one in expressions_of(self.spec, self.definitions).values()]
+        spec, texts = self._specs.spec(settings), [one.text for one in self.expressions.values()]
+        factors = [one.unit.factor for one in self.expressions.values()]
         others = self._others(spec, _recorded_interval(spec))  # `at` may interpolate between recorded states
         for place in range(len(others)) if self._chosen is None else [self._chosen]:
             found = measured_in(texts, others[place])
@@ -79,8 +80,8 @@ class Reference:
         """Return the derivatives (M, K) of the measures by the method that `values` has chosen; nan if they are not
         available.
         """
-        expressions = expressions_of(self.spec, self.definitions)
-        unknown = np.full((len(expressions), self.prepared.seeds.count), np.nan)
+        seeds = self.prepared.seeds
+        unknown = np.full((len(self.expressions), seeds.count), np.nan)
         if self._chosen is None:
             return unknown
         other = self._others(self.spec, None)[self._chosen]
@@ -88,11 +89,10 @@ class Reference:
         step = min(step, self.step / FINER) if fixed else step
         other = with_other_steps(other, step, fixed=fixed, tightest=TOLERANCE)
         try:
-            measure = MeasureOfRun(differentiated_run(other, self.prepared.seeds, self.needs))
-            slopes = [
-                measure.of(one, slopes_of(one.program, self.prepared.seeds, of_measure(name)))[1]
-                for name, one in expressions.items()
-            ]
+            measure = MeasureOfRun(differentiated_run(other, seeds, self.needs))
+            constants = [slopes_of(one.program, seeds, of_measure(name)) for name, one in self.expressions.items()]
+            measure.prepare(self.expressions.values())
+            slopes = [measure.of(*both)[1] for both in zip(self.expressions.values(), constants, strict=True)]
         except (MbdkitError, ArithmeticError):
             return unknown
         return np.array(slopes).reshape(unknown.shape)

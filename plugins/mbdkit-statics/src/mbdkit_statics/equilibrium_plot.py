@@ -26,7 +26,8 @@ def equilibrium_figure(found: Equilibrium, mechanism: Mechanism, title: str) -> 
     points = drawing.world(found.position)
     (x0, x1), (y0, y1), _ = view_box(points[None], points)
     charts = beam_charts(found)
-    figure = new_figure(Caption(title, f"{found.stability} · t = {found.time:g} s"), 6.4, 3.4 + 2.0 * len(charts))
+    stability = f"{found.stability} by flutter" if found.flutters else found.stability
+    figure = new_figure(Caption(title, f"{stability} · t = {found.time:g} s"), 6.4, 3.4 + 2.0 * len(charts))
     grid = figure.add_gridspec(1 + len(charts), 1, height_ratios=[1.6, *[1.0] * len(charts)])
     axes = dress(figure.add_subplot(grid[0]))
     axes.set_aspect("equal", adjustable="box")
