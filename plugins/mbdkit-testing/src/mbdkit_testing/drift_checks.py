@@ -33,8 +33,8 @@ COARSE = 0.1
 REFINEMENTS, FINEST = 24, 120
 """Largest number of refinements of the step, and largest ratio of the coarsest to the finest step."""
 ALPHA, OPEN, LEFT = 10.0, 0.05, 0.2
-"""Baumgarte's coefficient [1/s], displacement of a body from its joint [m], and the largest share of it after 1 s; it is
-5e-4, apart from the drift of the method.
+"""Baumgarte's coefficient [1/s], displacement of a body from its joint [m], and the largest share of it after 1 s. The
+share is 5e-4, apart from the drift of the method.
 """
 FEWEST = 5
 """Number of step sizes over which the order must be observed."""
@@ -149,7 +149,9 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
 def _residuals(equations: EquationsOfMotion, run: Run) -> dict[str, float]:
     """Return the largest residuals of the constraints in the rows of a run, at both levels [m, rad; per second]."""
     q, v = (run.array(f"trajectory/{name}").reshape(len(run.time), -1) for name in ("position", "velocity"))
-    found = [(equations.constraints(*row[:2]), equations.constraint_rates(*row)) for row in zip(run.time, q, v, strict=True)]
+    found = [
+        (equations.constraints(*row[:2]), equations.constraint_rates(*row)) for row in zip(run.time, q, v, strict=True)
+    ]
     position, velocity = np.max(np.abs(found), axis=(0, 2)).tolist()
     return {"position": position, "velocity": velocity}
 
