@@ -65,8 +65,9 @@ class _BlamingTarget(Target[Callable[..., Any]]):
 
 def _blaming(item: Registered, kind: ElementKind) -> ElementKind:
     """Return a kind of a plugin whose functions, if they are wrong, raise PluginError."""
-    given = {name: target for name in _FUNCTIONS if (target := getattr(kind, name)) is not None}
-    return replace(kind, **{name: _BlamingTarget(item, target) for name, target in given.items()})
+    given = [name for name in _FUNCTIONS if getattr(kind, name) is not None]
+    changed: dict[str, Any] = {name: _BlamingTarget(item, getattr(kind, name)) for name in given}
+    return replace(kind, **changed)
 
 
 _FUNCTIONS = (

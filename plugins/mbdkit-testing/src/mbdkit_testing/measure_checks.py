@@ -75,6 +75,8 @@ def value(measure: MeasureUnderTest) -> Result:
             continue
         if not isinstance(first, int | float | np.number) or isinstance(first, bool):
             return failed(f"for a run of {name} it returned an object of type {type(first).__name__}, not a number")
+        if np.isinf(first):
+            return failed(f"for a run of {name} it returned {first!r}; nan means that there is no value")
         if not np.array_equal(first, second, equal_nan=True):
             return failed(f"for a run of {name} it returned {first!r} and then {second!r}")
         values[name] = float(first)

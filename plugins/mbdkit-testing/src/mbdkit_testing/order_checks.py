@@ -7,7 +7,7 @@ methods.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -185,7 +185,7 @@ def numbers_of_steps(integrator: IntegratorUnderTest, order: float) -> Iterator[
         exact = max(exact * ratio, round(exact) + 1)
 
 
-def _shown(order: float, steps: list[float], errors: list[tuple[float, ...]], floor: float) -> bool:
+def _shown(order: float, steps: list[float], errors: Sequence[Sequence[float]], floor: float) -> bool:
     """Return whether the errors of positions and velocities follow the power of the step that belongs to an order."""
     largest = np.max(np.array(errors)[:, :2], axis=1)
     return observed_order(np.array(steps), largest, floor=floor).order >= order - BELOW

@@ -14,7 +14,7 @@ from mbdkit_testing import Result, checks_of, verify
 from mbdkit_testing.check import Check
 from mbdkit_testing.kit import plugin_under_test
 
-from . import corpus, overclaims, subtle, wrong_steps
+from . import corpus, further_faults, overclaims, subtle, wrong_steps
 
 RK4 = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT = {"order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True}
@@ -172,7 +172,10 @@ WRONG |= {
 }
 WITH_CAUSES = overclaims.WRONG | wrong_steps.WRONG
 WRONG |= {name: ("integrator", installed, check) for name, (installed, check, _) in WITH_CAUSES.items()}
+WRONG |= {name: found[:3] for name, found in further_faults.WRONG.items()}
 CAUSES = {name: cause for name, (_, _, cause) in WITH_CAUSES.items()}
+CAUSES |= {name: found[3] for name, found in further_faults.WRONG.items()}
+RIGHT |= {name: ("integrator", installed) for name, installed in further_faults.RIGHT.items()}
 
 
 def outcome(kind: Any, installed: Registry, name: str) -> Result:
@@ -184,10 +187,7 @@ def outcome(kind: Any, installed: Registry, name: str) -> Result:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in ("midpoint", "symplectic Euler", "runge-kutta")))
-        for name in RIGHT
-    ],
+    [pytest.param(name, marks=[pytest.mark.slow] * (kind == "integrator")) for name, (kind, _) in RIGHT.items()],
 )
 def test_what_is_right_is_accused_by_no_check_that_catches_what_is_wrong(name: str) -> None:
     kind, installed = RIGHT[name]
@@ -213,6 +213,18 @@ def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
 def test_a_claim_that_holds_is_not_refused(check: str) -> None:
     found = outcome("integrator", overclaims.RIGHT[check], check)
     assert found.outcome == ("skip" if check == "restart.state" else "pass"), found
+
+
+@pytest.mark.parametrize("name", further_faults.RIGHT)
+def test_a_right_method_of_order_1_or_2_is_accused_by_no_check_that_its_coarse_steps_might_deceive(name: str) -> None:
+    for check in (
+        "state.resting-starts",
+        "state.joint-friction",
+        "restart.discontinuities",
+        "drift.formulations",
+    ):
+        found = outcome("integrator", further_faults.RIGHT[name], check)
+        assert found.outcome in ("pass", "skip"), found
 
 
 @pytest.mark.parametrize("name", wrong_steps.RIGHT)
