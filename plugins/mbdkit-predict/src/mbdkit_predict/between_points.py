@@ -15,6 +15,7 @@ time of the jump.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import casadi as ca
@@ -22,15 +23,19 @@ import numpy as np
 
 from mbdkit.mechanism.values import curve_of
 from mbdkit_predict.grid import weights
-from mbdkit_predict.transcription import Mesh, Transcription
+from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
 NODES = 10_000
 """Least number of nodes in a motion, as many as there are samples of a motion in runs."""
 PANEL = 5
 """Nodes of the Gauss-Legendre formula of each of the panels into which an interval is divided."""
 ARGUMENTS = "q", "v", "a", "lam", "z", "u"
+"""First arguments of `Transcription.stage`."""
 BESIDE = 1e-3
 """Distance from the ends of intervals at which forces are compared, as a share of the shortest interval."""
+
+LEAST = 1e-6
+"""Least size of moments relative to forces, and of changes of states relative to the states: smaller ones are noise."""
 
 
 class Residual(NamedTuple):
@@ -57,61 +62,81 @@ class Residual(NamedTuple):
 def residual_between_points(method: Transcription, mesh: Mesh) -> Residual:
     """Return what a solution leaves of the equations between its collocation points."""
     values, lengths = mesh.values, mesh.values["duration"] @ mesh.grid.lengths
-    count, s = len(lengths), len(method.c)
+    count, b = len(lengths), method.b
     panels = -(-NODES // (count * PANEL))
     nodes, weight = np.polynomial.legendre.leggauss(PANEL)
     shares = ((np.arange(panels)[:, None] + 0.5 * (nodes + 1.0)) / panels).ravel()
     weight = np.tile(0.5 * weight / panels, panels)
     times = (values["duration"] @ mesh.grid.ends - lengths)[:, None] + lengths[:, None] * shares
-    x = {name: method.values_at(mesh, name, shares) for name in (*ARGUMENTS, "mu")}
+    x = {name: method.values_at(mesh, name, shares) for name in OF_POINTS}
     for name, table in method.spec.tables.items():
         x["u"][method.spec.chosen.control_states.index(f"measured.{name}")] = curve_of(table)(times)
-    x = {name: rows.reshape(len(rows), times.size) for name, rows in x.items()}
     at_nodes = np.array([weights(method.c, share) for share in shares]).T
 
-    def evaluated(given: dict[str, np.ndarray], at: np.ndarray) -> list[np.ndarray]:
-        """Return constraints, rates, integrands and forces (rows, N, K)."""
-        p = ca.repmat(values["p"], 1, at.size)
-        results = method.stage.map(at.size)(*(given[name] for name in ARGUMENTS), p, at.reshape(1, -1), given["mu"])
-        rows = [np.array(results[k]) for k in (0, 2, 3, 4)]
-        return [row.reshape(len(row), count, at.size // count) for row in rows]
-
     def between(at_points: np.ndarray) -> np.ndarray:
-        return np.asarray(at_points.reshape(len(at_points), count, s) @ at_nodes)
+        return np.asarray(at_points.reshape(len(at_points), count, len(b)) @ at_nodes)
 
-    closed, rates, integrands, forces = evaluated(x, times)
-    _, own_rates, own_integrands, _ = evaluated(dict(values), mesh.times)
-    whole, defects = own_integrands @ method.b, between(own_rates) - rates
+    closed, rates, integrands, forces = _evaluated(method, mesh, x, times)
+    _, own_rates, own_integrands, _ = _evaluated(method, mesh, values, mesh.times)
+    at_rest = _evaluated(method, mesh, {**values, "a": 0.0 * values["a"]}, mesh.times)[-1]
+    whole, defects = own_integrands @ b, between(own_rates) - rates
     by_integrals, by_motion, by_rates = method.multipliers(mesh, whole @ lengths)
     missed = (between(by_motion) * np.concatenate([forces, closed])).sum(axis=0)
     missed += (between(by_rates) * defects).sum(axis=0)
     change = lengths * (by_integrals @ (integrands @ weight - whole) - missed @ weight)
-    at_rest = evaluated(x | {"a": 0.0 * x["a"]}, times)[-1]
+    acting = abs(np.concatenate([at_rest, own_rates]))
+    acting[: len(forces)] *= 2.0  # those of inertia, and those that they balance
+    impulse = abs(np.concatenate([forces, defects]) @ weight) * lengths
+    jump = _jumps(method, mesh, own_rates @ weights(method.c, 1.0))
+    states = abs(values["z"]).max(axis=1, initial=0.0)
+    return Residual(
+        change,
+        _largest_share(impulse, acting @ b @ lengths, states),
+        _largest_share(jump, acting.max(axis=(1, 2)), states / lengths.sum()),
+    )
 
-    at_end = {name: method.values_at(mesh, name, np.ones(1))[..., 0] for name in (*ARGUMENTS, "mu")}
-    at_end |= dict(zip("qvz", np.split(method.nodes(mesh)[:, 1:], np.cumsum([len(x["q"]), len(x["v"])])), strict=True))
-    slopes = {"q": at_end["v"], "v": at_end["a"], "z": own_rates @ weights(method.c, 1.0)}
-    still, ends = {"a": 0.0 * at_end["a"]}, values["duration"] @ mesh.grid.ends
 
-    def change_beside(distance: float) -> np.ndarray:
-        """Return by how much forces and rates differ on both sides of the ends of intervals, with equal controls."""
+def _evaluated(
+    method: Transcription, mesh: Mesh, given: Mapping[str, np.ndarray], times: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return constraints, rates, integrands and forces, (rows, N, K), of unknowns at K times in each interval."""
+    x = {name: given[name].reshape(len(given[name]), times.size) for name in OF_POINTS}
+    p, count = ca.repmat(mesh.values["p"], 1, times.size), len(mesh.grid.phase)
+    results = method.stage.map(times.size)(*(x[name] for name in ARGUMENTS), p, times.reshape(1, -1), x["mu"])
+    rows = (np.array(results[k]) for k in (0, 2, 3, 4))
+    return tuple(row.reshape(len(row), count, times.size // count) for row in rows)
+
+
+def _jumps(method: Transcription, mesh: Mesh, rates: np.ndarray) -> np.ndarray:
+    """Return the jumps (rows, N) of forces and rates at the ends of intervals, with equal controls and times, given the
+    rates of the states (Z, N) before the ends.
+    """
+    x = {name: method.values_at(mesh, name, np.ones(1))[..., 0] for name in OF_POINTS}
+    x |= dict(zip("qvz", np.split(method.nodes(mesh)[:, 1:], np.cumsum([len(x["q"]), len(x["v"])])), strict=True))
+    slopes, still = {"q": x["v"], "v": x["a"], "z": rates}, {"a": 0.0 * x["a"]}
+    ends = mesh.values["duration"] @ mesh.grid.ends
+
+    def difference(distance: float) -> np.ndarray:
+        """Return the change from a time before the ends to a time after them."""
         after, before = (
-            evaluated(at_end | {name: at_end[name] + side * slopes[name] for name in slopes} | still, ends)
+            _evaluated(method, mesh, x | {name: x[name] + side * slopes[name] for name in slopes} | still, ends)
             for side in (distance, -distance)
         )
         return np.concatenate([after[-1] - before[-1], after[1] - before[1]])[..., 0]
 
-    distance = BESIDE * float(lengths.min())
-    jumps = abs(2.0 * change_beside(distance) - change_beside(2.0 * distance))  # zero where forces are smooth
+    distance = BESIDE * float((mesh.values["duration"] @ mesh.grid.lengths).min())
+    jumps = abs(2.0 * difference(distance) - difference(2.0 * distance))  # zero where forces are smooth
     jumps[:, mesh.grid.ends_of_phases()] = 0.0
-    remaining = abs(np.concatenate([forces, defects]) @ weight) * lengths
-    acting = np.concatenate([abs(forces - at_rest) + abs(at_rest), abs(rates)])
-    largest, kinds = abs(np.concatenate([at_rest, rates])).max(axis=(1, 2), initial=0.0), np.arange(len(acting))
-    kinds[: len(forces)] = -1 - (kinds[: len(forces)] % 3 == 2)
-    impulse, jump = np.zeros(count), np.zeros(count)
-    for kind in np.unique(kinds):
-        rows = kinds == kind
-        whole_impulse, size = float((acting[rows] @ weight @ lengths).max()), float(largest[rows].max())
-        impulse = np.maximum(impulse, remaining[rows].max(axis=0) / (whole_impulse or np.inf))
-        jump = np.maximum(jump, jumps[rows].max(axis=0) / (size or np.inf))
-    return Residual(change, impulse, jump)
+    return np.asarray(jumps)
+
+
+def _largest_share(values: np.ndarray, sizes: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Return the largest values (N,) of forces, moments and rates (rows, N), each as a share of the largest size of its
+    kind (rows,); sizes are at least `LEAST` of all forces, or of the states (Z,).
+    """
+    count = len(sizes) - len(states)
+    kinds = np.concatenate([-1 - (np.arange(count) % 3 == 2), np.arange(len(states))])
+    largest = np.array([sizes[kinds == kind].max() for kind in kinds])
+    least = np.concatenate([np.full(count, sizes[:count].max(initial=0.0)), states])
+    largest = np.maximum(largest, LEAST * least)
+    return np.asarray((values / np.where(largest > 0.0, largest, np.inf)[:, None]).max(axis=0, initial=0.0))

@@ -216,7 +216,7 @@ class CasadiSystem:
         values, refused = {}, {}
         for name in self._names():
             try:
-                parsed = self.parsed(name)
+                parsed = self._parsed(name)
             except SpecError:  # such as the angle of a point mass
                 continue
             try:
@@ -265,10 +265,9 @@ class CasadiSystem:
         SpecError
             If the text is not valid, or contains a quantity that cannot be exported.
         """
-        return column([self._value(self.parsed(text))])
+        return column([self._value(self._parsed(text))])
 
-    def parsed(self, text: str) -> RunExpression:
-        """Return an expression of quantities; raise SpecError if it is not valid."""
+    def _parsed(self, text: str) -> RunExpression:
         return RunExpression.parse(text, self.chosen.mechanism, crosses=False)
 
     def _value(self, parsed: RunExpression) -> Any:

@@ -282,6 +282,8 @@ class PredictSpec(ModelSpec):
         return self._tables
 
     def _accept(self, mechanism: Mechanism) -> None:
+        durations = [phase.duration for phase in self.whole.values()]
+        mechanism.check_span(0.0, sum(x.bounds[1] if isinstance(x, Duration) else x for x in durations))
         if not self.measured or self._tables:
             return
         lengths = [phase.duration for phase in self.whole.values() if isinstance(phase.duration, float)]

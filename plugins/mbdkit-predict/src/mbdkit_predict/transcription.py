@@ -113,7 +113,7 @@ class Transcription:
         self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
         self.has_nodes = spec.collocation.method == "gauss"
         ends = np.cumsum(lengths).tolist()
-        self.breaks = breaks_of(spec, system, float(self.limits["duration"][1].sum()))
+        self.breaks = breaks_of(spec, float(self.limits["duration"][1].sum()))
         at_end = ca.SX(system.u)
         for name, table in spec.tables.items():
             at_end[spec.chosen.control_states.index(f"measured.{name}")] = float(curve_of(table)(ends[-1]))

@@ -127,6 +127,14 @@ def test_objectives_close_to_the_accuracy_of_the_optimizer_are_doubtful() -> Non
     assert abs(light.objective - 1e-12 * whole.objective) <= light.objective_error
 
 
+def test_tables_must_cover_the_longest_duration() -> None:
+    table = {"table": [[0, 0.5], [0, 100]]}
+    for duration in (1.0, {"bounds": [0.1, 1.0]}):
+        with pytest.raises(mbdkit.SpecError, match="the table covers"):
+            mbdkit.predict(loaded(table, duration=duration))
+    assert mbdkit.predict(loaded(table, duration=0.5)).status == "complete"
+
+
 def test_intervals_end_at_given_times() -> None:
     grid = Grid.uniform([4, 2], np.ones(1)).with_ends(0, [0.3, 0.31, 0.6, 0.9])
     ends = np.array([0.3, 0.31, 0.5, 0.6, 0.75, 0.9, 1.0, 1.5, 2.0])
