@@ -99,7 +99,8 @@ def crossings(
     full = _with_turns([first, *inner, last], dense)
     ends = _changes(before, points)
     if _changes(before, full) > ends:  # dense output shows a double crossing, which is verified on exact values
-        points = [first, *((theta, _defined(exact, theta)) for theta in _summits(full[1:-1])), last]
+        verified = ((theta, exact(theta)) for theta in _summits(full[1:-1]))
+        points = [first, *(point for point in verified if math.isfinite(point[1])), last]
     crossed = []
     now = before or sign(first[1])
     if sign(first[1]) == -now != 0:
@@ -233,10 +234,3 @@ def _defined_beside(function: Scalar, x: float, a: float, b: float) -> Point:
         if math.isfinite(value):
             return position, value
     raise UndefinedError(x)
-
-
-def _defined(scalar: Scalar, theta: float) -> float:
-    value = scalar(theta)
-    if not math.isfinite(value):
-        raise UndefinedError(theta)
-    return value
