@@ -34,8 +34,10 @@ from mbdkit.events.crossing import UndefinedError, bracketed, sign
 INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated first."""
 
-KINK = 1e-13
-"""Accuracy of the positions of kinks, as a share of the step."""
+KINK, SHORTEST = 1e-13, 1e-12
+"""Accuracy of the positions of kinks, and largest distance of two kinks between which no samples are added, as shares
+of the step.
+"""
 
 LARGEST_TURN = 1.0
 """Largest change of the argument of a periodic function between two samples [rad]; a period has at least 6 samples."""
@@ -127,6 +129,8 @@ def _resolved(
     stack: list[tuple[list[float], int]] = []
     ends = sorted({0.0, *kinks, 1.0})
     for begin, end in pairwise(ends):
+        if end - begin <= SHORTEST:
+            continue
         places = [place for place in sorted(known) if begin <= place <= end]
         stack += [(places[max(0, min(k, len(places) - 5)) :][:5], 0) for k in range(0, max(1, len(places) - 1), 4)]
     while stack and len(found) < MOST_SAMPLES:
