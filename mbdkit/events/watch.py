@@ -196,7 +196,8 @@ class Watch:
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
         self._changes = [_Change(event, workspace) if event.changes else None for event in events]
-        self._fired: list[int] = []  # indices of events that cross zero where states are set before the next step
+        # Indices of events that cross zero where states are set before the next step, and whether they set some.
+        self._fired: dict[int, bool] = {}
         self._set_at = [-math.inf] * len(events)
         self._latest = -math.inf
         expressions = [event.when for event in events]
@@ -328,7 +329,7 @@ class Watch:
             "ended": self._ended,
             "largest": self._largest,
             "near": self._quantities.kept,
-            "fired": self._fired,
+            "fired": [*self._fired.items()],
             "set_at": self._set_at,
             "latest": self._latest,
             "ahead": vars(self._pace),
@@ -344,7 +345,7 @@ class Watch:
         self._ended = state["ended"]
         self._largest = [float(value) for value in state["largest"]]
         fill(self._quantities.kept, state["near"])
-        self._fired = [int(number) for number in state["fired"]]
+        self._fired = {int(number): bool(sets) for number, sets in state["fired"]}
         self._set_at = [float(time) for time in state["set_at"]]
         self._latest = float(state["latest"])
         if "ahead" in state:  # checkpoints of earlier versions lack it
@@ -407,7 +408,8 @@ class Watch:
 
         def change(t: float, state: Moment) -> np.ndarray:
             _, v, z = state
-            self._fired, self._ended, after = [*crossed], self._side(v, z), z.copy()
+            self._fired = {number: number in setting for number in crossed}
+            self._ended, after = self._side(v, z), z.copy()
             for number in setting:
                 self._change(number).apply(t, state, after)
             return after
@@ -465,7 +467,7 @@ class Watch:
         points = list(zip((0.0, *INSIDE, 1.0), rows, strict=True))
         shown = []
         for number, (value, phases, breaks) in enumerate(self._expressions):
-            sets = number in self._fired and self._changes[number] is not None
+            sets = self._fired.get(number, False)
             close = self._close_points() if sets else []
             samples = refined(
                 sorted([*points, *close]), self._values_inside, value, phases, breaks, self._largest[number]

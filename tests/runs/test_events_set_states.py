@@ -166,6 +166,8 @@ def test_chains_of_events_that_set_states_end_or_are_refused_by_name(
     run = on_ramp(integrator, step, count=count, third={"when": "states.n - 2.5"}).check()
     assert run.states["n"].value[-1] == 4.0
     assert run.events.of_name("third").time == pytest.approx([3.0], abs=1e-9)
+    same = {"when": "states.y - 1", "direction": "falling", "set": {"n": "states.n + 1"}}
+    assert on_ramp(integrator, step, same=same).check().states["n"].value[-1] == 4.0
     endless = {"when": "states.y - 0.5", "direction": "falling", "set": {"y": 2}}
     run = on_ramp(integrator, step, endless=endless)
     assert run.status_reason.startswith("zeno: event 'reset' sets states again")
