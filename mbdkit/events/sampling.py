@@ -106,10 +106,14 @@ def refined(
         for left, right in pairwise(_resolved(known, at, argument, kinks, 0.0)):
             if sign(left[1]) * sign(right[1]) < 0:
                 with suppress(UndefinedError):
-                    kink = bracketed(lambda theta, argument=argument: argument(values_at(theta)), left, right, KINK)
-                    kinks.append(kink[0][0])
-                    at(kink[0][0])
+                    (kink, _), _ = bracketed(_composed(argument, values_at), left, right, KINK)
+                    kinks.append(kink)
+                    at(kink)
     return _resolved(known, at, scalar, kinks, largest)
+
+
+def _composed(scalar: Scalar, values_at: Callable[[float], Values]) -> Callable[[float], float]:
+    return lambda theta: scalar(values_at(theta))
 
 
 def _resolved(

@@ -257,7 +257,8 @@ class Watch:
     def advance(self) -> Stretch:
         """Advance for about `STRETCH` seconds of wall time and return the rows to be recorded."""
         until = time.perf_counter() + interface.STRETCH
-        self._parts = parts = []
+        parts: list[Stretch] = []
+        self._parts = parts
         while True:
             part = self._several_steps()
             if len(part.time) or not parts:
@@ -451,14 +452,12 @@ class Watch:
     def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
         """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
         # Jumps: an impulse, a sample of a controller, an event that sets states, a discontinuity of a motion or load.
-        is_after_jump = self._ended is not None and (
-            bool(self._fired) or not np.array_equal(self._ended, self._side(step.v0, step.z0))
-        )
-        before: list[float] = []
-        if is_after_jump:
-            v, z, _ = np.split(self._ended, np.cumsum([len(step.v0), len(step.z0)]))
+        before: list[float] = []  # quantities before a jump at the start of the step
+        ended = self._ended
+        if ended is not None and (self._fired or not np.array_equal(ended, self._side(step.v0, step.z0))):
+            v, z, _ = np.split(ended, np.cumsum([len(step.v0), len(step.z0)]))
             before = self._quantities.values([step.t0], step.q0[None], v[None], z[None])[0]
-        if self._values is None or is_after_jump:
+        if self._values is None or before:
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), step.between(1.0)]
         q, v, z = (np.array([state[part] for state in states]) for part in range(3))
@@ -472,7 +471,7 @@ class Watch:
             samples = refined(
                 sorted([*points, *close]), self._values_inside, value, phases, breaks, self._largest[number]
             )
-            if is_after_jump:
+            if before:
                 size = median([abs(x) for row in rows if math.isfinite(x := value(row))] or [0.0])
                 samples[0] = 0.0, self._after_jump(number, value(before), samples[0][1], size, sets=sets)
             self._largest[number] = max(self._largest[number], *(abs(x) for _, x in samples if math.isfinite(x)), 0.0)
