@@ -13,9 +13,12 @@ ACCURACY = 1e-13
 """Accuracy of the time of a crossing, relative to the larger of the time and 1 s."""
 
 POLE = 100.0
-"""A sign change between two points of a step counts as a pole if the scalar at the sign change is more than this many
-times as large as at both points.
+"""A sign change between two points of a step may be at a pole if the scalar at the sign change is more than this many
+times as large as at one of the points.
 """
+
+WIDER, GROWTH = 30.0, 2.0
+"""It is at a pole if the scalar grows by this factor `GROWTH` as the distance decreases by `WIDER`."""
 
 LOW = 0.1
 """The extremum of a parabola through three points is examined if it is below this share of the middle one."""
@@ -96,7 +99,8 @@ def crossings(
     full = _with_turns([first, *inner, last], dense)
     ends = _changes(before, points)
     if _changes(before, full) > ends:  # dense output shows a double crossing, which is verified on exact values
-        points = [first, *((theta, _defined(exact, theta)) for theta in _summits(full[1:-1])), last]
+        verified = ((theta, exact(theta)) for theta in _summits(full[1:-1]))
+        points = [first, *(point for point in verified if math.isfinite(point[1])), last]
     crossed = []
     now = before or sign(first[1])
     if sign(first[1]) == -now != 0:
@@ -130,9 +134,12 @@ def _changes(before: int, points: Sequence[Point]) -> int:
 
 
 def _summits(points: Sequence[Point]) -> list[float]:
-    """Return the position of the largest absolute value in each sequence of values with the same sign."""
-    series = groupby((point for point in points if sign(point[1])), key=lambda point: sign(point[1]))
-    return [max(group, key=lambda point: abs(point[1]))[0] for _, group in series]
+    """Return the position of the largest absolute value in each sequence of values with the same sign.
+
+    The ends of longer sequences are left out: they may be close to a pole.
+    """
+    series = (list(group) for _, group in groupby((p for p in points if sign(p[1])), key=lambda p: sign(p[1])))
+    return [max(group[1:-1] or group, key=lambda point: abs(point[1]))[0] for group in series]
 
 
 def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
@@ -162,8 +169,12 @@ def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float
     None if the scalar changes its sign at a pole, through infinity instead of zero.
     """
     (a, fa), (b, fb) = bracketed(exact, left, right, accuracy)
-    if min(abs(fa), abs(fb)) > POLE * max(abs(left[1]), abs(right[1])):
-        return None
+    if min(abs(fa), abs(fb)) > POLE * min(abs(left[1]), abs(right[1])):
+        # the point on the left or right may itself be close to the pole
+        near, far = WIDER * accuracy, WIDER * WIDER * accuracy
+        sides = [side for side in ((a - near, a - far), (b + near, b + far)) if left[0] < side[1] < right[0]]
+        if sides and all(abs(exact(x)) > GROWTH * abs(exact(y)) for x, y in sides):
+            return None
     return a if abs(fa) <= abs(fb) else b
 
 
@@ -223,10 +234,3 @@ def _defined_beside(function: Scalar, x: float, a: float, b: float) -> Point:
         if math.isfinite(value):
             return position, value
     raise UndefinedError(x)
-
-
-def _defined(scalar: Scalar, theta: float) -> float:
-    value = scalar(theta)
-    if not math.isfinite(value):
-        raise UndefinedError(theta)
-    return value

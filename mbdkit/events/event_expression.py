@@ -53,8 +53,8 @@ class CompiledExpression(NamedTuple):
     phases
         Arguments of the periodic functions in the expression.
     breaks
-        Functions at whose zeros the expression has kinks: arguments of ``abs``, and differences of the operands of
-        ``min`` and ``max``.
+        Functions at whose zeros the expression has kinks, zeros or poles: arguments of ``abs``, differences of the
+        operands of ``min`` and ``max``, and the factors of a product or quotient.
     """
 
     value: Function
@@ -117,6 +117,7 @@ class RunExpression:
         """
         phases: list[Function] = []
         breaks: list[Function] = []
+        factors: dict[Function, list[Function]] = {}
 
         def step(name: str, number: float, *operands: Function) -> Function:
             if name == "const":
@@ -132,10 +133,16 @@ class RunExpression:
                 is_first = operation.switch == "first"
                 breaks.append(_total(operands[0] if is_first else _applied(operator.sub, *operands)))
             if name == "powi":
-                return _applied(lambda base: elementary.pow(base, number), *operands)
-            return _applied(operation.array if of_arrays else operation.number, *operands)
+                result = _applied(lambda base: elementary.pow(base, number), *operands)
+            else:
+                result = _applied(operation.array if of_arrays else operation.number, *operands)
+            if name in ("mul", "div", "neg", "powi"):
+                factors[result] = [factor for operand in operands for factor in factors.get(operand, [operand])]
+            return result
 
-        return CompiledExpression(_total(execute(self.program, step)), tuple(phases), tuple(breaks))
+        whole = execute(self.program, step)
+        breaks += map(_total, factors.get(whole, []))
+        return CompiledExpression(_total(whole), tuple(phases), tuple(breaks))
 
 
 def _applied(function: Callable[..., Any], of: Function, other: Function | None = None) -> Function:

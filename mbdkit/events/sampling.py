@@ -4,12 +4,13 @@ The sampling starts with the quarters of the step and is refined in three ways.
 
 1. Between two samples, the arguments of ``sin``, ``cos`` and ``tan`` change by at most `LARGEST_TURN`.
 2. Where the argument of ``abs``, or the difference of the operands of ``min`` or ``max``, changes sign, a sample is
-   added, because the scalar may have an extremum there.
-3. A polynomial p of degree 4 is fitted through every five consecutive samples. Its error is estimated from two
-   differences: between p and the polynomial of degree 3 through four of the samples, and between the latter and a
-   polynomial of degree 2. Where both p and its derivative are smaller than their errors, there may be a double root,
-   and samples are added between these five. Where p changes sign between two samples of equal sign, a sample is added
-   where p is largest with the opposite sign.
+   added, because the scalar may have an extremum there. These sign changes are detected as in 3.
+   The same is done where a factor of a product or quotient changes sign, so that its sign between these is known.
+3. A polynomial p of degree 4 is fitted through every five consecutive samples between two positions of 2. Its error is
+   estimated from two differences: between p and the polynomial of degree 3 through four of the samples, and between the
+   latter and a polynomial of degree 2. Where both p and its derivative are smaller than their errors, there may be a
+   double root, and samples are added between these five. Where p changes sign between two samples of equal sign, a
+   sample is added where p is largest with the opposite sign.
 
 States within the step are evaluated from dense output, which consists of polynomials of a degree up to 11. An
 expression without poles and without large factors in its exponents is therefore smooth on this scale. `MOST_SAMPLES`
@@ -28,13 +29,15 @@ from itertools import pairwise
 import numpy as np
 
 from mbdkit.engine.linear_systems import inverse_of, product
-from mbdkit.events.crossing import UndefinedError, bracketed
+from mbdkit.events.crossing import UndefinedError, bracketed, sign
 
 INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated first."""
 
-BREAK = 1e-13
-"""Accuracy of the positions of kinks, as a share of the step."""
+KINK, SHORTEST = 1e-13, 1e-12
+"""Accuracy of the positions of kinks, and largest distance of two kinks between which no samples are added, as shares
+of the step.
+"""
 
 LARGEST_TURN = 1.0
 """Largest change of the argument of a periodic function between two samples [rad]; a period has at least 6 samples."""
@@ -98,17 +101,42 @@ def refined(
 
     for phase in phases:
         _divide(known, at, phase)
-    for argument in breaks:
-        _mark_break(known, values_at, argument)
-    places = sorted(known)
-    found = {place: scalar(known[place]) for place in places}
+    kinks: list[float] = []
+    for argument in breaks:  # in the order of the expression, so that kinks of an argument are known before its own
+        for left, right in pairwise(_resolved(known, at, argument, kinks, 0.0)):
+            if sign(left[1]) * sign(right[1]) < 0:
+                with suppress(UndefinedError):
+                    (kink, _), _ = bracketed(_composed(argument, values_at), left, right, KINK)
+                    kinks.append(kink)
+                    at(kink)
+    return _resolved(known, at, scalar, kinks, largest)
+
+
+def _composed(scalar: Scalar, values_at: Callable[[float], Values]) -> Callable[[float], float]:
+    return lambda theta: scalar(values_at(theta))
+
+
+def _resolved(
+    known: dict[float, Values], at: Callable[[float], Values], scalar: Scalar, kinks: Sequence[float], largest: float
+) -> list[tuple[float, float]]:
+    """Return samples of a scalar that is smooth between its kinks, with samples added where they are needed.
+
+    `known` are the quantities at positions, to which `at` adds.
+    """
+    found = {place: scalar(known[place]) for place in known}
 
     def value(place: float) -> float:
         if place not in found:
             found[place] = scalar(at(place))
         return found[place]
 
-    stack = [(places[max(0, min(k, len(places) - 5)) :][:5], 0) for k in range(0, max(1, len(places) - 1), 4)]
+    stack: list[tuple[list[float], int]] = []
+    ends = sorted({0.0, *kinks, 1.0})
+    for begin, end in pairwise(ends):
+        if end - begin <= SHORTEST:
+            continue
+        places = [place for place in sorted(known) if begin <= place <= end]
+        stack += [(places[max(0, min(k, len(places) - 5)) :][:5], 0) for k in range(0, max(1, len(places) - 1), 4)]
     while stack and len(found) < MOST_SAMPLES:
         five, depth = stack.pop()
         if len(five) < 5:
@@ -139,16 +167,6 @@ def _divide(known: dict[float, Values], at: Callable[[float], Values], phase: Sc
             for place in places[1:-1]:
                 at(place)
             todo += pairwise(places)
-
-
-def _mark_break(known: dict[float, Values], values_at: Callable[[float], Values], argument: Scalar) -> None:
-    """Add samples where `argument` changes sign."""
-    for a, b in list(pairwise(sorted(known))):
-        ends = (a, argument(known[a])), (b, argument(known[b]))
-        if ends[0][1] * ends[1][1] < 0.0:
-            with suppress(UndefinedError):
-                (place, _), _ = bracketed(lambda theta: argument(values_at(theta)), *ends, BREAK)
-                known[place] = values_at(place)
 
 
 @lru_cache(maxsize=256)

@@ -78,7 +78,11 @@ class Screen:
         clear = np.ones((len(known) + 1, len(known[0]) + 1), dtype=bool)
         clear[-1, -1] = False
         for number, (expression, values) in enumerate(zip(self._expressions, known, strict=True)):
-            clear[number, :-1] = _is_clear(values, signs[number], largest[number]) & _is_even(expression, columns)
+            now = signs[number]
+            if not now:
+                nonzero = values[values != 0.0]
+                now = -1 if len(nonzero) and nonzero[0] < 0.0 else 1
+            clear[number, :-1] = _is_clear(now * values, largest[number]) & _is_even(expression, columns)
         count = int(np.argmin(np.all(clear, axis=0)))
         for number, values in enumerate(known):
             at_ends = np.sign(values[:count, [0, -1]]).ravel()
@@ -104,29 +108,24 @@ def _is_even(expression: CompiledExpression, columns: Sequence[np.ndarray]) -> n
         even &= np.all(np.abs(np.diff(_by_step(phase, columns))) <= LARGEST_TURN, axis=1)
     for argument in expression.breaks:
         values = _by_step(argument, columns)
-        even &= np.all(values[:, 1:] * values[:, :-1] >= 0.0, axis=1)
+        even &= _is_clear(np.where(values[:, :1] < 0.0, -values, values), 0.0)
     return even
 
 
 @np.errstate(all="ignore")
-def _is_clear(values: np.ndarray, sign: int, largest: float) -> np.ndarray:
+def _is_clear(own: np.ndarray, largest: float) -> np.ndarray:
     """Return whether the scalar of an event stays away from zero in each step (K,); false if it is not finite.
 
     Parameters
     ----------
-    values
-        (K, 5) values of the scalar.
-    sign, largest
-        Last non-zero sign and largest absolute value so far.
+    own
+        (K, 5) values of the scalar, multiplied by its last non-zero sign.
+    largest
+        Largest absolute value so far.
     """
-    size = np.abs(values)
-    largest_in_step = np.max(size, axis=1)
-    if not sign:
-        nonzero = values[values != 0.0]
-        sign = -1 if len(nonzero) and nonzero[0] < 0.0 else 1
-    own = values * sign
+    largest_in_step = np.max(np.abs(own), axis=1)
     # a polynomial whose values are larger than its error has no double root, nor has it a root between two samples
-    error = np.max(np.abs(values @ _ERRORS.T), axis=1)
+    error = np.max(np.abs(own @ _ERRORS.T), axis=1)
     is_away = np.min(own @ _CONTROL_POINTS.T, axis=1) > error
     is_noise = largest_in_step <= NOISE * np.maximum(np.maximum.accumulate(largest_in_step), largest)
     # the extremum of the parabola through three values, which `crossings` examines

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -44,8 +45,10 @@ that sets states crosses zero twice within this time.
 Otherwise, an infinite sequence of crossings at ever shorter intervals would not be noticed.
 """
 
-ZERO = 1e-9
-"""After a jump of the state, values of an expression below this share of its largest value so far count as zero."""
+ZERO = 1e-12
+"""After a jump of the state, values of an expression below this share of its value before the jump, and of its median
+in the next step, count as zero.
+"""
 
 CLOSER = 0.1
 """After an event has set states, its expression is sampled at shares of the step that decrease by this factor.
@@ -193,9 +196,8 @@ class Watch:
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
         self._changes = [_Change(event, workspace) if event.changes else None for event in events]
-        # Expressions of the events with the crossings at which states have been set before the next step: by index,
-        # their values before the states were set.
-        self._fired: dict[int, float] = {}
+        # Indices of events that cross zero where states are set before the next step, and whether they set some.
+        self._fired: dict[int, bool] = {}
         self._set_at = [-math.inf] * len(events)
         self._latest = -math.inf
         expressions = [event.when for event in events]
@@ -255,7 +257,8 @@ class Watch:
     def advance(self) -> Stretch:
         """Advance for about `STRETCH` seconds of wall time and return the rows to be recorded."""
         until = time.perf_counter() + interface.STRETCH
-        self._parts = parts = []
+        parts: list[Stretch] = []
+        self._parts = parts
         while True:
             part = self._several_steps()
             if len(part.time) or not parts:
@@ -343,7 +346,7 @@ class Watch:
         self._ended = state["ended"]
         self._largest = [float(value) for value in state["largest"]]
         fill(self._quantities.kept, state["near"])
-        self._fired = {int(number): float(value) for number, value in state["fired"]}
+        self._fired = {int(number): bool(sets) for number, sets in state["fired"]}
         self._set_at = [float(time) for time in state["set_at"]]
         self._latest = float(state["latest"])
         self._pace = Lookahead(**{name: int(number) for name, number in state["ahead"].items()})
@@ -369,12 +372,10 @@ class Watch:
             crossed += [(crossing, number) for crossing in some]
         counted = [(c, number) for c, number in crossed if c.direction in DIRECTIONS[self.events[number].direction]]
         acting = min((c.theta for c, number in counted if self._acts(number)), default=math.inf)
-        until = (
-            acting + REPEATED / ACCURACY * accuracy
-        )  # crossings until then are simultaneous with the first that acts
-        together = {number for c, number in crossed if acting <= c.theta <= until}
+        near = REPEATED / ACCURACY * accuracy
+        together = {number: c.direction for c, number in crossed if abs(c.theta - acting) <= near}
         for crossing, number in sorted(counted, key=lambda item: (min(item[0].theta, acting), self._stops(item[1]))):
-            if crossing.theta > until:
+            if crossing.theta > acting + near:
                 continue
             self._latest = max(self._latest, step.time(min(crossing.theta, acting)))
             state = self.stepper.within(min(crossing.theta, acting))
@@ -385,10 +386,10 @@ class Watch:
                 return self._cut(stretch, acting)
         if acting == math.inf:
             return stretch
-        for crossing, number in crossed:
-            if crossing.theta <= until:
-                signs[number] = crossing.direction
-        self._signs = [before or sign(points[0][1]) for before, points in zip(signs, samples, strict=True)]
+        values = self._values_of(acting, self.stepper.within)
+        for number, before in enumerate(signs):
+            value = self._expressions[number].value(values) if acting else samples[number][0][1]
+            self._signs[number] = together.get(number, sign(value) or before)
         setting = [number for c, number in counted if number in together and self._changes[number] is not None]
         return self._set(acting, together, list(dict.fromkeys(setting)))
 
@@ -406,9 +407,9 @@ class Watch:
         """
 
         def change(t: float, state: Moment) -> np.ndarray:
-            q, v, z = state
-            values, after = self._quantities.values([t], q[None], v[None], z[None])[0], z.copy()
-            self._fired = {number: self._expressions[number].value(values) for number in crossed}
+            _, v, z = state
+            self._fired = {number: number in setting for number in crossed}
+            self._ended, after = self._side(v, z), z.copy()
             for number in setting:
                 self._change(number).apply(t, state, after)
             return after
@@ -450,10 +451,12 @@ class Watch:
     def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
         """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
         # Jumps: an impulse, a sample of a controller, an event that sets states, a discontinuity of a motion or load.
-        is_after_jump = bool(self._fired) or (
-            self._ended is not None and not np.array_equal(self._ended, self._side(step.v0, step.z0))
-        )
-        if self._values is None or is_after_jump:
+        before: list[float] = []  # quantities before a jump at the start of the step
+        ended = self._ended
+        if ended is not None and (self._fired or not np.array_equal(ended, self._side(step.v0, step.z0))):
+            v, z, _ = np.split(ended, np.cumsum([len(step.v0), len(step.z0)]))
+            before = self._quantities.values([step.t0], step.q0[None], v[None], z[None])[0]
+        if self._values is None or before:
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), step.between(1.0)]
         q, v, z = (np.array([state[part] for state in states]) for part in range(3))
@@ -462,13 +465,14 @@ class Watch:
         points = list(zip((0.0, *INSIDE, 1.0), rows, strict=True))
         shown = []
         for number, (value, phases, breaks) in enumerate(self._expressions):
-            sets = number in self._fired and self._changes[number] is not None
+            sets = self._fired.get(number, False)
             close = self._close_points() if sets else []
             samples = refined(
                 sorted([*points, *close]), self._values_inside, value, phases, breaks, self._largest[number]
             )
-            if is_after_jump:
-                samples[0] = 0.0, self._after_jump(number, samples[0][1], sets=sets)
+            if before:
+                size = median([abs(x) for row in rows if math.isfinite(x := value(row))] or [0.0])
+                samples[0] = 0.0, self._after_jump(number, value(before), samples[0][1], size, sets=sets)
             self._largest[number] = max(self._largest[number], *(abs(x) for _, x in samples if math.isfinite(x)), 0.0)
             shown.append(samples)
         return shown
@@ -483,14 +487,15 @@ class Watch:
             theta *= CLOSER
         return points
 
-    def _after_jump(self, number: int, value: float, *, sets: bool) -> float:
+    def _after_jump(self, number: int, before: float, value: float, size: float, *, sets: bool) -> float:
         """Return the scalar of an event right after a jump from its computed `value`.
 
         It is zero if it is zero up to rounding errors, and if the jump does not change it and is at a crossing of this
-        event; it may then leave zero with the sign after that crossing. A change of sign due to states that the event
-        itself `sets` is not a crossing.
+        event; it may then leave zero with the sign after that crossing. `before` is the value before the jump, and
+        `size` a typical absolute value in the step after it. A change of sign due to states that the event itself
+        `sets` is not a crossing.
         """
-        is_zero = abs(value) <= ZERO * self._largest[number] or self._fired.get(number) == value
+        is_zero = abs(value) <= ZERO * max(abs(before), size) or (number in self._fired and value == before)
         if sets:
             self._signs[number] = 0 if is_zero else sign(value)
         return 0.0 if is_zero else value

@@ -344,13 +344,13 @@ class SimulatedRun:
         elapsed = time.perf_counter() - begin if self.continuation is not None else 0.0
         recorded = self.recorder.last_time
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
-            stretch = None
             with self._blaming_the_plugin():
                 stretch = stepper.advance()
-            if stretch is None:  # the rows before the exception are recorded
-                stretch = stepper.rows_before_error()
-            if stretch is None:
-                break
+            if self.failure is not None:
+                rows = stepper.rows_before_error()
+                if rows is None:
+                    break
+                stretch = rows
             now = time.perf_counter() - begin
             self.take_steps(stepper, stretch)
             self.failure = self.recorder.record(stretch, (elapsed, now)) or self.failure

@@ -69,6 +69,55 @@ def test_a_jump_to_the_other_side_is_a_crossing_and_a_pole_is_none() -> None:
     assert found(lambda x: 1.0 / (x - 0.437), before=-1) == ([], 1)
 
 
+@pytest.mark.parametrize("power", [3, 5, 9, 21, 101])
+@pytest.mark.parametrize("root", [0.3, 0.7123])
+def test_an_odd_multiple_zero_is_located_with_few_evaluations(power: int, root: float) -> None:
+    evaluations: list[float] = []
+
+    def function(x: float) -> float:
+        evaluations.append(x)
+        return (x - root) ** power
+
+    [(place, direction)], _ = found(function, before=-1)
+    # expected: the last position at which the power is not positive; it underflows close to the zero
+    last = root + 5e-324 ** (1 / power)
+    assert place == pytest.approx(last, abs=0.1 * abs(last - root) + 1e-13)
+    assert direction == 1
+    assert len(evaluations) < 70
+
+
+def test_the_zero_of_rounding_errors_is_located() -> None:
+    [(place, direction)], _ = found(lambda x: ((x - 1.5) * x + 0.75) * x - 0.125, before=-1)  # (x - 1/2)^3
+    assert place == pytest.approx(0.5, abs=1e-4)
+    assert direction == 1
+
+
+def test_a_jump_at_the_start_of_a_step_is_a_crossing() -> None:
+    assert found(lambda x: x - 2.0, before=1) == ([(0.0, -1)], -1)
+    [first, (place, direction)], now = found(lambda x: x - 0.3, before=1)
+    assert first == (0.0, -1)
+    assert place == pytest.approx(0.3, abs=1e-13)
+    assert (direction, now) == (1, 1)
+
+
+def test_a_pole_at_an_end_of_a_step_is_no_crossing() -> None:
+    def reciprocal(x: float) -> float:
+        return 1.0 / x if x else math.nan
+
+    assert found(lambda x: reciprocal(x - 1.0), before=-1) == ([], -1)
+    assert found(reciprocal, before=-1) == ([], 1)
+    assert found(lambda x: reciprocal(x) ** 2, before=1) == ([], 1)
+    for pole in (1e-15, 1.0 - 1e-15):  # beside the end by rounding errors
+        assert found(lambda x, pole=pole: reciprocal(x - pole), before=-1) == ([], 1)
+
+
+def test_a_jump_at_the_end_of_a_step_without_a_value_is_a_crossing() -> None:
+    def steps(x: float) -> float:
+        return math.copysign(2.0, x) if x else math.nan
+
+    assert found(steps, before=-1) == ([(0.0, 1)], 1)
+
+
 def test_a_scalar_without_a_value_is_an_error() -> None:
     with pytest.raises(UndefinedError):
         found(lambda x: math.nan if x > 0.9 else 1.0, before=1)

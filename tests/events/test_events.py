@@ -15,9 +15,11 @@ import xarray
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.base.errors import SpecError, UnknownNameError
+from mbdkit.events import watch
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
-from tests.integrators.step_methods import Failing, Remembering, RungeKutta, run_with
+from mbdkit.spec.run_spec import spec_type
+from tests.integrators.step_methods import Failing, Remembering, RungeKutta, offering, run_with
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
 GAUSS = {"name": "gauss", "stages": 3}
@@ -371,3 +373,59 @@ def test_a_dip_below_zero_is_found_in_long_steps(integrator: dict[str, Any]) -> 
 def test_an_expression_whose_period_divides_the_samples_is_not_mistaken_for_zero() -> None:
     with thrown("sin(2*pi*t)", {"name": "dop853", "adaptive": True}, end=64.2) as there:
         assert len(there.events.time) == 128
+
+
+@pytest.mark.parametrize(
+    "integrator", [{"name": "rk4"}, *LONG_STEPS, {"name": "scipy-lsoda"}], ids=lambda one: one["name"]
+)
+@pytest.mark.parametrize(
+    ("when", "times"),
+    [("(a.x - 1.07)**3", [1.07]), ("(a.x - 1.07)**21", [1.07]), ("sin(4*a.x)**3", [np.pi / 4, np.pi / 2]),
+     ("a.x*(a.x - 1.07)**5/(a.x - 0.4)", [1.07])],
+)  # fmt: skip
+def test_odd_multiple_zeros_are_found_and_the_run_goes_on(
+    integrator: dict[str, Any], when: str, times: list[float]
+) -> None:
+    time = {"end": 2.0, "step": 0.1} if integrator["name"] == "rk4" else {"end": 2.0}
+    spec = {"mbdkit": 1, "model": THROWN, "integrator": integrator, "time": time}
+    with mbdkit.run(spec, events={"e": {"when": when}}) as there:
+        assert there.check().time[-1] == 2.0
+        assert there.events.time == pytest.approx(times, abs=1e-9)
+
+
+@pytest.mark.parametrize("when", ["1/(t - 0.5)", "1/(t - 0.5)**2 - 1e-3", "abs(t - 0.5)/(t - 0.5)"])
+def test_a_pole_at_the_end_of_a_step_does_not_end_the_run(when: str) -> None:
+    with run({"pole": when}, {"name": "rk4"}) as there:
+        assert there.check().time[-1] == 1.0
+        jumps = [0.5] if when.startswith("abs") else []
+        assert there.events.time == pytest.approx(jumps, abs=1e-10)
+
+
+@pytest.mark.parametrize("integrator", [{"name": "rk4"}, DOP853, ADAPTIVE[1]], ids=lambda one: one["name"])
+def test_an_exception_in_the_last_step_is_raised(integrator: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    crossings = watch.crossings
+
+    def burst(before: int, shown: list[tuple[float, float]], *rest: Any) -> Any:
+        if shown[-1][1] >= 1.0:
+            raise RuntimeError("burst")
+        return crossings(before, shown, *rest)
+
+    monkeypatch.setattr("mbdkit.events.watch.crossings", burst)
+    with pytest.raises(RuntimeError, match="burst"):
+        run({"wave": "t*(1 + 0*sin(1e3*t))"}, integrator)
+
+
+def test_an_exception_of_dense_output_in_the_last_step_is_not_lost() -> None:
+    class Bursting(RungeKutta):
+        def step(self, equations: Any, t: float, state: Any, h: float) -> Any:
+            def dense(theta: float) -> Any:
+                raise RuntimeError("burst")
+
+            new = super().step(equations, t, state, h)
+            return mbdkit.Step(new, dense=dense) if t > 0.7 else new
+
+    time, output = {"end": 1.0, "step": 0.2}, {"interval": 0.3}
+    registry = offering(Bursting(), dense_output=True)
+    data = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "mine"}, "time": time, "output": output}
+    with simulate(spec_type(registry)(**data)) as failed:
+        assert failed.status_reason.startswith("plugin-error")

@@ -117,6 +117,110 @@ def test_an_event_whose_expression_does_not_change_fires_once_and_others_see_wha
     assert run["rotor"].angular_velocity[-1] == pytest.approx((0.3 + 0.7 * 0.5) / INERTIA, abs=1e-12)
 
 
+RAMP = {"y": {"rate": "1", "initial": 0.2}, "n": {"rate": "0"}}
+RESET = {"when": "states.y - 1", "direction": "rising", "set": {"y": -0.1}}
+ON_RAMP = pytest.mark.parametrize(
+    ("integrator", "step"),
+    [
+        (RK4, 0.2),
+        (RK4, 5.0),
+        (GAUSS, 0.07),
+        ({"name": "dop853", "adaptive": True}, None),
+        ({"name": "scipy-lsoda"}, None),
+    ],
+    ids=str,
+)
+
+
+def on_ramp(integrator: dict[str, Any], step: float | None, **events: Any) -> mbdkit.Run:
+    """Run y' = 1 from 0.2 for 5 s; y is set to -0.1 when it reaches 1, at 0.8 s, 1.9 s, 3 s and 4.1 s."""
+    return mbdkit.run(spec_of(integrator, step, model=rotor(**RAMP), events={"reset": RESET, **events}))
+
+
+@ON_RAMP
+def test_a_change_of_sign_by_states_that_are_set_is_a_crossing(integrator: dict[str, Any], step: float | None) -> None:
+    run = on_ramp(integrator, step, zero={"when": "states.y"}, same={"when": "(states.y - 1)**3"}).check()
+    times = np.array([0.8, 0.9, 1.9, 2.0, 3.0, 3.1, 4.1, 4.2])
+    np.testing.assert_allclose(run.events.of_name("zero").time, times, atol=1e-9)
+    assert run.events.of_name("zero").direction.tolist() == [-1, 1] * 4
+    np.testing.assert_allclose(run.events.of_name("same").time, np.repeat(times[::2], 2), atol=1e-9)
+    assert run.events.of_name("same").direction.tolist() == [1, -1] * 4
+    assert run.time[-1] == END
+
+
+@ON_RAMP
+@pytest.mark.parametrize("when", ["states.y + 0.05", "1 - states.y"])
+def test_a_stop_at_the_time_at_which_states_are_set_stops(
+    integrator: dict[str, Any], step: float | None, when: str
+) -> None:
+    run = on_ramp(integrator, step, end={"when": when, "action": "stop"}).check()
+    assert run.time[-1] == pytest.approx(0.8, abs=1e-9)
+    assert [event.name for event in run.events] == ["reset", "end"]
+
+
+@ON_RAMP
+def test_chains_of_events_that_set_states_end_or_are_refused_by_name(
+    integrator: dict[str, Any], step: float | None
+) -> None:
+    count = {"when": "states.y - 0.5", "direction": "falling", "set": {"n": "states.n + 1"}}
+    run = on_ramp(integrator, step, count=count, third={"when": "states.n - 2.5"}).check()
+    assert run.states["n"].value[-1] == 4.0
+    assert run.events.of_name("third").time == pytest.approx([3.0], abs=1e-9)
+    same = {"when": "states.y - 1", "direction": "falling", "set": {"n": "states.n + 1"}}
+    assert on_ramp(integrator, step, same=same).check().states["n"].value[-1] == 4.0
+    endless = {"when": "states.y - 0.5", "direction": "falling", "set": {"y": 2}}
+    run = on_ramp(integrator, step, endless=endless)
+    assert run.status_reason.startswith("zeno: event 'reset' sets states again")
+    assert run.time[-1] == pytest.approx(0.8, abs=1e-9)
+
+
+@ON_RAMP
+def test_events_that_set_states_at_the_same_time_all_use_the_values_before(
+    integrator: dict[str, Any], step: float | None
+) -> None:
+    both = {"when": "(states.y - 1)**3", "direction": "rising", "set": {"n": "states.n + states.y"}}
+    run = on_ramp(integrator, step, both=both).check()
+    assert run.states["n"].value[-1] == pytest.approx(4.0, abs=1e-9)
+
+
+JUMPING = {
+    "name": "mechanism",
+    "gravity": [0, 0],
+    "bodies": {"a": {"mass": 1.0, "inertia": 1.0}},
+    "joints": {
+        "rail": {"type": "prismatic", "bodies": ["ground", "a"], "points": [[0, 0], [0, 0]], "axis": [1, 0]},
+        "motor": {"type": "driver", "bodies": ["ground", "a"], "coordinate": "x",
+                  "motion": {"table": [[0, 1, 1.5, 3], [0, 1, 0, 3]], "interpolation": "linear"}},
+    },
+    "controllers": {"c": {"period": 0.4, "outputs": {"u": "sin(4*t)"}}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step"),
+    [
+        (RK4, 0.25),
+        (RK4, 3.0),
+        (GAUSS, 0.1),
+        ({"name": "dop853", "adaptive": True}, None),
+        ({"name": "scipy-dop853"}, None),
+    ],
+    ids=str,
+)
+def test_a_change_of_sign_at_an_impulse_or_a_sample_is_a_crossing(
+    integrator: dict[str, Any], step: float | None
+) -> None:
+    events = {"back": {"when": "a.vx"}, "held": {"when": "controllers.c.u - 0.1"}}
+    given = {"time": {"end": 3.0} | ({} if step is None else {"step": step}), "impacts": "allow", "events": events}
+    run = mbdkit.run({"mbdkit": 1, "model": JUMPING, "integrator": integrator, **given}).check()
+    np.testing.assert_allclose(run.events.of_name("back").time, [1.0, 1.5], atol=1e-12)
+    # expected: sin(4 t) at 0, 0.4, 0.8, ... is 0, 1, -0.06, -1, 0.12, 0.99, -0.17, -1
+    np.testing.assert_allclose(run.events.of_name("held").time, [0.4, 0.8, 1.6, 2.4], atol=1e-12)
+    end = {"end": {"when": "controllers.c.u + 0.1", "direction": "falling", "action": "stop"}}
+    stopped = mbdkit.run({"mbdkit": 1, "model": JUMPING, "integrator": integrator, **given, "events": end}).check()
+    assert stopped.time[-1] == pytest.approx(1.2, abs=1e-12)
+
+
 @pytest.mark.parametrize(("integrator", "step"), [(RK4, 0.02), (GAUSS, 0.02)])
 def test_error_bars_contain_the_errors(integrator: dict[str, Any], step: float) -> None:
     run = mbdkit.run(spec_of(integrator, step, check=True)).check()

@@ -33,6 +33,11 @@ from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.sided_stepper import SidedStepper
 
+NEAR = 1e-6
+"""Largest time between an event and the zero of its tangent, relative to the larger of the time of the event and 1 s;
+otherwise, the expression jumps at the event.
+"""
+
 
 class NoDerivativeError(MbdkitError, ValueError):
     """The steps of a method, formulation or stabilization cannot be differentiated."""
@@ -440,7 +445,13 @@ class _Pass:
             message = f"the time of this event has no derivative: {error.message}"
             raise SpecError(message, key=path_text(("events", event.name, "when"))) from None
         around, distance = self._evaluator.around(here, self.spec.time.step or 1e-3)
-        rate = rate_of(series_of(event.expression, around, slopes).value, float(value.value[0]), distance)
+        size = float(value.value[0])
+        rate = rate_of(series_of(event.expression, around, slopes).value, size, distance)
+        if abs(size) > abs(rate) * NEAR * max(1.0, abs(event.time)):
+            raise SpecError(
+                "the time of this event has no derivative: its expression jumps there from one sign to the other",
+                key=path_text(("events", event.name, "when")),
+            )
         with np.errstate(all="ignore"):
             return Crossing(event.name, event.time, -value.slope[:, 0] / rate)
 

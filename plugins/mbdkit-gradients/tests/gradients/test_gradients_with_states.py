@@ -136,6 +136,17 @@ def test_a_gradient_through_samples_is_exact(integrator: dict[str, Any]) -> None
     np.testing.assert_allclose(found.jacobian[0], wanted, rtol=1e-9)
 
 
+def test_the_time_of_an_event_at_a_sample_has_no_gradient() -> None:
+    # the output jumps from 0 to -1.9 at 0.013 s
+    spec = {
+        "mbdkit": 1, "parameters": {"gain": 6.0}, "model": rotor(), "integrator": {"name": "rk4"},
+        "time": {"end": 0.1, "step": 0.005}, "events": {"on": {"when": "controllers.pid.u + 1"}},
+    }  # fmt: skip
+    with pytest.raises(SpecError, match="no derivative: its expression jumps") as refused:
+        mbdkit.gradient(spec, "events.on.time", ["gain"], check=False)
+    assert refused.value.key == "events.on.when"
+
+
 def test_a_gradient_with_an_event_includes_the_state() -> None:
     """The angle at which a filtered rotor has turned by a given amount of its state, without gravity: linear."""
     model = leg() | {"gravity": [0, 0], "states": {"i": {"rate": "(leg.angle - states.i)/lag"}}}
