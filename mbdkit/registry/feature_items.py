@@ -379,7 +379,7 @@ class CriterionItem(Feature):
     find: Target[Callable[..., Any]]
     of: frozenset[str]
     criteria: tuple[str, ...] = ()
-    level: Literal["doubtful"] | None = "doubtful"
+    level: Literal["doubtful", "bad"] | None = "doubtful"
     elements: str = ""
 
 

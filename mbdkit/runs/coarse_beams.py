@@ -12,6 +12,7 @@ from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.beams import Beam
 
 if TYPE_CHECKING:
+    from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
@@ -104,7 +105,7 @@ class CoarseBeams:
         for beam in self._beams:
             beam.add(states.q, states.observed.beams)
 
-    def findings(self, _energies: EnergyRecord | None = None) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord | None = None, _integrals: Integrals | None = None) -> tuple[str, ...]:
         """Return a warning for each beam whose elements are too coarse."""
         return tuple(warning for beam in self._beams for warning in beam.warnings())
 

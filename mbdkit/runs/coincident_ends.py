@@ -17,6 +17,7 @@ from mbdkit.mechanism.checks import line_of_undefined_direction
 from mbdkit.runs.law_ranges import steps_are_rows
 
 if TYPE_CHECKING:
+    from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.quantities.states import States
     from mbdkit.spec import RunSpec
@@ -72,7 +73,7 @@ class CoincidentEnds:
             times = np.where(met, t0 + h * np.nan_to_num(s0 / (s0 + s1)), np.inf)
         self._first = np.minimum(self._first, times.min(axis=0, initial=np.inf))
 
-    def findings(self, _energies: EnergyRecord) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord, _integrals: Integrals) -> tuple[str, ...]:
         """Return a sentence for each force whose ends have met."""
         return tuple(
             f"the two ends of force '{name}' meet at t = {time:.6g} s, or pass each other too closely for the step; "

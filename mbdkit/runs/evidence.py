@@ -54,6 +54,7 @@ def evidence_of_run(
     size: float,
     warnings: Sequence[str],
     accepted: Sequence[str] = (),
+    faults: Sequence[str] = (),
     *,
     finer: str,
 ) -> Evidence:
@@ -75,6 +76,8 @@ def evidence_of_run(
         Warnings that cast doubt on the result.
     accepted
         Warnings that would cast doubt on the result, but are accepted by the spec.
+    faults
+        Findings that make the result bad.
     finer
         See `mbdkit.spec.run_spec.RunSpec.finer`.
     """
@@ -100,6 +103,7 @@ def evidence_of_run(
         branch=steps.branch,
         warnings=warnings,
         accepted=accepted,
+        faults=faults,
         finer=finer,
     )
 

@@ -12,6 +12,7 @@ from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.joints import Revolute
 
 if TYPE_CHECKING:
+    from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
@@ -43,7 +44,7 @@ class MovingCenters:
         np.minimum(low, states.coordinate.min(axis=0, initial=np.inf), out=low)
         np.maximum(high, states.coordinate.max(axis=0, initial=-np.inf), out=high)
 
-    def findings(self, _energies: EnergyRecord) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord, _integrals: Integrals) -> tuple[str, ...]:
         """Return a sentence for each end of a table that was passed."""
         warnings = []
         for (name, joint), reached in zip(self._joints.items(), self._reached.T.tolist(), strict=True):

@@ -28,6 +28,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
+    from mbdkit.archive.measured_values import Integrals
     from mbdkit.events.watch import Found
     from mbdkit.integrators.impulse import DriverImpulse, ElementImpact
 
@@ -370,9 +371,9 @@ class Recorder:
         if self.watchers is not None:
             self.watchers.restore(state["watchers"])
 
-    def findings(self) -> list[Finding]:
-        """Return what is doubtful or worth a note in the recorded states."""
-        watched = () if self.watchers is None else self.watchers.findings(self.energies)
+    def findings(self, integrals: Integrals) -> list[Finding]:
+        """Return what is wrong, doubtful or worth a note in the recorded states, and in the extrema of the run."""
+        watched = () if self.watchers is None else self.watchers.findings(self.energies, integrals)
         # if a run stops where a law leaves its range, the reason of its failure says so
         ranges = () if self.ranges is None or self.ranges.stops else self.ranges.findings()
         return [*watched, *ranges]

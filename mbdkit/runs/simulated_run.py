@@ -442,7 +442,8 @@ class SimulatedRun:
         of_drivers = [] if steps is None else [one for one in steps.impacts if isinstance(one, DriverImpulse)]
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
-        found = (*self.findings, *self.recorder.findings())
+        totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
+        found = (*self.findings, *self.recorder.findings(totals))
         if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
             self.gradients = higher_layers.gradients_json(self.spec)
         questions = (*open_doubts(found, self.spec.accept), *self.doubtful_gradients())
@@ -454,9 +455,10 @@ class SimulatedRun:
             self.size,
             questions,
             accepted_doubts(found, self.spec.accept),
+            open_doubts(found, self.spec.accept, "bad"),
             finer=self.spec.finer,
         )
-        errors, totals = None, {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
+        errors = None
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)

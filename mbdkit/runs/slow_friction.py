@@ -13,6 +13,7 @@ from mbdkit.mechanism.joint_friction import JointFriction, PinFriction
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
+    from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.quantities.states import States
     from mbdkit.spec import RunSpec
@@ -79,7 +80,7 @@ class SlowFriction:
         values = np.concatenate([rows[:, :4], np.where(rows[:, 3:4] + rows[:, 2:3] > 0, 1.0, 0.0)], axis=1)
         self._sums += np.sum(0.5 * h * (values[1:] + values[:-1]), axis=0)
 
-    def findings(self, energies: EnergyRecord) -> list[Finding]:
+    def findings(self, energies: EnergyRecord, _integrals: Integrals) -> list[Finding]:
         """Return a doubt for each element that lacks much of its friction."""
         work, missing, path, slow, lasted = self._sums
         found = (missing > MISSING * work) & (missing > MATTERS * energies.kinetic) & (slow > self._rest)

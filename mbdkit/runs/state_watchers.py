@@ -10,6 +10,7 @@ from mbdkit.registry.use import use
 from mbdkit.runs.findings import as_findings, criteria, findings
 
 if TYPE_CHECKING:
+    from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
@@ -22,8 +23,17 @@ class StateWatcher(Protocol):
     def add(self, states: States) -> None:
         """Take note of states, which are later than those of earlier calls."""
 
-    def findings(self, energies: EnergyRecord) -> Iterable[str | Finding]:
-        """Return what is wrong, as sentences or findings; `energies` are the largest of the run."""
+    def findings(self, energies: EnergyRecord, integrals: Integrals) -> Iterable[str | Finding]:
+        """Return what is wrong, as sentences or findings.
+
+        Parameters
+        ----------
+        energies
+            The largest energies of the run.
+        integrals
+            Integrals and extrema of the run, also between the recorded states, by their expressions. Those of checked
+            runs contain the peaks of elements (`mbdkit.registry.feature_items.QuantityKind.peaks`).
+        """
 
     def stored(self) -> Any:
         """Return the state as plain values, for a checkpoint."""
@@ -60,12 +70,14 @@ class StateWatchers:
         for watcher in self._watchers.values():
             watcher.add(states)
 
-    def findings(self, energies: EnergyRecord) -> list[Finding]:
-        """Return what is wrong with the states of a run and at its end; `energies` are the largest of the run."""
+    def findings(self, energies: EnergyRecord, integrals: Integrals) -> list[Finding]:
+        """Return what is wrong with the states of a run and at its end; see `StateWatcher.findings`."""
         watched: list[Finding] = []
         for name, watcher in self._watchers.items():
             item, criterion = self._criteria[name]
-            watched += use(item, lambda own=criterion, one=watcher: [*as_findings(own, one.findings(energies))])  # type: ignore[misc]
+            watched += use(
+                item, lambda own=criterion, one=watcher: [*as_findings(own, one.findings(energies, integrals))]
+            )  # type: ignore[misc]
         return [*watched, *findings("end", self._spec, energies)]
 
     def stored(self) -> dict[str, Any]:

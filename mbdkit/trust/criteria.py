@@ -187,6 +187,8 @@ class Evidence:
         Sharp turns near singular positions.
     warnings
         Warnings about the spec or the run that cast doubt on the result, as sentences.
+    faults
+        Findings that make the run bad, as sentences.
     accepted
         Findings that the spec accepts, as sentences. They are among the reasons, but do not lower the level.
     finer
@@ -209,6 +211,7 @@ class Evidence:
     energy_jump_time: float = 0.0
     branch: Sequence[BranchSuspicion] = ()
     warnings: Sequence[str] = ()
+    faults: Sequence[str] = ()
     accepted: Sequence[str] = ()
     finer: str = "smaller steps"
 
@@ -233,6 +236,7 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
     """
     found = [
         *_ending(evidence),
+        *(("bad", fault) for fault in evidence.faults),
         *(("doubtful", warning) for warning in evidence.warnings),  # often the causes of the following
         *_joints(evidence),
         *_energies(evidence),

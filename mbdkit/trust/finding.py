@@ -16,7 +16,7 @@ class Finding:
     criterion
         Name of the criterion, which `accept` of a spec may list.
     level
-        ``doubtful`` lowers the verdict; None makes the finding a remark.
+        ``doubtful`` or ``bad`` lowers the verdict; None makes the finding a remark.
     sentence
         What was found, and what to do about it.
     key
@@ -26,7 +26,7 @@ class Finding:
     """
 
     criterion: str
-    level: Literal["doubtful"] | None
+    level: Literal["doubtful", "bad"] | None
     sentence: str
     key: str = ""
     is_named: bool = True
@@ -35,9 +35,11 @@ class Finding:
         return f"{self.criterion}: {self.sentence}" if self.is_named else self.sentence
 
 
-def open_doubts(found: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
-    """Return the texts of those findings that lower the verdict: doubts of criteria that are not accepted."""
-    return tuple(str(one) for one in found if one.level is not None and one.criterion not in accepted)
+def open_doubts(
+    found: Iterable[Finding], accepted: Collection[str], level: Literal["doubtful", "bad"] = "doubtful"
+) -> tuple[str, ...]:
+    """Return the texts of those findings that lower the verdict to a level: those of criteria that are not accepted."""
+    return tuple(str(one) for one in found if one.level == level and one.criterion not in accepted)
 
 
 def accepted_doubts(found: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ class CompiledEventDriven(CompiledMethod):
 
     def _take_up_addresses(self) -> None:
         between = self.between
-        functions = between.attempt, between.dense, between.keep
+        functions = between.attempt, between.dense if between.has_dense_output else None, between.keep
         self.events.bundle.inner[:] = [between.pinned.address, *(0 if f is None else f.address for f in functions)]
         self.workspace.scratch.reacting[4:7] = constrain.address, 0, between.pinned.address
 

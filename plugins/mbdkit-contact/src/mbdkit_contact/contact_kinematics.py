@@ -15,6 +15,7 @@ from mbdkit_contact.acting_contacts import ActingContact, polygon_edges, surface
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.kinematics import (
     KINDS,
+    LINE,
     NOWHERE,
     POLYGONS,
     ROUND,
@@ -142,12 +143,11 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
     outlines, corners, around = list[tuple[int, ...]](), list[np.ndarray](), list[tuple[float, ...]]()
     surfaces, surface = list[tuple[int, ...]](), list[float]()
 
-    def outline(contact: ActingContact) -> int:
-        """Add the polygon of the first body of a row; return its index."""
-        edges = _edges(contact.pair)
+    def outline(body: int, edges: np.ndarray) -> int:
+        """Add a polygon of a body; return its index."""
         places = edges[:, :2]
         center = np.mean(places, axis=0)
-        outlines.append((contact.bodies[0], sum(map(len, corners)), len(edges)))
+        outlines.append((body, sum(map(len, corners)), len(edges)))
         corners.append(edges)
         around.append((*center, float(np.max(np.linalg.norm(places - center, axis=1)))))
         return len(outlines) - 1
@@ -172,8 +172,14 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
     for _, some in groupby(enumerate(contacts), pair_of):
         own = [contact for _, contact in some]
         kind = {"edge": ROUND, "inside": POLYGONS, "polyline": UNEVEN}.get(own[0].pair.kind[0], SINGLE)
-        first = -1 if kind == SINGLE else polyline(own) if kind == UNEVEN else outline(own[0])
-        second = outline(own[-1]) if kind == POLYGONS else -1
+        first = second = -1
+        if kind == UNEVEN:
+            first = polyline(own)
+            edges = np.reshape(surface_numbers(own[0])[OWN:][: EDGE * polygon_edges(own[0])], (-1, EDGE))
+            second = outline(own[0].bodies[1], edges) if len(edges) else -1
+        elif kind != SINGLE:
+            first = outline(own[0].bodies[0], _edges(own[0].pair))
+            second = outline(own[-1].bodies[0], _edges(own[-1].pair)) if kind == POLYGONS else -1
         pairs.append((kind, len(rows), len(own), first, second))
         begins = dict[tuple[object, ...], int]()  # rows of the same circle or corner share their features
         for contact in own:
@@ -205,6 +211,30 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
     )
 
 
+def _arms(s: Shapes) -> np.ndarray:
+    """Return the largest distances (C, 2) of the outlines that may touch from the origins of the frames of both bodies
+    [m], infinite for lines and polylines.
+    """
+
+    def outline(polygon: int) -> float:
+        first, count = s.outlines[polygon, 1:]
+        return float(np.max(np.hypot(*s.corners[first : first + count, :2].T)))
+
+    arms = np.empty((len(s.contacts), 2))
+    for i, (_, _, number, pair) in enumerate(s.contacts.tolist()):
+        kind, begin, _, first, second = s.pairs[pair].tolist()
+        arms[i] = math.inf, math.hypot(*s.numbers[number, :2])
+        if kind == SINGLE and s.kinds[number] != LINE:
+            arms[i, 0] = math.hypot(*s.numbers[number, 3:5])
+        elif kind == ROUND:
+            arms[i, 0] = outline(first)
+        elif kind == POLYGONS:
+            arms[i, 0] = outline(first if i - begin < s.outlines[second, 2] else second)
+        elif kind == UNEVEN and i - begin >= s.surfaces[first, 5]:
+            arms[i] = outline(second), math.inf
+    return arms
+
+
 class ContactKinematics:
     """Gaps and rows of the contacts of a mechanism.
 
@@ -223,6 +253,8 @@ class ContactKinematics:
         self.shapes = shapes_of(contacts, n // 3, EXACT * length)
         #: Largest gap that `gaps` always computes exactly [m].
         self.reach = NEAR * length if len(contacts) > FEW else math.inf
+        #: See `mbdkit_contact.kernels.event_bundle.Touch`.
+        self.arms = _arms(self.shapes)
         self._bodies = self.shapes.contacts[:, :2].copy()
         self._all = np.arange(self._count)
         self._rows_at = RepeatedCall(rows_at, self.shapes, None, None, None, None)

@@ -1,4 +1,6 @@
-"""Warnings about circles that overlap another shape by a large share of their radius during a run."""
+"""Overlaps of contacts during a run: circles that overlap another shape by a large share of their radius, and rigid
+bodies that overlap.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive.peak_errors import expression_of_largest
 from mbdkit.engine.stored_arrays import fill
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
+    from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.plugin import RunSpec, States
     from mbdkit.trust.energy_record import EnergyRecord
@@ -19,6 +23,12 @@ DEEP = 0.5
 
 The laws of compliant contacts assume that overlaps are small. Feet of published models are softer: the spheres of
 OpenSim's examples, of 30 mm radius, overlap the ground by up to about a third of their radius.
+"""
+
+
+RIGID, BETWEEN = 1e-7, 1e-3
+"""Overlaps of rigid contacts up to this share of the size of the mechanism are the errors of a sound run: in recorded
+states, and at the peaks that checked runs find between them, where coarse steps are interpolated.
 """
 
 
@@ -54,7 +64,7 @@ class DeepOverlaps:
         self._time = np.where(depth > self._depth, states.time[row], self._time)
         self._depth = np.maximum(self._depth, depth)
 
-    def findings(self, _energies: EnergyRecord) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord, _integrals: Integrals) -> tuple[str, ...]:
         """Return a sentence for each circle that overlaps too much."""
         told = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):
@@ -74,3 +84,47 @@ class DeepOverlaps:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         fill(self._depth, state["depth"])
         fill(self._time, state["time"])
+
+
+class RigidOverlaps(DeepOverlaps):
+    """Overlaps of rigid contacts, which only a missed impact explains.
+
+    Parameters
+    ----------
+    compiled, finer
+        See `DeepOverlaps`.
+    size
+        Size of the mechanism [m].
+    locates
+        Whether the treatment locates impacts, so that there are no overlaps between recorded states either.
+    """
+
+    def __init__(self, compiled: CompiledMechanism, finer: str, size: float, *, locates: bool):
+        super().__init__(compiled, finer)
+        self._size, self._locates = size, locates
+
+    @classmethod
+    def of(cls, spec: RunSpec, compiled: CompiledMechanism, size: float) -> RigidOverlaps | None:
+        """Return the `RigidOverlaps` of a mechanism; None if its contacts are compliant."""
+        chosen = compiled.reacting
+        return (
+            None
+            if chosen is None
+            else cls(compiled, spec.finer, size, locates=chosen.section.treatment == "event-driven")
+        )
+
+    def findings(self, _energies: EnergyRecord, integrals: Integrals) -> tuple[str, ...]:
+        """Return a sentence for each contact that overlaps beyond its tolerance."""
+        sentences = []
+        for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):
+            peak = integrals.get(expression_of_largest("-contacts.gap", pair.name), 0.0) if self._locates else 0.0
+            assert isinstance(peak, float)
+            deepest, when = (peak, "between recorded states") if peak > BETWEEN * self._size else (0.0, "")
+            if depth > max(RIGID * self._size, deepest):
+                deepest, when = depth, f"at t = {time:.6g} s"
+            if deepest > 0.0:
+                sentences.append(
+                    f"The shapes of the rigid contact '{pair.name}' overlap by {deepest:.3g} m {when}: an impact was "
+                    f"missed; use {self._finer}."
+                )
+        return tuple(sentences)

@@ -247,8 +247,9 @@ class EventStep:
             *((self._values(point), self.events.bundle.pace.copy()) for point in points), strict=True
         )
         samples, rates = np.stack(values), np.stack(gap_rates)
+        q, v = (np.array([[*getattr(point, name), 0.0, 0.0, 0.0] for point in points]) for name in ("q", "v"))
         self._look_at(there)
-        self.events.called(lambda engine, method: begin_search_at(engine, method, h, shares, samples, rates))
+        self.events.called(lambda engine, method: begin_search_at(engine, method, h, shares, samples, rates, q, v))
         method, search = self.events.pinned.address, self.events.bundle.search
         place = search_at(method, False)
         while place >= 0.0:
@@ -266,9 +267,11 @@ class EventStep:
 
     def _inside(self, there: Point, share: float) -> Point:
         """Return an interpolated state within a step that leads to `there`."""
-        now = self.now
+        now, made = self.now, there.made
         taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v, now.z, there.z)
-        return Point(taken.time(share), *taken.between(share))
+        between = taken.between if made is None or made.dense is None else made.dense
+        q, v, z = between(share)[:3]
+        return Point(taken.time(share), q, v, z)
 
     def drift(self, at: Point) -> float:
         """Return the largest gap of joints and closed contacts at a state [m, rad]."""

@@ -34,6 +34,7 @@ from mbdkit_contact.kernels.event_bundle import (
     Known,
     Newton,
     Search,
+    Touch,
 )
 from mbdkit_contact.kernels.impacts import LAWS, new_impacts
 from mbdkit_contact.kernels.steps_to_events import MOST_EVENTS, close_at, forces_at, happen_at
@@ -98,7 +99,6 @@ class ContactEvents:
         given: dict[str, Any] = {
             "coefficients": np.column_stack([self.contacts.restitution, self.contacts.static, self.contacts.kinetic]),
             "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3])]),
-            "reach": np.array([self.contacts.kinematics.reach]),
             "places": np.array([held.states.start, len(held.states)]),
             "coordinates": np.array(held.coordinates, dtype=np.int64),
             "known": _new_known(count, size, pairs, len(held.states)),
@@ -111,6 +111,10 @@ class ContactEvents:
             "search": Search(
                 np.zeros((3, count, 2)), np.zeros((3, count, 4)), np.zeros((3, count)), np.zeros((3, count)),
                 np.zeros(count), integers(4), np.zeros(7), np.zeros(1), integers(2), np.zeros(1),
+            ),
+            "touch": Touch(
+                integers(count), self.contacts.kinematics.arms, np.zeros((4, size)), np.zeros((size // 3, 7)),
+                np.zeros((size // 3, 7)), np.zeros((4, 2)), np.zeros((4, size)),
             ),
             **self._of_room(max(1, min(count, FIRST_ROOM)), size, pairs),
         }  # fmt: skip

@@ -45,6 +45,7 @@ _CRITERIA: tuple[tuple[int, Literal["spec", "rows"], str, str, str], ...] = (
         "contact_criteria:slow_friction",
     ),
     (175, "rows", "deep-overlaps", "Circles in contact that overlap deeply.", "deep_overlaps:DeepOverlaps.of"),
+    (177, "rows", "rigid-overlaps", "Rigid bodies that overlap.", "deep_overlaps:RigidOverlaps.of"),
 )
 
 
@@ -167,6 +168,7 @@ def mbdkit_items() -> Iterable[Item]:
                 find=Target(f"mbdkit_contact.{find}"),
                 of=frozenset({"run", "mechanism"} if name == "rolling-point-masses" else {"run"}),
                 criteria=("slow-friction" if name == "slow-contacts" else name,),
+                level="bad" if name == "rigid-overlaps" else "doubtful",
                 elements="contacts",
             )
             for order, stage, name, summary, find in _CRITERIA

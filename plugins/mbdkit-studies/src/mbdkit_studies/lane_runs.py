@@ -389,7 +389,7 @@ class _Group:
             watchers = StateWatchers(member.spec, member.start.mechanism, member.size)
             if watchers:
                 watchers.add(_states_of_lane(member.start.mechanism, results, lane, rows))
-            watched = watchers.findings(recorded[lane][1].energies)
+            watched = watchers.findings(recorded[lane][1].energies, {})
             told = (*member.findings, *watched, *(() if ranges is None else ranges.findings()))
             counters = vars(results.counters[lane]).copy()
             # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
@@ -483,7 +483,8 @@ class _Group:
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        questions = open_doubts(told, member.spec.accept), accepted_doubts(told, member.spec.accept)
+        accept = member.spec.accept
+        questions = open_doubts(told, accept), accepted_doubts(told, accept), open_doubts(told, accept, "bad")
         finer = member.spec.finer
         judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, *questions, finer=finer))
         if _LOG.isEnabledFor(logging.INFO):

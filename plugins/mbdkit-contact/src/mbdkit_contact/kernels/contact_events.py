@@ -243,16 +243,16 @@ def book_energy(e, m):
 
 @separate
 def limited(e, m, h):
-    """Return a step size, at most `h`, with which no contact can open and close again unnoticed; also a status.
+    """Return a step size, at most `h`, that ends soon after a contact that has just opened closes again; also a status.
+
+    Such a rebound may be too small to be noticed within a longer step.
 
     Requires `find_rows` at the point.
     """
     near, slow, any_leaves = SAME * m.limits[1], SAME * speed(m), False
     for i in range(len(m.known.modes)):
-        rate = rate_of_gap(m, i, 2, m.v)
-        leaves = m.rows[i, 0] <= near and rate > slow
-        meets = rate < -slow and m.rows[i, 0] < -h * rate
-        any_leaves |= m.known.modes[i] == OPEN and (leaves or meets)
+        leaves = m.rows[i, 0] <= near and rate_of_gap(m, i, 2, m.v) > slow
+        any_leaves |= m.known.modes[i] == OPEN and leaves
     if not any_leaves:
         return h, OK
     status = find_accelerations(e, m)
@@ -262,11 +262,6 @@ def limited(e, m, h):
             curve = rate_of_gap(m, i, 2, m.a) - m.rows[i, 14]
             if curve < 0.0:
                 h = min(h, -3.0 * rate / curve)
-        elif m.known.modes[i] == OPEN and rate < -slow and 0.0 < m.rows[i, 0] < -h * rate:
-            curve = rate_of_gap(m, i, 2, m.a) - m.rows[i, 14]
-            square = rate * rate - 2.0 * curve * m.rows[i, 0]
-            if curve > 0.0 and square > 0.0:  # the gap closes and opens again: the step ends while it is closed
-                h = min(h, (-rate - 0.5 * sqrt(square)) / curve)
     return h, status
 
 

@@ -110,6 +110,27 @@ class Search(NamedTuple):
     """(1,) size of the step [s]."""
 
 
+class Touch(NamedTuple):
+    """Search for the first touch of shapes within a step; see `mbdkit_contact.kernels.first_touch`."""
+
+    near: IntVector
+    """(C,) contacts that may touch."""
+    arms: Annotated[RealMatrix, 2]
+    """(C, 2) largest distances of the outlines that may touch from the origins of the frames of both bodies [m],
+    infinite for lines."""
+    piece: RealMatrix
+    """(4, N) coefficients of the cubic motion of a piece of the step, in ascending powers of its shares."""
+    bounds: Annotated[RealMatrix, 7]
+    """(B + 1, 7) bounds of the velocity, acceleration and jerk of the bodies, and of the first four derivatives of the
+    components of a unit vector that turns with them, by shares of the piece."""
+    before: Annotated[RealMatrix, 7]
+    """(B + 1, 7) states of bodies at the start of a part of the piece; see `Shapes.states`."""
+    hull: Annotated[RealMatrix, 2]
+    """(4, 2) control points of the path of a point in this part."""
+    nodes: RealMatrix
+    """(4, N) positions and velocities at both ends of the piece."""
+
+
 class Newton(NamedTuple):
     """Constraints of up to K closed contacts in the linear systems of implicit steps, U = 2 K."""
 
@@ -146,8 +167,6 @@ class Events(NamedTuple):
     """(1,) number of the law of impact."""
     limits: RealVector
     """(3,) share of the energy below which sequences of impacts are cut, length of the mechanism [m], mass [kg]."""
-    reach: RealVector
-    """(1,) largest gap that is always computed exactly [m]."""
     places: IntVector
     """(2,) index of the first of the states that hold forces and modes, and their number; (D,) coordinates whose sums
     of forces follow them."""
@@ -191,7 +210,7 @@ class Events(NamedTuple):
     values: RealMatrix
     """(3, C) event functions at the point, negative after an event; nan where they are not evaluated."""
     gaps: RealVector
-    """(C,) gaps within a step."""
+    """(C,) gaps at the end of the step."""
     samples: IntVector
     """(3,) number of samples of contact forces in the step; whether they are taken; 0 if they are unique, 1 if they are
     of nearly least norm, and 2 if those of some contacts are left out."""
@@ -207,6 +226,7 @@ class Events(NamedTuple):
     """(3, C) event functions at the start and at the end of the step."""
     end: RealMatrix
     search: Search
+    touch: Touch
     closed: ClosedContacts
     basis: IntVector
     """Work arrays in place of ``known.basis`` and ``known.shares``."""

@@ -1,7 +1,8 @@
 """Search for the first event in a step: the first zero of the event functions of all contacts.
 
 Samples of the event functions within the step show which of them become negative, or may be negative between two
-samples. Each of these is then evaluated at more places, until the place of its zero is known. The search does not take
+samples. For the gaps of open contacts, `mbdkit_contact.kernels.first_touch` shows this instead, so that none is missed.
+Each of these functions is then evaluated at more places, until the place of its zero is known. The search does not take
 steps itself: it asks for one place after another, so that methods in machine code and in Python use the same search.
 
 A gap that is negative at the start of the step, by rounding errors, has an event if it becomes smaller than there. As
@@ -9,8 +10,6 @@ long as no gap was positive, only shapes that approach each other are about to t
 """
 
 from __future__ import annotations
-
-from math import sqrt
 
 import numpy as np
 
@@ -28,10 +27,6 @@ MOST_RISES = 5
 may be slip that begins just before the contact opens, for example."""
 MOST_DIPS = 5
 """Largest number of places at which a gap is evaluated to find its minimum."""
-CUBIC_ERROR = 0.02
-"""Error of the minimum of a gap from a cubic between two samples, relative to the difference between the minimum and
-the smaller sample: angle^2 / 12 if the gap is a sine of an angle, which changes by `TURN` at most between samples.
-"""
 MOST_EVALUATIONS = 60
 """Largest number of evaluations in a bracket; about ten are usual."""
 NARROW = 8.9e-16
@@ -95,47 +90,21 @@ def _leaves(m, i, gap, rate):
 
 
 @subkernel
-def add_gap(m, i, share, gap, rate):
-    """Add a sample of the gap of an open contact, and of its rate; see `add_sample`."""
-    level = m.search.level
-    if share == 0.0:
-        level[i] = min(gap, 0.0)
-    if not _leaves(m, i, gap - level[i], rate):
-        add_sample(m, NORMAL, i, share, gap - level[i])
-
-
-@subkernel
 def add_samples(m, share, rates):
-    """Add the samples in ``m.values`` of all event functions, and the rates (C,) of gaps."""
+    """Add the samples in ``m.values`` of all event functions; those of gaps, whose rates are `rates` (C,), only at both
+    ends of the step.
+    """
+    level = m.search.level
     for kind in range(3):
         for i in range(len(m.touching)):
+            value = m.values[kind, i]
             if is_open_gap(m, kind, i):
-                add_gap(m, i, share, m.values[kind, i], rates[i])
-            else:
-                add_sample(m, kind, i, share, m.values[kind, i])
-
-
-@subkernel
-def _lowest(g0, r0, g1, r1):
-    """Return place and value of the minimum, from 0 to 1, of a cubic that falls at 0 and rises at 1.
-
-    Arguments are its values and slopes at both ends.
-    """
-    b, c = 3.0 * (g1 - g0) - 2.0 * r0 - r1, 2.0 * (g0 - g1) + r0 + r1
-    s = -r0 / (b + sqrt(max(b * b - 3.0 * c * r0, 0.0)))
-    return s, g0 + s * (r0 + s * (b + s * c))
-
-
-@subkernel
-def add_dip(m, i, share, part, before, after):
-    """Let an open contact be examined where it may touch between two samples, `part` of the step apart, the second one
-    at `share`; both are gaps and their rates. A gap that falls and then rises has a minimum between them.
-    """
-    (g0, r0), (g1, r1), t = before, after, part * m.search.step[0]
-    if g0 > 0.0 and g1 > 0.0 and r0 < 0.0 and r1 > 0.0:
-        at, least = _lowest(g0, t * r0, g1, t * r1)
-        if least < CUBIC_ERROR * (min(g0, g1) - least):
-            add_sample(m, NORMAL, i, share - part + at * part, -np.inf)
+                if share == 0.0:
+                    level[i] = min(value, 0.0)
+                value -= level[i]
+                if 0.0 < share < 1.0 or _leaves(m, i, value, rates[i]):
+                    continue
+            add_sample(m, kind, i, share, value)
 
 
 @separate

@@ -134,7 +134,7 @@ def _distance(s, pair):
 
 
 @subkernel
-def _over(s, corner, x, y):
+def height_over_edge(s, corner, x, y):
     """Return the height of a point over the edge that starts at a corner, and its place along this edge."""
     dx, dy = x - s.corners[corner, 0], y - s.corners[corner, 1]
     nx, ny = s.corners[corner, 2], s.corners[corner, 3]
@@ -150,7 +150,7 @@ def _choose_round(s, pair):
     highest, nearest, top, edge = NOWHERE, np.inf, 0, 0
     past = 0.0
     for e in range(count):
-        height, along = _over(s, begin + e, x, y)
+        height, along = height_over_edge(s, begin + e, x, y)
         beyond = max(-along, along - s.corners[begin + e, 4], 0.0)
         distance = sqrt(height * height + beyond * beyond)
         s.features[first + e], s.least[first + e] = 0, distance - numbers[2]
@@ -176,7 +176,7 @@ def _separation(s, one, other):
         least = np.inf
         for k in range(s.outlines[other, 1], s.outlines[other, 1] + s.outlines[other, 2]):
             x, y = _seen(s, s.outlines[other, 0], s.outlines[one, 0], s.corners[k, 0], s.corners[k, 1])
-            least = min(least, _over(s, e, x, y)[0])
+            least = min(least, height_over_edge(s, e, x, y)[0])
         if least > apart:
             best, apart = e - s.outlines[one, 1], least
     return best, apart
@@ -209,12 +209,12 @@ def _choose_corners(s, first, one, edge, other, facing):
         x, y = _seen(s, s.outlines[other, 0], s.outlines[one, 0], s.corners[begin + k, 0], s.corners[begin + k, 1])
         acts = False
         if k == facing or k == (facing + 1) % count:
-            along = _over(s, s.outlines[one, 1] + edge, x, y)[1]
+            along = height_over_edge(s, s.outlines[one, 1] + edge, x, y)[1]
             acts = -s.exact[0] <= along <= s.corners[s.outlines[one, 1] + edge, 4] + s.exact[0]
         highest = NOWHERE
         if not acts:
             for e in range(s.outlines[one, 1], s.outlines[one, 1] + s.outlines[one, 2]):
-                highest = max(highest, _over(s, e, x, y)[0])
+                highest = max(highest, height_over_edge(s, e, x, y)[0])
             highest = max(highest, s.exact[0])
         s.features[first + k], s.least[first + k] = edge, highest
 
@@ -401,17 +401,17 @@ def find_margins(s, margins):
             numbers = s.numbers[s.contacts[i, 2]]
             x, y = _seen(s, s.contacts[i, 1], s.outlines[one, 0], numbers[0], numbers[1])
             begin, count = s.outlines[one, 1], s.outlines[one, 2]
-            along = _over(s, begin + row, x, y)[1]
+            along = height_over_edge(s, begin + row, x, y)[1]
             if s.held[i] == 0:
                 margins[i] = min(along, s.corners[begin + row, 4] - along)
             else:
                 before = begin + (row + count - 1) % count
-                margins[i] = min(_over(s, before, x, y)[1] - s.corners[before, 4], -along)
+                margins[i] = min(height_over_edge(s, before, x, y)[1] - s.corners[before, 4], -along)
         else:
             if row >= s.outlines[other, 2]:
                 one, other, row = other, one, row - s.outlines[other, 2]
             k, edge = s.outlines[other, 1] + row, s.outlines[one, 1] + s.held[i]
             x, y = _seen(s, s.outlines[other, 0], s.outlines[one, 0], s.corners[k, 0], s.corners[k, 1])
-            along = _over(s, edge, x, y)[1]
+            along = height_over_edge(s, edge, x, y)[1]
             margins[i] = min(along, s.corners[edge, 4] - along)
         margins[i] += 2.0 * s.exact[0]

@@ -10,6 +10,8 @@ also the impulses.
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealVector
@@ -22,7 +24,6 @@ from mbdkit.integrators.run_state import AT_END_OF_LAST, AT_START_OF_LAST, MODIF
 from mbdkit.integrators.step_guards import begin_energy
 from mbdkit.integrators.step_loop import PAUSED, REFUSED
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, is_nearly_closed, limited
-from mbdkit_contact.kernels.contact_forces import gap_rate
 from mbdkit_contact.kernels.contact_modes import (
     any_closed,
     decide_at_rest,
@@ -40,8 +41,6 @@ from mbdkit_contact.kernels.contact_modes import (
 )
 from mbdkit_contact.kernels.event_bundle import FRICTION, MORE_ROOM, NORMAL, PAINLEVE, PLACE, ZENO, load_events
 from mbdkit_contact.kernels.event_search import (
-    add_dip,
-    add_gap,
     add_sample,
     add_samples,
     asks_for_decision,
@@ -52,22 +51,23 @@ from mbdkit_contact.kernels.event_search import (
     note_value,
     release_sticking,
 )
-from mbdkit_contact.kernels.kinematics import find_gaps, find_margins, place, row_of
+from mbdkit_contact.kernels.first_touch import find_near, find_touches, set_piece
+from mbdkit_contact.kernels.kinematics import find_margins, place
 from mbdkit_contact.modes import OPEN, STICK
 
 MOST_EVENTS = 1000
 """The run stops after this many consecutive events without a complete step."""
 SAMPLES = 8
-"""Number of places in a step, the last one at its end, at which gaps and places on edges are evaluated."""
+"""Number of places in a step, the last one at its end, at which places on edges are evaluated."""
 TURN, MOST_SAMPLES = 0.5, 1000.0
 """Largest angle by which a body turns between two such places [rad], up to this number of places."""
 FAR = 3.0
 """Least value of a force or slip, relative to its change between the stages of a step, that does not vanish within it.
 From the last stage of gauss-2 to the end, a linear function changes by a third of its change between the stages.
 """
-CLEAR = 0.5
-"""No gap is evaluated within a step if all gaps at both ends are larger than this times the sum of what they would
-change at the rates of both ends."""
+SAME_PLACE, MOST_PIECES = 1e-8, 40.0
+"""Error of the cubics that stand for the motion in a step, relative to the length of the mechanism, up to this number
+of cubics."""
 WHOLE = 1.0 - 1e-12
 """Share of a step from which on an event counts as one at its end."""
 SAME_SHARE = 1e-9
@@ -247,6 +247,23 @@ def _take(e, c, m, run, t, h, want_error):
     return _status(m, status)
 
 
+@separate
+def _find_within(e, c, m, run, t, h, theta):
+    """Write the state within the last step by dense output of the method; return a status.
+
+    The correction of the end of the step is blended in by a cubic of theta.
+    """
+    m.ended[0] = 0
+    switch(e, m, any_closed(m))
+    status = call_entry(m.inner[2], run, m.inner[0], t, h, theta)
+    switch(e, m, 0)
+    fade = theta * theta * (3.0 - 2.0 * theta)
+    for d in range(len(m.q)):
+        c.point_q[d] += fade * m.known.shift_q[d]
+        c.point_v[d] += fade * m.known.shift_v[d]
+    return status
+
+
 @subkernel
 def _has_power(m):
     """Return whether work is done or energy is dissipated between events."""
@@ -263,30 +280,98 @@ def _places(c, m, h):
 
 
 @subkernel
-def _way(c, m, part):
-    """Return a bound of the way of any point of a body in the time `part` [m]."""
-    fastest = turning = 0.0
-    for d in range(len(m.v) - 3):
-        rate = max(abs(c.from_v[d]), abs(m.v[d]))
-        if d % 3 == 2:
-            turning = max(turning, rate)
-        else:
-            fastest = max(fastest, rate)
-    return part * (2.0 * fastest + turning * m.limits[1])
+def _interpolate(c, m, h, theta, q, v):
+    """Write positions and velocities of the cubic through both ends of a step."""
+    rest = 1.0 - theta
+    for d in range(len(m.q)):
+        dq, v0, v1 = m.q[d] - c.from_q[d], h * c.from_v[d], h * m.v[d]
+        q[d] = c.from_q[d] + theta * theta * (3.0 - 2.0 * theta) * dq + theta * rest * (rest * v0 - theta * v1)
+        v[d] = (6.0 * theta * rest * dq + rest * (1.0 - 3.0 * theta) * v0 + theta * (3.0 * theta - 2.0) * v1) / h
 
 
 @subkernel
-def _is_clear(c, m, h):
-    """Return whether no gap can close, and no contact can leave its edge, within a step whose end is the point."""
-    if _places(c, m, h) > SAMPLES:  # rates at both ends say little about bodies that turn so far
-        return False
+def _node(e, c, m, run, t, h, theta, q, v):
+    """Write the state within a step by dense output, or at one of its ends; return a status."""
+    if theta == 0.0 or theta == 1.0:
+        copy(c.from_q if theta == 0.0 else m.q, q)
+        copy(c.from_v if theta == 0.0 else m.v, v)
+        return OK
+    status = _find_within(e, c, m, run, t, h, theta)
+    copy(c.point_q, q)
+    copy(c.point_v, v)
+    return status
+
+
+@separate
+def _pieces(e, c, m, run, t, h):
+    """Return into how many cubics the motion of a step is divided, with which their error is below `SAME_PLACE`; also a
+    status.
+    """
+    if m.inner[2] == 0:
+        return 1, OK
+    status = _find_within(e, c, m, run, t, h, 0.5)
+    _interpolate(c, m, h, 0.5, m.x, m.y)
+    error = 0.0
+    for d in range(len(m.q) - 3):
+        error = max(error, abs(c.point_q[d] - m.x[d]) * (m.limits[1] if d % 3 == 2 else 1.0))
+    return max(1, int(min(sqrt(sqrt(error / (SAME_PLACE * m.limits[1]))) + 1.0, MOST_PIECES))), status
+
+
+@subkernel
+def _may_touch(c, m, h):
+    """Return whether open contacts may close within a step whose end is the point; see `find_near`."""
+    set_piece(m, c.from_q, c.from_v, m.q, m.v, h)
+    for i in range(len(m.gaps)):
+        m.gaps[i] = m.rows[i, 0]
+    return find_near(m, m.begin[NORMAL], m.gaps)
+
+
+@separate
+def _search_touches(e, c, m, run, t, h):
+    """Search for the first touches of open contacts within a step whose end is the point; return whether there are any,
+    or whether this is unknown of a part of the step, and a status.
+
+    Requires `begin_search` and `_may_touch`.
+    """
+    for i in range(len(m.gaps)):
+        m.search.level[i] = min(m.begin[NORMAL, i], 0.0)
+    count, status = _pieces(e, c, m, run, t, h)
+    q0, v0, q1, v1 = m.touch.nodes[0], m.touch.nodes[1], m.touch.nodes[2], m.touch.nodes[3]
+    any_touches = False
+    for k in range(count):
+        if status == OK:
+            status = _node(e, c, m, run, t, h, k / count, q0, v0)
+        if status == OK:
+            status = _node(e, c, m, run, t, h, (k + 1) / count, q1, v1)
+        if status != OK or any_touches:
+            break
+        set_piece(m, q0, v0, q1, v1, h / count)
+        any_touches = find_touches(m, k / count, 1.0 / count)
+    place(m.closed.shapes, m.q, m.v)
+    return any_touches or m.search.first[0] < np.inf, status
+
+
+@separate
+def _is_apart(e, c, m, run, t, h):
+    """Return whether no open contact closes within a step whose end is the point, and a status."""
+    if not _may_touch(c, m, h):
+        return True, OK
+    begin_search(m, h)
+    any_touches, status = _search_touches(e, c, m, run, t, h)
     for i in range(len(m.known.modes)):
-        if m.known.modes[i] == OPEN:
-            change = CLEAR * h * (m.pace[i] + abs(rate_of_gap(m, i, 2, m.v)))
-            if min(m.begin[NORMAL, i], m.rows[i, 0]) <= change:
+        any_touches |= m.known.modes[i] == OPEN and m.rows[i, 0] < m.search.level[i]
+    return not any_touches, status
+
+
+@subkernel
+def _stays_on_features(c, m, h):
+    """Return whether no contact can leave its edge within a step whose end is the point."""
+    for i in range(len(m.known.modes)):
+        if m.known.modes[i] != OPEN and m.closed.shapes.held[i] >= 0:
+            if _places(c, m, h) > SAMPLES:  # rates at both ends say little about bodies that turn so far
                 return False
-        elif min(m.begin[PLACE, i], m.values[PLACE, i]) <= h * (m.pace[i] + abs(m.rows[i, 1])):
-            return False
+            if min(m.begin[PLACE, i], m.values[PLACE, i]) <= h * (m.pace[i] + abs(m.rows[i, 1])):
+                return False
     return True
 
 
@@ -319,7 +404,7 @@ def _keeps_mode(m, i):
 
 @separate
 def _is_quiet(c, m, h):
-    """Return whether no event can happen within a step whose end is the point.
+    """Return whether no closed contact has an event within a step whose end is the point.
 
     If redundant contacts had to be closed, independent ones are chosen anew.
     """
@@ -328,7 +413,7 @@ def _is_quiet(c, m, h):
     for i in range(len(m.known.modes)):
         if m.known.modes[i] != OPEN and not _keeps_mode(m, i):
             return False
-    return _is_clear(c, m, h)
+    return _stays_on_features(c, m, h)
 
 
 @separate
@@ -357,41 +442,15 @@ def _end_quietly(e, c, m, shows):
 
 
 @separate
-def _sample_motion(c, m, h):
-    """Add samples of gaps and places on edges within the step, from the cubic through its ends.
-
-    A gap that falls at one place and rises at the next may have its minimum between them.
-    """
-    shapes, known, row = m.closed.shapes, m.known, m.closed.rows[0]
+def _sample_features(c, m, h):
+    """Add samples of places on edges within the step."""
     count = _places(c, m, h)
-    within = max(m.reach[0], _way(c, m, h / count))
-    for k in range(count + 1):
-        theta = k / count
-        rest = 1.0 - theta
-        for d in range(len(m.q)):
-            dq, v0, v1 = m.q[d] - c.from_q[d], h * c.from_v[d], h * m.v[d]
-            m.x[d] = c.from_q[d] + theta * theta * (3.0 - 2.0 * theta) * dq + theta * rest * (rest * v0 - theta * v1)
-            slope = 6.0 * theta * rest * dq + rest * (1.0 - 3.0 * theta) * v0 + theta * (3.0 * theta - 2.0) * v1
-            m.y[d] = slope / h
-        place(shapes, m.x, m.y)
-        find_gaps(shapes, within, m.gaps)
-        is_inside = 0 < k < count
-        if is_inside:
-            find_margins(shapes, m.values[PLACE])
-        for i in range(len(known.modes)):
-            if is_inside:
-                add_sample(m, PLACE, i, theta, m.values[PLACE, i])
-            if known.modes[i] != OPEN:
-                continue
-            gap, rate = m.gaps[i], 0.0
-            if gap <= within:
-                row_of(shapes, i, row)
-                rate = gap_rate(row, 3 * shapes.contacts[i, 0], 3 * shapes.contacts[i, 1], 2, m.y)
-            if k > 0:
-                add_dip(m, i, theta, 1.0 / count, (m.approach[i], m.pace[i]), (gap, rate))
-            m.approach[i], m.pace[i] = gap, rate
-            if is_inside:
-                add_gap(m, i, theta, gap, rate)
+    for k in range(1, count):
+        _interpolate(c, m, h, k / count, m.x, m.y)
+        place(m.closed.shapes, m.x, m.y)
+        find_margins(m.closed.shapes, m.values[PLACE])
+        for i in range(len(m.known.modes)):
+            add_sample(m, PLACE, i, k / count, m.values[PLACE, i])
 
 
 @separate
@@ -414,7 +473,7 @@ def _sample_forces(m, t, h):
 
 
 @separate
-def _begin_search(e, c, m, t, h):
+def _begin_search(e, c, m, run, t, h):
     """Begin the search for the first event in a step whose end is the point; return a status."""
     c.counts[RHS] += any_closed(m)
     status = find_values(e, m, True)
@@ -423,11 +482,15 @@ def _begin_search(e, c, m, t, h):
     copy_rows(m.values, m.end)
     find_limits(e, m, m.search.limits)
     begin_search(m, h)
-    is_clear = _is_clear(c, m, h)
+    stays = _stays_on_features(c, m, h)
     copy_rows(m.begin, m.values)
     add_samples(m, 0.0, m.pace)
-    if not is_clear:
-        _sample_motion(c, m, h)
+    if not stays:
+        _sample_features(c, m, h)
+    if _may_touch(c, m, h):
+        status = _search_touches(e, c, m, run, t, h)[1]
+        if status != OK:
+            return status
     _sample_forces(m, t, h)
     copy_rows(m.end, m.values)
     find_rates(m, m.pace)
@@ -466,14 +529,18 @@ def _advance(e, c, m, run, t, h, want_error):
         return status, h, False
     find_margins(m.closed.shapes, m.values[PLACE])
     if _is_quiet(c, m, h):
-        return _end_quietly(e, c, m, shows), h, False
+        is_apart, status = _is_apart(e, c, m, run, t, h)
+        if status != OK:
+            return _status(m, status), h, False
+        if is_apart:
+            return _end_quietly(e, c, m, shows), h, False
     if known.determined[1] == 0:
         status = _find_start(e, c, m, t)
         if status == OK:
             status = _take(e, c, m, run, t, h, want_error)
     known.determined[1] = 1
     if status == OK:
-        status = _begin_search(e, c, m, t, h)
+        status = _begin_search(e, c, m, run, t, h)
     if status != OK:
         return status, h, False
     x, is_at_end = m.search, True
@@ -565,20 +632,13 @@ def attempt(run, method, t, h, want_error):
 def dense(run, method, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.step_loop`.
 
-    The correction of the end of the step is blended in by a cubic of theta. Forces of contacts are linear.
+    Forces of contacts are linear.
     """
     c, m = load_run_state(run), load_events(method)
-    e, known = load_engine(m.engine[0]), m.known
-    m.ended[0] = 0
-    switch(e, m, any_closed(m))
-    status = call_entry(m.inner[2], run, m.inner[0], t, h, theta)
-    switch(e, m, 0)
+    known = m.known
+    status = _find_within(load_engine(m.engine[0]), c, m, run, t, h, theta)
     if not _has_power(m):
         fill(c.point_gain, 0.0)
-    fade = theta * theta * (3.0 - 2.0 * theta)
-    for d in range(len(m.q)):
-        c.point_q[d] += fade * known.shift_q[d]
-        c.point_v[d] += fade * known.shift_v[d]
     for k in range(m.places[1]):
         begin, end = known.shown[0, k], known.shown[1, k]
         c.point_z[m.places[0] + k] = begin + theta * (end - begin)
@@ -659,10 +719,18 @@ def values_at(engine: int, method: int) -> int:
 
 @kernel
 def begin_search_at(
-    engine: int, method: int, h: float, shares: RealVector, samples: RealCube, rates: RealMatrix
+    engine: int,
+    method: int,
+    h: float,
+    shares: RealVector,
+    samples: RealCube,
+    rates: RealMatrix,
+    q: RealMatrix,
+    v: RealMatrix,
 ) -> int:
     """Begin the search for the first event of a step of size `h` whose end is the point, with samples (L, 3, C) of the
-    event functions, and the rates (L, C) of the gaps, at shares (L,) of the step from 0 to 1; return a status.
+    event functions, the rates (L, C) of the gaps, and positions and velocities (L, N), at shares (L,) of the step from
+    0 to 1; return a status.
     """
     e, m = load_engine(engine), load_events(method)
     m.reason[0] = 0
@@ -673,11 +741,13 @@ def begin_search_at(
     begin_search(m, h)
     for j in range(len(shares)):
         copy_rows(samples[j], m.values)
-        for i in range(len(m.known.modes)):
-            if j > 0 and m.known.modes[i] == OPEN:
-                before, after = (samples[j - 1, NORMAL, i], rates[j - 1, i]), (samples[j, NORMAL, i], rates[j, i])
-                add_dip(m, i, shares[j], shares[j] - shares[j - 1], before, after)
         add_samples(m, shares[j], rates[j])
+    for j in range(1, len(shares)):
+        part = shares[j] - shares[j - 1]
+        set_piece(m, q[j - 1], v[j - 1], q[j], v[j], part * h)
+        is_near = find_near(m, samples[j - 1, NORMAL], samples[j, NORMAL])
+        if is_near and find_touches(m, shares[j - 1], part):
+            break
     return _status(m, release_redundant(e, m))
 
 

@@ -46,7 +46,7 @@ def height_over_segment(x, segment, px, py):
 
 
 @inlined
-def _segment_at(x, ground, count, px):
+def segment_at(x, ground, count, px):
     """Return the last segment that starts at or before a place; the first segment if there is none."""
     low, high = 0, count
     while high - low > 1:
@@ -72,7 +72,7 @@ def window_around(x, at, sizes, p, reach):
     """
     count, ground = sizes[1], at + OWN + EDGE * sizes[0]
     px, py = p
-    below = ground + SEGMENT * _segment_at(x, ground, count, px)
+    below = ground + SEGMENT * segment_at(x, ground, count, px)
     height, ny = height_over(x, below, px, py)[0], x[below + 3]
     wide = reach + 0.0 * height
     if height < 0.0:  # the polyline is at most this far away
@@ -82,7 +82,7 @@ def window_around(x, at, sizes, p, reach):
             dx, dy = px - x[below], py - x[below + 1]
             least = sqrt(dx * dx + dy * dy)
         wide = least if least > wide else wide
-    return _segment_at(x, ground, count, px - wide), _segment_at(x, ground, count, px + wide)
+    return segment_at(x, ground, count, px - wide), segment_at(x, ground, count, px + wide)
 
 
 @inlined
@@ -166,7 +166,7 @@ def corners_window(x, at, sizes, origin, turn, reach):
         edge = at + OWN + EDGE * k
         px = origin[0] + turn[0] * x[edge] - turn[1] * x[edge + 1]
         left, right = (px if px < left else left), (px if px > right else right)
-    return _segment_at(x, ground, count, left - reach), _segment_at(x, ground, count, right + reach)
+    return segment_at(x, ground, count, left - reach), segment_at(x, ground, count, right + reach)
 
 
 @inlined

@@ -1,0 +1,278 @@
+"""No rigid contact overlaps without a word: drawn scenes against an own geometry, and impacts that are hard to see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from tests.rigid.outlines import Outline, overlap
+
+import mbdkit
+
+G = 9.81
+EVENT_DRIVEN: tuple[dict[str, Any], ...] = (
+    {"name": "rk4"},
+    {"name": "rk-gill"},
+    {"name": "dopri5"},
+    {"name": "gauss", "stages": 2},
+    {"name": "radau-iia"},
+    {"name": "dopri5", "adaptive": True},
+    {"name": "dop853", "adaptive": True, "rtol": 1e-10},
+    {"name": "gauss", "stages": 3, "adaptive": True},
+    {"name": "radau-iia", "stages": 3, "adaptive": True, "rtol": 1e-8},
+    {"name": "scipy-dop853", "rtol": 1e-8},
+    {"name": "scipy-radau"},
+    {"name": "scipy-lsoda"},
+)
+TIME_STEPPING: tuple[dict[str, Any], ...] = ({"name": "moreau-jean"}, {"name": "nonsmooth-generalized-alpha"})
+STEP = {"event-driven": 0.02, "time-stepping": 0.002}
+"""Fixed steps [s]."""
+ROWS = 400
+"""Number of states in which overlaps are measured; those between the ends of steps are interpolated."""
+TOLERANCE = 1e-6
+"""Depth of an overlap [m] that counts; the interpolation of rows has errors while bodies touch."""
+
+
+def outline(kind: str, points: list[list[float]], radius: float = 0.0) -> Outline:
+    return Outline(kind, np.array(points), radius)
+
+
+GROUNDS = (
+    outline("polyline", [[-9.0, 0.0], [-0.2, 0.0], [-0.2, -0.08], [9.0, -0.08]]),
+    outline("polyline", [[-9.0, 0.1], [-0.5, 0.0], [-0.1, 0.15], [0.1, -0.05], [0.5, 0.05], [9.0, 0.6]]),
+    outline("polyline", [[-9.0, 0.0], [9.0, 0.0]]),
+    outline("polygon", [[-0.15, -0.3], [0.15, -0.3], [0.15, 0.0], [-0.15, 0.0]]),
+    outline("polygon", [[-2.0, -1.0], [2.0, -1.0], [2.0, 0.0], [-2.0, 0.0]]),
+    outline("circle", [[0.0, -0.4]], 0.4),
+)
+
+
+def drawn_outline(random: np.random.Generator, size: float) -> Outline:
+    """Return a circle, or a convex polygon of three to five corners around the origin or beside it."""
+    center = size * random.uniform(-0.3, 0.3, 2)
+    if random.uniform() < 0.3:
+        return Outline("circle", np.round(center[None], 4), round(float(size * random.uniform(0.4, 0.8)), 4))
+    while True:
+        angles = np.sort(random.uniform(0.0, 2.0 * np.pi, random.integers(3, 6)))
+        apart = np.diff(np.append(angles, angles[0] + 2.0 * np.pi))
+        if np.max(apart) < 0.9 * np.pi and np.min(apart) > 0.3:
+            return Outline("polygon", np.round(center + size * np.column_stack([np.cos(angles), np.sin(angles)]), 4))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Bodies that fall on the ground and on each other.
+
+    Attributes
+    ----------
+    outlines
+        Those of the ground and of the bodies.
+    spec
+        The spec of the run.
+    """
+
+    outlines: list[Outline]
+    spec: dict[str, Any]
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Pairs of outlines in contact, in the order of `overlap`."""
+        rank = {"polyline": 0, "polygon": 1, "circle": 2}
+        pairs = combinations(range(len(self.outlines)), 2)
+        return [(a, b) if rank[self.outlines[a].kind] <= rank[self.outlines[b].kind] else (b, a) for a, b in pairs]
+
+    def deepest(self, run: mbdkit.Run) -> float:
+        """Return the deepest overlap in the recorded states [m]."""
+        places = [np.zeros((len(run.time), 3))]
+        places += [np.column_stack([run[name].position, run[name].angle]) for name in run.bodies]
+        depths = [overlap(self.outlines[a], places[a], self.outlines[b], places[b]) for a, b in self.pairs]
+        return float(np.max(depths))
+
+
+def drawn_scene(seed: int) -> Scene:
+    """Return a scene of one to four bodies, with a method of either treatment."""
+    random = np.random.default_rng([68, seed])
+    count = int(random.choice([1, 1, 2, 3, 4]))
+    treatment = "time-stepping" if seed % 5 == 4 else "event-driven"
+    methods = TIME_STEPPING if treatment == "time-stepping" else EVENT_DRIVEN
+    method = methods[seed // 5 % len(methods)] if treatment == "time-stepping" else methods[seed % len(methods)]
+    outlines = [GROUNDS[random.integers(len(GROUNDS))], *(drawn_outline(random, 0.2) for _ in range(count))]
+    bodies: dict[str, Any] = {}
+    for number in range(count):
+        bodies[f"b{number}"] = {
+            "mass": 1.0, "inertia": 0.01,
+            "position": [round(float(random.uniform(-0.25, 0.25)), 4), round(0.6 + 0.7 * number, 4)],
+            "angle": round(float(random.uniform(-3.0, 3.0)), 4),
+            "velocity": [round(float(random.uniform(-0.5, 0.5)), 4), 0.0],
+            "angular_velocity": round(float(random.uniform(-8.0, 8.0)), 4),
+        }  # fmt: skip
+    laws = {
+        "friction": float(random.choice([0.0, 0.3])), "restitution": float(random.choice([0.0, 0.3, 0.6, 0.9])),
+    }  # fmt: skip
+    names = ["ground", *bodies]
+    scene = Scene(outlines, {})
+    contacts = {
+        f"c{a}{b}": {"bodies": [names[a], names[b]], "shapes": [outlines[a].shape(), outlines[b].shape()]} | laws
+        for a, b in scene.pairs
+    }
+    end = round(float(random.uniform(0.45, 0.8)), 4)
+    is_fixed = not method.get("adaptive") and not method["name"].startswith("scipy")
+    span: dict[str, Any] = {"end": end} | ({"step": STEP[treatment]} if is_fixed else {})
+    spec = {
+        "mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts}, "integrator": method,
+        "time": span, "contact": {"treatment": treatment},
+        "output": {"every": 1} if treatment == "time-stepping" else {"interval": end / ROWS},
+    }  # fmt: skip
+    return Scene(outlines, spec)
+
+
+def faults_of(seed: int) -> list[str]:
+    """Return what is wrong with the run of a scene: overlaps that its verdict does not name."""
+    scene = drawn_scene(seed)
+    with mbdkit.run(scene.spec, limits={"wall_time": 60.0}) as run:
+        deepest, says_so = scene.deepest(run), any("overlap" in reason for reason in run.verdict_reasons)
+        name = run.spec["integrator"]["name"]
+        faults = [f"{seed} {name}: overlap of {deepest:.3g} m"] if deepest > TOLERANCE and not says_so else []
+        if run.status != "complete" and not run.status_reason.startswith("painleve"):
+            faults.append(f"{seed} {name}: {run.status_reason}")
+    return faults
+
+
+@pytest.mark.parametrize("count", [12, pytest.param(2000, marks=pytest.mark.slow)])
+def test_bodies_of_drawn_scenes_do_not_overlap_without_a_word(count: int) -> None:
+    assert [fault for seed in range(count) for fault in faults_of(seed)] == []
+
+
+@dataclass(frozen=True)
+class Fall:
+    """A body that falls on a ledge or a post, where its nearest corner or edge changes within a step.
+
+    Attributes
+    ----------
+    ground, corners
+        Number of the ground in `GROUNDS`, and the polygon of the body; a circle of 0.15 m if there is none.
+    start
+        x, y, angle, velocity along x, and angular velocity.
+    friction, restitution, end
+        Coefficients, and the duration [s].
+    method
+        The integrator with which the impact was missed.
+    """
+
+    ground: int
+    corners: list[list[float]]
+    start: tuple[float, float, float, float, float]
+    friction: float
+    restitution: float
+    end: float
+    method: dict[str, Any]
+
+    @property
+    def outlines(self) -> list[Outline]:
+        return [GROUNDS[self.ground], outline("polygon" if self.corners else "circle", self.corners or [[0, 0]], 0.15)]
+
+    def run(self, **more: Any) -> mbdkit.Run:
+        x, y, angle, vx, rate = self.start
+        body = {"mass": 1.0, "inertia": 0.01, "position": [x, y], "angle": angle, "velocity": [vx, 0.0]}
+        contact = {"bodies": ["ground", "b"], "shapes": [one.shape() for one in self.outlines]}
+        contact |= {"friction": self.friction, "restitution": self.restitution}
+        model = {
+            "name": "mechanism", "bodies": {"b": body | {"angular_velocity": rate}}, "contacts": {"c": contact},
+        }  # fmt: skip
+        spec = {"mbdkit": 1, "model": model, "integrator": self.method, "time": {"end": self.end}}
+        return mbdkit.run(spec, contact={"treatment": "event-driven"}, **more)
+
+    def bounce(self) -> tuple[list[float], np.ndarray]:
+        """Return the times of impacts without friction and the last position, by own geometry: flights are parabolas,
+        and an impact at a point reverses the normal velocity there, times the coefficient of restitution.
+        """
+        x, y, angle, vx, rate = self.start
+        ground, body = self.outlines
+        t, place, velocity, times = 0.0, np.array([x, y, angle]), np.array([vx, 0.0, rate]), list[float]()
+
+        def at(dt: np.ndarray) -> np.ndarray:
+            return place + dt[:, None] * velocity + 0.5 * dt[:, None] ** 2 * np.array([0.0, -G, 0.0])
+
+        def depth(dt: np.ndarray) -> np.ndarray:
+            return overlap(ground, np.zeros((len(dt), 3)), body, at(dt))
+
+        while True:
+            flight = np.linspace(0.0, self.end - t, 20001)[1:]
+            inside = np.flatnonzero(depth(flight) > 1e-13)
+            if not len(inside):
+                return times, at(np.array([self.end - t]))[0]
+            k = int(inside[0])
+            dt = brentq(lambda dt: float(depth(np.array([dt]))[0]), flight[k - 1], flight[k], xtol=1e-15)
+            t += dt
+            place, velocity = at(np.array([dt]))[0], velocity + np.array([0.0, -G * dt, 0.0])
+            point, normal = self._touch(body.moved(place[None])[0])
+            arm = point - place[:2]
+            row = np.array([*normal, arm[0] * normal[1] - arm[1] * normal[0]])
+            mass = np.array([1.0, 1.0, 0.01])
+            velocity -= (1.0 + self.restitution) * (row @ velocity) / (row @ (row / mass)) * row / mass
+            times.append(t)
+
+    def _touch(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where a body touches the ground, and the normal that points to the body."""
+        ground = GROUNDS[self.ground].points
+        touches = []
+        for sign, points, lines in ((1.0, corners, ground), (1.0, ground[1:-1], np.append(corners, corners[:1], 0))):
+            for a, b in pairwise(lines):
+                along = (b - a) / np.linalg.norm(b - a)
+                normal = np.array([-along[1], along[0]])
+                touches += [
+                    (abs((p - a) @ normal), p, sign * normal)
+                    for p in points
+                    if 0.0 <= (p - a) @ along <= np.linalg.norm(b - a)
+                ]
+        return min(touches, key=lambda touch: touch[0])[1:]
+
+
+FALLS = {
+    "ledge": Fall(
+        0, [[0.142, 0.157], [-0.004, 0.231], [-0.237, -0.138], [0.152, -0.163]], (0.013, 0.685, -1.679, -0.041, 7.193),
+        0.0, 0.9, 0.587, {"name": "dop853", "adaptive": True, "rtol": 1e-10},
+    ),
+    "ledge and radau-iia": Fall(
+        0, [[0.2466, 0.0776], [-0.1751, 0.1754], [-0.1096, -0.1698], [-0.0009, -0.2041]],
+        (0.07015954753794257, 0.5330199155593354, 1.6439603261299158, -0.15172606101236985, -4.076808197091487),
+        0.0, 0.6, 0.664192520762682, {"name": "radau-iia", "stages": 3, "adaptive": True, "rtol": 1e-8},
+    ),
+    "post": Fall(
+        3, [[0.1198, 0.0605], [-0.0334, 0.1385], [-0.1134, -0.0812], [0.028, -0.1294]],
+        (0.07606521858609575, 0.30748091131677435, 2.7971604851579137, -0.14099642174191296, -3.2478029747355297),
+        0.0, 0.3, 0.7818045811334358, {"name": "dop853", "adaptive": True, "rtol": 1e-10},
+    ),
+    "post and triangle": Fall(
+        3, [[-0.009, 0.245], [-0.184, -0.105], [0.193, -0.139]], (0.085, 0.68, 1.045, -0.462, -1.097),
+        0.3, 0.9, 0.699, {"name": "radau-iia", "stages": 3, "adaptive": True, "rtol": 1e-8},
+    ),
+    "post and disc": Fall(
+        3, [], (-0.06741291097723467, 0.5063312730670781, -0.09641609068384271, -0.13388218307350852,
+                0.8324017985798137),
+        0.3, 0.6, 0.6800786548278164, {"name": "scipy-dop853", "rtol": 1e-8},
+    ),
+}  # fmt: skip
+"""Falls in which samples of the gaps missed impacts."""
+
+
+@pytest.mark.parametrize("fall", FALLS.values(), ids=FALLS)
+def test_an_impact_of_a_corner_that_comes_near_within_a_step_is_located(fall: Fall) -> None:
+    found = fall.run(output={"interval": fall.end / ROWS})
+    place = np.column_stack([found["b"].position, found["b"].angle])
+    assert found.status == "complete"
+    assert np.max(overlap(fall.outlines[0], np.zeros_like(place), fall.outlines[1], place)) < TOLERANCE
+
+
+@pytest.mark.parametrize("name", ["ledge", "ledge and radau-iia"])
+def test_impacts_without_friction_are_those_of_parabolas_and_the_law_of_impact(name: str) -> None:
+    fall = FALLS[name]
+    times, place = fall.bounce()
+    found = fall.run()
+    assert len(times) >= 3
+    assert found.impacts.time == pytest.approx(times, abs=1e-8)
+    assert [*found["b"].position[-1], found["b"].angle[-1]] == pytest.approx(place, abs=1e-6)
