@@ -24,6 +24,7 @@ from mbdkit.integrators.step_loop import PAUSED, REFUSED
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, is_nearly_closed, limited
 from mbdkit_contact.kernels.contact_forces import gap_rate
 from mbdkit_contact.kernels.contact_modes import (
+    add_forces,
     any_closed,
     decide_at_rest,
     find_accelerations,
@@ -32,9 +33,10 @@ from mbdkit_contact.kernels.contact_modes import (
     find_rows,
     find_values,
     friction_value,
+    note_forces,
     rate_of_gap,
+    share_forces,
     show_forces,
-    sum_forces,
     switch,
     use_modes,
 )
@@ -102,6 +104,43 @@ def _show(m, row):
         out[3 * i], out[3 * i + 1], out[3 * i + 2] = known.normal[i], known.tangent[i], abs(known.modes[i])
     for i in range(len(m.coordinates)):
         out[3 * count + i] = known.force[m.coordinates[i]]
+
+
+@separate
+def _show_inside(e, c, m, t):
+    """Write forces and modes of contacts at the point of dense output, at the time `t`, to its states; return a status.
+
+    Forces follow from the motion there. A polynomial through those at both ends of a long step would not have its
+    accuracy.
+    """
+    known, shapes = m.known, m.closed.shapes
+    m.t[0], m.ended[0] = t, 0
+    copy(c.point_q, m.q)
+    copy(c.point_v, m.v)
+    copy(c.point_z, m.z)
+    for k in range(m.places[1]):
+        m.z[m.places[0] + k] = 0.0
+    fill(m.normal, 0.0)
+    fill(m.tangent, 0.0)
+    find_rows(m)
+    if any_closed(m):
+        copy(known.basis, m.basis)  # the next step does not depend on whether states within this one are evaluated
+        copy(known.shares, m.shares)
+        c.counts[RHS] += 1
+        status = find_accelerations(e, m)
+        copy(m.basis, known.basis)
+        copy(m.shares, known.shares)
+        if status == OK:
+            status = share_forces(e, m)
+        if status != OK:
+            return _status(m, status)
+    add_forces(m, m.x)
+    for i in range(len(known.modes)):
+        k = m.places[0] + 3 * i
+        c.point_z[k], c.point_z[k + 1], c.point_z[k + 2] = m.normal[i], m.tangent[i], abs(known.modes[i])
+    for i in range(len(m.coordinates)):
+        c.point_z[m.places[0] + 3 * len(shapes.contacts) + i] = m.x[m.coordinates[i]]
+    return OK
 
 
 @subkernel
@@ -350,9 +389,9 @@ def _end_quietly(e, c, m, shows):
             last = j
     for i in range(len(known.modes)):
         is_closed = known.modes[i] != OPEN
-        m.normal[i] = known.normal[i] = m.sample_values[last, 0, i] if is_closed else 0.0
-        m.tangent[i] = known.tangent[i] = m.sample_values[last, 1, i] if is_closed else 0.0
-    sum_forces(m)
+        m.normal[i] = m.sample_values[last, 0, i] if is_closed else 0.0
+        m.tangent[i] = m.sample_values[last, 1, i] if is_closed else 0.0
+    note_forces(m)
     return OK
 
 
@@ -565,7 +604,7 @@ def attempt(run, method, t, h, want_error):
 def dense(run, method, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.step_loop`.
 
-    The correction of the end of the step is blended in by a cubic of theta. Forces of contacts are linear.
+    The correction of the end of the step is blended in by a cubic of theta.
     """
     c, m = load_run_state(run), load_events(method)
     e, known = load_engine(m.engine[0]), m.known
@@ -579,10 +618,7 @@ def dense(run, method, t, h, theta):
     for d in range(len(m.q)):
         c.point_q[d] += fade * known.shift_q[d]
         c.point_v[d] += fade * known.shift_v[d]
-    for k in range(m.places[1]):
-        begin, end = known.shown[0, k], known.shown[1, k]
-        c.point_z[m.places[0] + k] = begin + theta * (end - begin)
-    return status
+    return _show_inside(e, c, m, t + theta * h) if status == OK else status
 
 
 @entry
