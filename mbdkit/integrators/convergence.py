@@ -379,7 +379,10 @@ def describe_divergence(workspace: Workspace, report: np.ndarray) -> str:
     if not np.isfinite(report[0]):
         return ": the stage iteration ran away"
     if report[2] == 0:
-        return f": the symmetric projection did not converge, its last residual was {report[0]:.3g} of the state"
+        return (
+            f": the symmetric projection did not converge, its last residual was {report[0]:.3g} of the state; the "
+            "bodies turn or the joints drift too far in a step; projection without `symmetric` takes larger steps"
+        )
     name = workspace.mechanism.unknown_name(int(report[1]))
     unit = "rad/s^2" if int(report[1]) % 3 == 2 else "m/s^2"
     return (

@@ -25,8 +25,10 @@ from mbdkit.integrators.run_plan import NO_PROJECTION, SYMMETRIC
 from mbdkit.integrators.run_state import MODIFIED, PROJECTIONS, load_run_state
 
 MAX_TRIALS = 100
-"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen. The iteration
-converges slowly for fast linkages."""
+"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen."""
+
+LEAST_DIVISOR = 0.1
+"""Smallest divisor of a change by Broyden's method; with a smaller one, the approximation begins anew."""
 
 IDLE, IDLE_RATIO = 2, 0.9
 """Number of iterations without progress after which the iteration ends; chosen. An iteration makes no progress if its
@@ -53,30 +55,79 @@ def _push(c, t, q, push_q, push_v):
 
 
 @subkernel
-def _newton_on(c, residual, multipliers):
-    """Change `multipliers` by ``-(Phi_q M^-1 Phi_q^T)^-1 residual / 2`` with the rows evaluated last."""
+def _newton_on(c, residual, change):
+    """Write ``-(Phi_q M^-1 Phi_q^T)^-1 residual / 2`` into `change` (P, 2), with the rows evaluated last."""
     for k in range(len(residual)):
         for r in range(2):
             c.w.gamma[k, r] = 0.5 * residual[k, r]
     status = solve_system(c.still, c.w, c.solver, False, c.x, c.lam, True)
-    if status == OK:
-        for k in range(len(multipliers)):
-            for r in range(c.still.rows[k]):
-                multipliers[k, r] += c.lam[k, r]
+    for k in range(len(change)):
+        for r in range(2):
+            change[k, r] = c.lam[k, r] if r < c.still.rows[k] else 0.0
     return status
 
 
 @subkernel
-def _symmetric_step(run, method, attempt, t, h):
+def _product(x, y, h):
+    """Return the inner product of two changes (2, P, 2) of multipliers; those of velocities act for the time `h`."""
+    total = 0.0
+    for k in range(len(x[0])):
+        for r in range(len(x[0, 0])):
+            total += x[0, k, r] * y[0, k, r] + h * h * x[1, k, r] * y[1, k, r]
+    return total
+
+
+@subkernel
+def improve(changes, count, h):
+    """Turn a change of multipliers by simplified Newton iteration into one by Broyden's method; return the number of
+    changes that are used later.
+
+    The simplified matrix neglects that the step of the method turns the bodies, and with it the iteration diverges if
+    they turn by more than about 0.2 rad. Broyden's method, started with the simplified matrix, learns that from the
+    changes so far (C. T. Kelley, Solving Nonlinear Equations with Newton's Method, SIAM 2003, section 4.3). Damping of
+    the simplified iteration does not help, and Anderson's acceleration takes as many iterations.
+
+    Parameters
+    ----------
+    changes
+        (K, 2, P, 2) changes so far, followed by the one that is replaced.
+    count
+        Number of the changes so far.
+    h
+        Size of the step [s].
+    """
+    new = changes[count]
+    for j in range(count):
+        last = changes[j]
+        square = _product(last, last, h)
+        share = _product(last, new, h) / square if square > 0.0 else 0.0
+        if j < count - 1:
+            for i in range(2):
+                for k in range(len(new[0])):
+                    for r in range(len(new[0, 0])):
+                        new[i, k, r] += share * changes[j + 1, i, k, r]
+        elif 1.0 - share > LEAST_DIVISOR:
+            for i in range(2):
+                for k in range(len(new[0])):
+                    for r in range(len(new[0, 0])):
+                        new[i, k, r] /= 1.0 - share
+        else:
+            return 0
+    return count + 1 if count + 1 < len(changes) else 0
+
+
+@subkernel
+def _symmetric_step(run, method, attempt, t, h, changes):
     """Take a step with symmetric projection: the same multipliers correct the state before and after the step.
 
     Writes the end of the step into ``new_q, new_v``, and the sum of both corrections into ``shift_q, shift_v``.
-    Simplified Newton iteration on the multipliers (Hairer 2000, BIT 40, 726-734). The derivative of the residual is
-    twice the matrix ``Phi_q M^-1 Phi_q^T``, since a multiplier acts both before and after the step.
+    Iteration on the multipliers (Hairer 2000, BIT 40, 726-734) by Broyden's method, which starts with a simplified
+    derivative of the residual: twice the matrix ``Phi_q M^-1 Phi_q^T``, since a multiplier acts both before and after
+    the step.
     """
     c = load_run_state(run)
     before = np.inf
-    idle = 0
+    idle = count = 0
     for m in range(MAX_TRIALS):
         _push(c, t, c.q, c.shift_q, c.shift_v)
         for d in range(len(c.q)):
@@ -111,19 +162,25 @@ def _symmetric_step(run, method, attempt, t, h):
         if now <= FEW_ROUNDINGS * EPS or idle >= IDLE:
             return OK
         before = min(before, now)
-        status = _newton_on(c, c.w.phi, c.mu)
+        change = changes[count]
+        status = _newton_on(c, c.w.phi, change[0])
         if status == OK:  # velocities are corrected with the rows at the new positions
             for d in range(len(c.q)):
                 c.est_q[d] = c.new_q[d] - 2.0 * c.x[d]
             position_rows(c.still, c.w, t + h, c.est_q)
             solved_rows(c.still, c.w, c.est_q, c.rest)
             rate_rows(c.still, c.w.jac, c.w.phi_t, c.new_v, c.miss)
-            status = _newton_on(c, c.miss, c.nu)
+            status = _newton_on(c, c.miss, change[1])
         if status != OK:
             return status
-        for k in range(len(c.lam)):  # nu changes the velocity before the step, and so the positions at its end by h nu
-            for r in range(c.still.rows[k]):
-                c.mu[k, r] -= 0.5 * h * c.lam[k, r]
+        for k in range(len(c.mu)):  # nu changes the velocity before the step, and so the positions at its end by h nu
+            for r in range(2):
+                change[0, k, r] -= 0.5 * h * change[1, k, r]
+        count = improve(changes, count, h)
+        for k in range(len(c.mu)):
+            for r in range(2):
+                c.mu[k, r] += change[0, k, r]
+                c.nu[k, r] += change[1, k, r]
     c.report[0], c.report[2] = now, 0.0  # no stage iteration has failed
     return DIVERGED
 
@@ -140,14 +197,15 @@ def _passes_bound(c, t, q, v, bound):
 
 
 @subkernel
-def take(run, method, attempt, t, h, want_error, mode):
+def take(run, method, attempt, t, h, want_error, plan):
     """Compute one step, including a symmetric projection; write its end into ``new_q, new_v``; return a status.
 
-    The state is not changed. ``shift_q, shift_v`` are the corrections that the projection adds to ``dq, dv``.
+    The state is not changed. ``shift_q, shift_v`` are the corrections that the projection adds to ``dq, dv``. `plan` is
+    the `mbdkit.integrators.run_plan.Projection` of the run.
     """
-    c = load_run_state(run)
+    c, mode = load_run_state(run), plan.mode[0]
     if mode == SYMMETRIC:
-        status = _symmetric_step(run, method, attempt, t, h)
+        status = _symmetric_step(run, method, attempt, t, h, plan.changes)
         c.counts[PROJECTIONS] += 1
         return status
     status = call_entry(attempt, run, method, t, h, 1.0 if want_error else 0.0)

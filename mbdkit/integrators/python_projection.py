@@ -14,8 +14,9 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF, nearest_positions, nearest_velocities
-from mbdkit.integrators.projected_step import MAX_TRIALS
+from mbdkit.integrators.projected_step import MAX_TRIALS, improve
 from mbdkit.integrators.reached import NO_CORRECTION
+from mbdkit.integrators.run_plan import CHANGES
 from mbdkit.methods.step_methods import StepState
 
 if TYPE_CHECKING:
@@ -49,8 +50,8 @@ class StabilizedSteps:
         v_0~ = v_0 + M^-1 Phi_q(q_0)^T nu,                                        v_1 = v_1~ + M^-1 Phi_q(q_1)^T nu
 
     so that Phi(q_1) = 0 and Phi_q(q_1) v_1 + Phi_t = 0. The projected method is symmetric if the method is. The
-    multipliers are computed by a simplified Newton iteration. Each iteration takes a step of the method; the matrix of
-    the iteration approximates this step by q + h v.
+    multipliers are computed by Broyden's method (`mbdkit.integrators.projected_step.improve`). Each iteration takes a
+    step of the method; the first matrix of the iteration approximates this step by q + h v.
 
     Projection changes neither the multipliers nor the memory of a state. For methods whose memory should be consistent
     with the velocities, such as generalized-alpha, this can reduce the order of the multipliers by one.
@@ -108,6 +109,7 @@ class StabilizedSteps:
         p, none = self.equations, np.zeros(self.equations.n)
         mu, nu = np.zeros((2, p.m))
         at: np.ndarray | None = None
+        changes, count = np.zeros((CHANGES, 2, p.m, 1)), 0
         before, idle = np.inf, 0
         for _ in range(MAX_TRIALS):
             begin, pushed_q, pushed_v = state, none, none
@@ -126,9 +128,16 @@ class StabilizedSteps:
             idle = idle + 1 if now >= 0.5 * before else 0
             if now <= ROUND_OFF or (idle >= 2 and now < STAGNANT):
                 return self._corrected(end, begin, made, dq + step_q, dv + step_v, pushed_q, pushed_v)
-            mu, nu = mu - 0.5 * (for_q - 0.5 * h * for_v), nu - 0.5 * for_v
+            change = changes[count, :, :, 0]
+            change[:] = 0.25 * h * for_v - 0.5 * for_q, -0.5 * for_v
+            count = improve(changes, count, h)
+            mu, nu = mu + change[0], nu + change[1]
             before = now
-        raise StepError("newton-failed", f"the symmetric projection did not converge in {MAX_TRIALS} iterations")
+        raise StepError(
+            "newton-failed",
+            f"the symmetric projection did not converge in {MAX_TRIALS} iterations, because the bodies turn or the "
+            "joints drift too far in a step; projection without `symmetric` takes larger steps",
+        )
 
     def _push(self, t: float, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
         return self.equations.constraint_forces(t, q, mu) / self.equations.mass

@@ -36,6 +36,10 @@ singular (flat) positions were correct with 0.1, 25 with 0.5, and 27 if every st
 wrong runs.
 """
 
+CHANGES = 20
+"""Number of iterations of a symmetric projection after which the approximation of its matrix begins anew; chosen. The
+iterations converge in about ten, or do not converge."""
+
 MIN_SIZE = 16 * float(np.finfo(float).eps)
 """Smallest controlled step size, relative to the largest time of the run: a few rounding errors of the time."""
 
@@ -81,6 +85,8 @@ class Projection(NamedTuple):
     """Project only if a constraint is violated by more than this; 0 means always."""
     near: np.ndarray
     """Share of the largest distance to singularity so far below which NEAR_SINGULARITY projects."""
+    changes: np.ndarray
+    """(K, 2, P, 2) work array: changes of the multipliers in the iterations of a symmetric projection; else no rows."""
 
 
 class GuardLimits(NamedTuple):
@@ -143,7 +149,7 @@ def new_plan(
     timetable: Timetable, control: Control | None, stabilization: Stabilization, limits: GuardLimits
 ) -> RunPlan:
     """Return the plan of a run; `control` is None for fixed steps."""
-    table = timetable
+    table, mode = timetable, projection_mode(stabilization, controlled=control is not None)
     step = table.step or 0.0
     last = step if control is not None else table.last_step
     return RunPlan(
@@ -164,10 +170,11 @@ def new_plan(
         ),
         control=control_data(control, smallest_step(table)),
         projection=Projection(
-            mode=_whole(projection_mode(stabilization, controlled=control is not None)),
+            mode=_whole(mode),
             every=_whole(stabilization.every),
             bound=_real(stabilization.bound or 0.0),
             near=_real(NEAR),
+            changes=np.zeros((CHANGES if mode == SYMMETRIC else 0, 2, len(limits.squared_misalignment), 2)),
         ),
         baumgarte=_whole(stabilization.kind == "baumgarte"),
         limits=limits,

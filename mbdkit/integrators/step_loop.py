@@ -242,7 +242,7 @@ def _try_step(run, method, attempt, plan, path):
     if c.w.reacting[1] != 0:
         c.w.reacting[7] = _shows(plan, progress, t, h, at_stop, path)
     c.w.faulty[0] = -1  # only a force law that fails in this attempt is to be named if the run stops
-    status = take(run, method, attempt, t, h, control.controlled[0], mode)
+    status = take(run, method, attempt, t, h, control.controlled[0], plan.projection)
     iterations = c.counts[ITERATIONS] - before
     if progress.part[0] != 0.0:
         h, at_stop = progress.part[0], False

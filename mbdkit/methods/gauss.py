@@ -84,7 +84,7 @@ def claims(options: GaussOptions) -> Claims:
         formulations=ORDINARY,
         states=True,
         dense_order=options.stages,
-        conserves=("linear-momentum", *(("angular-momentum",) if fixed else ())),
+        conserves=("linear-momentum",),
         a_stable=options.stage_solver == "newton",
     )
 

@@ -7,9 +7,10 @@ early, and constraints drift hundreds of times faster than with this method.
 from __future__ import annotations
 
 from functools import cache
-from typing import Literal
+from typing import Annotated, Literal
 
 import mpmath
+from pydantic import Field
 
 from mbdkit.engine.formulation import FORMULATIONS, ORDINARY, formulation_name
 from mbdkit.methods.kinds import ImplicitRungeKutta
@@ -56,6 +57,10 @@ class RadauOptions(ImplicitOptions):
 
     stages: Literal[2, 3, 5] = 3
     """Number of stages s; the order is 2 s - 1."""
+    rtol: Annotated[float, Field(ge=1e-14, lt=1, allow_inf_nan=False)] | None = None
+    """Relative error tolerance of adaptive steps; the error of a smooth motion is proportional to it. With index-3,
+    also of loops, that holds for positions; the error of velocities is proportional to rtol^(s / (2 s - 1)) unless
+    `stabilization: projection` is used. 1e-6 by default."""
 
 
 _DRIFT_BY_FORMULATION = (

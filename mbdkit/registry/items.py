@@ -49,7 +49,7 @@ class Claims:
     symplectic
         Whether the method conserves the symplectic form of an unconstrained Hamiltonian system.
     quadratic_invariants
-        Whether the method conserves quadratic first integrals.
+        Whether the method conserves quadratic first integrals of bodies without joints.
     adaptive
         Whether the method chooses its own step sizes; ``time.step`` is then only the first of them.
     stages
@@ -83,8 +83,10 @@ class Claims:
         Order of convergence of the dense output in the interior of steps; None if it is not claimed.
     conserves
         What every step conserves to round-off, whatever its size: some of ``energy`` (of bodies and joints under
-        conservative forces), ``linear-momentum`` and ``angular-momentum`` (of bodies on which only forces between them
-        act).
+        conservative forces), ``linear-momentum`` and ``angular-momentum`` (of bodies and joints on which only forces
+        between them act). The claim is about the first of `formulations` without stabilization: joints that drift, as
+        in index-1, exert torques that change the angular momentum, projections change it too, and steps in joint
+        coordinates change both.
     a_stable
         Whether steps of any size are stable for linear systems of which all eigenvalues have real parts of at most
         zero (Dahlquist 1963).

@@ -222,3 +222,62 @@ def test_a_state_that_no_projection_can_reach_ends_the_run() -> None:
 
     run = run_with(Leaping(), DOUBLE, {"steps": 3, "step": 0.01}, stabilization=PROJECTION)
     assert run.status_reason.startswith("not-finite: ")
+
+
+def spinning_rods(rate: float) -> dict[str, Any]:
+    """Return a double pendulum whose rods turn by `rate` [rad/s] about its pivot, free of gravity."""
+    first, second = -0.6, 0.1
+    elbow = np.array([np.cos(first), np.sin(first)])
+    centers = 0.5 * elbow, elbow + 0.4 * np.array([np.cos(second), np.sin(second)])
+    bodies = {
+        f"rod{number}": {
+            "mass": mass,
+            "inertia": mass * length**2 / 12.0,
+            "position": center.tolist(),
+            "angle": angle,
+            "velocity": [-rate * center[1], rate * center[0]],
+            "angular_velocity": rate,
+        }
+        for number, mass, length, center, angle in ((1, 1.0, 1.0, centers[0], first), (2, 0.7, 0.8, centers[1], second))
+    }
+    return {
+        "name": "mechanism",
+        "gravity": [0.0, 0.0],
+        "bodies": bodies,
+        "joints": {
+            "J1": {"type": "revolute", "bodies": ["ground", "rod1"], "points": [[0.0, 0.0], [-0.5, 0.0]]},
+            "J2": {"type": "revolute", "bodies": ["rod1", "rod2"], "points": [[0.5, 0.0], [-0.4, 0.0]]},
+        },
+    }
+
+
+@pytest.mark.parametrize("turn", [0.1, 0.25, 0.4])
+@pytest.mark.parametrize(
+    "method", [{"name": "gauss"}, {"name": "radau-iia"}, Midpoint()], ids=["gauss", "radau", "python"]
+)
+def test_symmetric_projection_succeeds_in_steps_in_which_bodies_turn_far(method: Any, turn: float) -> None:
+    # expected: closed joints, as with plain projection, which needs no iteration over steps
+    model, time = spinning_rods(5.0), {"step": turn / 5.0, "steps": 30}
+    if isinstance(method, StepMethod):
+        run = run_with(method, model, time, stabilization=SYMMETRIC)
+    else:
+        run = spec_run(model=model, integrator=method, time=time, stabilization=SYMMETRIC)
+    assert run.status == "complete", run.status_reason
+    assert residuals(run) < 2e-13
+
+
+class Restless(StepMethod):
+    """A method whose steps from the same state differ, so that no iteration over them converges."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
+        self.calls += 1
+        return state.moved(h * state.v + 1e-3 * np.sin(self.calls**2 + np.arange(equations.n)), np.zeros(equations.n))
+
+
+def test_a_symmetric_projection_that_fails_names_the_way_out() -> None:
+    run = run_with(Restless(), spinning_rods(5.0), {"step": 0.01, "steps": 2}, stabilization=SYMMETRIC)
+    assert run.status == "failed"
+    assert "projection without `symmetric` takes larger steps" in run.status_reason

@@ -289,7 +289,7 @@ def check_start(
     tolerance = mechanism.assembly.tolerance
     weight = sum(body.mass for body in mechanism.bodies.values()) * elementary.hypot(*mechanism.gravity)
     row = with_ground(q)[None]
-    values = contact_values(contacts, row, np.zeros_like(row), np.zeros((1, len(HELD) * len(contacts))))
+    values = contact_values(contacts, row, np.zeros_like(row), np.zeros((1, held_states(contacts).stop)))
     for i, one in enumerate(contacts):
         depth, push = -float(values["gap"][0, i]), float(values["normal_force"][0, i])
         is_deep = depth > 0.5 * one.pair.radius > 0.0

@@ -60,8 +60,6 @@ class ContactState:
         the first step.
     between
         Memory of the method that takes the steps between events; None after an event.
-    is_new
-        Whether no step has been taken yet.
     """
 
     modes: np.ndarray
@@ -80,7 +78,6 @@ class ContactState:
     residual: float = 0.0
     known: Mapping[str, np.ndarray] = field(default_factory=dict)
     between: Any = None
-    is_new: bool = True
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load; the next step determines the modes anew."""

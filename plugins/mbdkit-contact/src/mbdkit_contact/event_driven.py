@@ -10,15 +10,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.base.errors import StepError
+from mbdkit.base.quadrature import gauss_legendre
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import StepTaken
 from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit.integrators.stage_polynomials import collocation_polynomials
 from mbdkit.methods.step_methods import Dense, ExternalMethod, Step, StepMethod, StepState, Why
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
-from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, Point, gains
+from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, Point, gains, power_at
 from mbdkit_contact.events_of_contacts import ContactEvents
+from mbdkit_contact.forced_equations import ForcedEquations, Powers
 from mbdkit_contact.kernels.steps_to_events import SAME_INSTANT
+
+_NODES = 0.5 * (1.0 + gauss_legendre(6)[0])
+"""Places in a step at which powers are evaluated for the energies within it."""
+_INTEGRALS = collocation_polynomials(_NODES)[0]
 
 DRIFT = 1e-7
 """Largest gap of joints and closed contacts in the steps of a library, relative to the length of the mechanism."""
@@ -54,6 +62,7 @@ class EventDriven(StepMethod):
         """
         events = self._on(equations)
         step = EventStep(self.between, events, t, state)
+        begin = step.now
         try:
             event = step.to(t + h)
         except NotAcceptedError as rejected:
@@ -64,12 +73,12 @@ class EventDriven(StepMethod):
         if made is not None and made.dense is not None and step.begin is not None:
             dense = _closing(made.dense, step.begin, step.now)
         happens = None if event is None else ContactEvent(self.after_event, end.memory.time)
-        result = events.contacts.step((t, end.memory.time), state, end, happens, dense)
         error = step.error
         if error is not None:
             n = 2 * equations.n
             error = np.concatenate([error[:n], events.contacts.all_states(error[n:])])
-        return replace(result, error=error, next_step=None if made is None else made.next_step)
+        dense = _with_forces(events, begin, end, dense)
+        return Step(end, error, dense, next_step=None if made is None else made.next_step, event=happens)
 
     def after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         """Return the state after the event at which a step has ended."""
@@ -105,6 +114,39 @@ def _closing(dense: Dense, begin: Point, end: Point) -> Dense:
         return tuple(x + fade * move for x, move in zip(dense(theta)[:3], moves, strict=True))
 
     return closed
+
+
+def _with_forces(events: ContactEvents, begin: Point, end: StepState, dense: Dense | None) -> Dense:
+    """Return dense output of a step with the forces of contacts that follow from the motion at each of its states, and
+    with the work and the dissipated energy, which include those of an event at its start.
+
+    Parameters
+    ----------
+    begin, end
+        States at both ends; the memory of `end` has the modes in the step, and the time at its end.
+    dense
+        Gives the other states; if None, they are those of the cubic through both ends.
+    """
+    own = begin.z, events.contacts.own(end.z)
+    taken = StepTaken(begin.t, end.memory.time, begin.q, begin.v, end.q, end.v, *own)
+    equations, powers = ForcedEquations(events), list[Powers]()
+
+    def state(theta: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        q, v, z = (taken.between if dense is None else dense)(theta)[:3]
+        return taken.time(theta), q, v, z
+
+    def inside(theta: float) -> tuple[np.ndarray | float, ...]:
+        with events.as_in(end.memory):
+            if equations.has_power and not powers:  # once for all states within the step
+                with events.acting():
+                    powers.extend(power_at(equations, *state(share)) for share in _NODES.tolist())
+            t, q, v, z = state(theta)
+            held = events.held_at(t, q, v, z)
+        weights = _INTEGRALS @ theta ** np.arange(1, len(_NODES) + 1) * (taken.t1 - taken.t0)
+        work, lost = weights @ np.array(powers) if powers else np.zeros(2)
+        return q, v, held, begin.work + work, begin.dissipated + lost
+
+    return inside
 
 
 @dataclass(frozen=True)
@@ -191,12 +233,11 @@ class EventDrivenLibrary(ExternalMethod):
         # an impact at the start of the step, where the library was opened, has dissipated energy too
         step.go_to(replace(there, work=begin.work + work, dissipated=begin.dissipated + lost))
         state = reached(step, event, self.carries_multipliers)
-        before, self._before = self._before, state
-        step.before = state.memory
+        self._before, step.before = state, state.memory
         happens = None if event is None else ContactEvent(self._after_event, there.t)
-        result = step.events.contacts.step((begin.t, there.t), before, state, happens, inside)
         step.now = replace(step.now, work=0.0, dissipated=0.0)
-        return replace(result, time=there.t)
+        shown = _with_forces(step.events, begin, state, inside)
+        return Step(state, dense=shown, event=happens, time=there.t)
 
     def _after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         step = _LibraryStep(None, ContactEvents.on(equations, self.treatment), t, state)

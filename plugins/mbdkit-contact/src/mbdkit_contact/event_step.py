@@ -16,7 +16,7 @@ from mbdkit.integrators.interface import StepTaken
 from mbdkit.methods.step_methods import Step, StepMethod, StepState
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.events_of_contacts import ContactEvents
-from mbdkit_contact.forced_equations import ForcedEquations
+from mbdkit_contact.forced_equations import ForcedEquations, Powers
 from mbdkit_contact.kernels.steps_to_events import (
     MOST_EVENTS,
     MOST_SAMPLES,
@@ -295,7 +295,11 @@ def gains(equations: ForcedEquations, begin: Point, end: Point, made: Step) -> t
         nodes, weights = tuple(_NODES), tuple(_WEIGHTS)
     gained = np.zeros(2)
     for share, weight in zip(nodes, weights, strict=True):
-        t, (q, v, z) = begin.t + share * h, dense(share)[:3]
-        lam = equations.derivatives(t, q, v, z)[1]
-        gained += h * weight * np.array(equations.powers(t, q, v, lam))
+        gained += h * weight * np.array(power_at(equations, begin.t + share * h, *dense(share)[:3]))
     return float(gained[0]), float(gained[1])
+
+
+def power_at(equations: ForcedEquations, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Powers:
+    """Return the power of loads and drivers and the dissipated power at a state [W]."""
+    lam = equations.derivatives(t, q, v, z)[1]
+    return equations.powers(t, q, v, lam)

@@ -230,17 +230,37 @@ class ContactEvents:
             cut_time=float(known.times[0]),
             undecided=float(known.times[1]),
             known={name: getattr(known, name).copy() for name in _PASSED},
-            is_new=False,
             **more,
         )
+
+    @contextmanager
+    def as_in(self, memory: ContactState) -> Iterator[None]:
+        """Use the modes of the step that has ended with `memory`; what the next step takes up does not change."""
+        known = self.bundle.known
+        kept = {name: getattr(known, name).copy() for name in _PASSED}
+        self._use(memory.known)
+        try:
+            yield
+        finally:
+            self._use(kept)
+
+    def held_at(self, t: float, q: np.ndarray, v: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the first-order states (Z,) with the forces of contacts at a point; see `at`."""
+        self.at(t, q, v, own)
+        self.show_forces()
+        known = self.bundle.known
+        return self.contacts.all_states(own, ContactState(known.modes, known.normal, known.tangent, known.force))
+
+    def _use(self, arrays: Mapping[str, np.ndarray]) -> None:
+        for name in _PASSED:
+            getattr(self.bundle.known, name)[...] = arrays[name]
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Use the arrays of a `ContactState`; without any, those of contacts before the first step."""
         known, bundle = self.bundle.known, self.bundle
         if not arrays:
             arrays = _new_known(len(known.modes), len(known.force), len(bundle.lam), known.shown.shape[1])._asdict()
-        for name in _PASSED:
-            getattr(known, name)[...] = arrays[name]
+        self._use(arrays)
         self.check_indices()
         while np.count_nonzero(known.modes != OPEN) > len(self.bundle.closed.chosen):
             self.grow()

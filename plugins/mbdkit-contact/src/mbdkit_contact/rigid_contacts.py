@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.integrators.interface import StepTaken
-from mbdkit.methods.step_methods import Dense, Step, StepEvent, StepState
+from mbdkit.methods.step_methods import StepState
 from mbdkit_contact.acting_contacts import ActingContact
 from mbdkit_contact.contact_kinematics import ContactKinematics
 from mbdkit_contact.contact_state import ContactState, HeldForces
@@ -23,7 +22,8 @@ class RigidContacts:
 
     def __init__(self, equations: EquationsOfMotion):
         self.p = equations
-        self.contacts: tuple[ActingContact, ...] = equations.workspace.mechanism.extensions["contacts"]
+        acting: tuple[ActingContact, ...] = equations.workspace.mechanism.extensions.get("contacts", ())
+        self.contacts = tuple(contact for contact in acting if contact.first_state >= 0)
         self.held = HeldForces(self.contacts)
         #: Whether a first-order state (Z,) does not belong to contacts.
         self._is_own = np.ones(len(equations.z0), dtype=bool)
@@ -48,36 +48,6 @@ class RigidContacts:
     def hold(self, own: np.ndarray) -> None:
         """Use values of the states that do not belong to contacts in later evaluations, without contact forces."""
         self.p.hold(self.all_states(own))
-
-    def step(
-        self,
-        times: tuple[float, float],
-        begin: StepState,
-        end: StepState,
-        event: StepEvent | None = None,
-        dense: Dense | None = None,
-    ) -> Step:
-        """Return a step from `begin` to `end`, whose memory is a `ContactState`, with the forces as first-order states.
-
-        The forces are constant within the step if they are means over the step, or not known at its start; otherwise
-        they are linear. `dense` gives the other states.
-        """
-        memory, begins = end.memory, self.all_states(self.own(begin.z), end.memory)
-        if not begin.memory.is_new and not memory.is_over_step:
-            if dense is None:
-                return Step(end, event=event)
-            begins = self.all_states(self.own(begin.z), begin.memory)
-        taken = StepTaken(*times, begin.q, begin.v, end.q, end.v, begins, end.z)
-        if dense is None:
-            return Step(end, dense=taken.between, event=event)
-
-        def inside(theta: float) -> tuple[np.ndarray, ...]:
-            q, v, own, *gained = dense(theta)
-            z = begins + theta * (end.z - begins)
-            z[self._is_own] = own
-            return q, v, z, *gained
-
-        return Step(end, dense=inside, event=event)
 
     def all_open(self) -> ContactState:
         """Return the `ContactState` of open contacts, without forces."""

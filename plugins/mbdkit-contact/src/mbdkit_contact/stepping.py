@@ -228,7 +228,6 @@ class CompiledTimeStepping(CompiledMethod):
             ordered=names(held.ordered),
             is_over_step=True,
             residual=float(held.residual[0]),
-            is_new=False,
         )
 
     @property

@@ -94,9 +94,7 @@ def _claims(*, l_stable: bool = False, **claims: Any) -> Callable[[LobattoOption
         drift="constraints hold at acceleration level only: drift of the method's order, growing with time",
         needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
         states=True,
-        conserves=("linear-momentum", "angular-momentum")
-        if claims.get("quadratic_invariants")
-        else ("linear-momentum",),
+        conserves=("linear-momentum",),
         a_stable=options.stage_solver == "newton",
         l_stable=l_stable and options.stage_solver == "newton",
         **claims,

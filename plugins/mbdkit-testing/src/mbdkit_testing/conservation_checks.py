@@ -12,7 +12,7 @@ from mbdkit_testing.check import Check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, unclaimed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state, require_complete
 from mbdkit_testing.invariant_checks import CONSERVED, coarse_step
-from mbdkit_testing.trial_models import FLOATING, SWINGING, Model
+from mbdkit_testing.trial_models import FLOATING, FLOATING_RODS, SWINGING, Model
 
 STEPS = 100
 LOOSE = 1e-3
@@ -44,8 +44,11 @@ def _conserved(name: str, models: tuple[Model, ...], quantity: Callable[[Run, Mo
             return skipped("its errors are too small to distinguish conservation from accuracy", **figures)
         return passed(**figures).within({"change": CONSERVED})
 
-    where = "of bodies joined by a spring" + (" and of a double pendulum" if len(models) > 1 else "")
-    conserved.__doc__ = f"A method that claims to conserve {name} conserves that {where}, also in large steps."
+    joined = "of a double pendulum" if SWINGING in models else "of rods with a joint"
+    conserved.__doc__ = (
+        f"A method that claims to conserve {name} conserves that of bodies joined by a spring and {joined}, also in "
+        "large steps."
+    )
     return Check(f"geometry.conserved-{name}", conserved)
 
 
@@ -84,6 +87,6 @@ def _angular(run: Run, model: Model) -> np.ndarray:
 
 CHECKS = (
     _conserved("energy", (FLOATING, SWINGING), _energy),
-    _conserved("linear-momentum", (FLOATING,), _linear),
-    _conserved("angular-momentum", (FLOATING,), _angular),
+    _conserved("linear-momentum", (FLOATING, FLOATING_RODS), _linear),
+    _conserved("angular-momentum", (FLOATING, FLOATING_RODS), _angular),
 )

@@ -167,6 +167,8 @@ def claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
             for inner, numbers in value.items():
                 shown = [f"{what} {number:g}" for what, number in numbers.items() if number is not None]
                 texts.append((f"{name} on {inner}", listed(shown)))
+        elif key == "conserves" and value:  # other formulations and stabilizations need not conserve it
+            texts.append((name, f"{listed(value, 'and')} on {claims['formulations'][0]} without stabilization"))
         elif value not in (None, "", ()):
             texts.append((name, listed(value) if isinstance(value, tuple) else str(value)))
     return texts

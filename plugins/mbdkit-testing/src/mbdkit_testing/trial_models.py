@@ -188,6 +188,24 @@ SLIPPING["joints"]["J1"]["friction"] = {"coefficient": 0.3, "radius": 0.1}
 smooth. Friction depends on the reaction of the joint.
 """
 
+FLOATING_RODS: Model = {
+    "name": "mechanism",
+    "gravity": [0.0, 0.0],
+    "bodies": {
+        "left": _rod(1.0, 1.0, (0.0, 0.0), 0.4, 0.6),
+        "right": {
+            **_rod(0.8, 0.7, (math.cos(0.4), math.sin(0.4)), -0.5, -0.5),
+            "velocity": [
+                -0.6 * math.sin(0.4) - 0.2 * math.sin(0.5),
+                0.6 * math.cos(0.4) - 0.2 * math.cos(0.5),
+            ],
+        },
+    },
+    "joints": {"J": {"type": "revolute", "bodies": ["left", "right"], "points": [[0.5, 0.0], [-0.4, 0.0]]}},
+    "forces": {"spring": {"type": "torsion-spring", "bodies": ["left", "right"], "stiffness": 0.2}},
+}
+"""Two free rods with a joint and a torsion spring between them: conserves energy and both momenta."""
+
 COASTING: Model = {**SWINGING, "gravity": [0.0, 0.0]}
 COASTING["bodies"] = {
     "rod1": _rod(1.0, 1.0, (0.0, 0.0), -1.0, 1.0),

@@ -241,6 +241,11 @@ WRONG = {
         "geometry.conserved-angular-momentum",
         "it claims to conserve angular-momentum, but in large steps it changes",
     ),
+    "conserved angular momentum of bodies with joints that drift": (
+        _method(Midpoint, **MIDPOINT, conserves=("angular-momentum",)),
+        "geometry.conserved-angular-momentum",
+        "it claims to conserve angular-momentum, but in large steps it changes",
+    ),
     "A-stability of an explicit method": (
         _method(RungeKutta, **RK4, a_stable=True),
         "stability.a-stable",

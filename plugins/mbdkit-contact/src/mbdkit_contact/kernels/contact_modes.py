@@ -424,7 +424,6 @@ def find_values(e, m, with_forces):
             fill(m.normal, 0.0)
             fill(m.tangent, 0.0)
         if status == OK:
-            sum_forces(m)
             status = share_forces(e, m)
         if status != OK:
             return status
@@ -471,7 +470,6 @@ def show_forces(e, m):
     if status != OK:
         return status
     find_rows(m)
-    sum_forces(m)
     status = share_forces(e, m)
     if status == OK:
         note_forces(m)
@@ -480,24 +478,27 @@ def show_forces(e, m):
 
 
 @separate
-def sum_forces(m):
-    """Write the generalized forces of all contacts to ``m.known``; needs `find_accelerations` and `find_rows`."""
-    known, shapes = m.known, m.closed.shapes
-    fill(known.force, 0.0)
+def add_forces(m, out):
+    """Write the generalized forces (N,) of all contacts into `out`, from ``m.normal`` and ``m.tangent``; needs
+    `find_rows`.
+    """
+    shapes = m.closed.shapes
+    fill(out, 0.0)
     for i in range(len(m.normal)):
-        if known.modes[i] == OPEN:
+        if m.known.modes[i] == OPEN:
             continue
         a, b = 3 * shapes.contacts[i, 0], 3 * shapes.contacts[i, 1]
         for d in range(3):
-            known.force[a + d] += m.normal[i] * m.rows[i, 2 + d] + m.tangent[i] * m.rows[i, 8 + d]
-            known.force[b + d] += m.normal[i] * m.rows[i, 5 + d] + m.tangent[i] * m.rows[i, 11 + d]
-    for d in range(len(known.force) - 3, len(known.force)):
-        known.force[d] = 0.0
+            out[a + d] += m.normal[i] * m.rows[i, 2 + d] + m.tangent[i] * m.rows[i, 8 + d]
+            out[b + d] += m.normal[i] * m.rows[i, 5 + d] + m.tangent[i] * m.rows[i, 11 + d]
+    for d in range(len(out) - 3, len(out)):
+        out[d] = 0.0
 
 
 @subkernel
 def note_forces(m):
-    """Write the forces at the point to ``m.known``."""
+    """Write the forces at the point, and their sums, to ``m.known``; requires `find_rows`."""
+    add_forces(m, m.known.force)
     copy(m.normal, m.known.normal)
     copy(m.tangent, m.known.tangent)
 

@@ -25,6 +25,7 @@ from mbdkit.integrators.step_guards import begin_energy
 from mbdkit.integrators.step_loop import PAUSED, REFUSED
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, is_nearly_closed, limited
 from mbdkit_contact.kernels.contact_modes import (
+    add_forces,
     any_closed,
     decide_at_rest,
     find_accelerations,
@@ -33,9 +34,10 @@ from mbdkit_contact.kernels.contact_modes import (
     find_rows,
     find_values,
     friction_value,
+    note_forces,
     rate_of_gap,
+    share_forces,
     show_forces,
-    sum_forces,
     switch,
     use_modes,
 )
@@ -102,6 +104,43 @@ def _show(m, row):
         out[3 * i], out[3 * i + 1], out[3 * i + 2] = known.normal[i], known.tangent[i], abs(known.modes[i])
     for i in range(len(m.coordinates)):
         out[3 * count + i] = known.force[m.coordinates[i]]
+
+
+@separate
+def _show_inside(e, c, m, t):
+    """Write forces and modes of contacts at the point of dense output, at the time `t`, to its states; return a status.
+
+    Forces follow from the motion there. A polynomial through those at both ends of a long step would not have its
+    accuracy.
+    """
+    known, shapes = m.known, m.closed.shapes
+    m.t[0], m.ended[0] = t, 0
+    copy(c.point_q, m.q)
+    copy(c.point_v, m.v)
+    copy(c.point_z, m.z)
+    for k in range(m.places[1]):
+        m.z[m.places[0] + k] = 0.0
+    fill(m.normal, 0.0)
+    fill(m.tangent, 0.0)
+    find_rows(m)
+    if any_closed(m):
+        copy(known.basis, m.basis)  # the next step does not depend on whether states within this one are evaluated
+        copy(known.shares, m.shares)
+        c.counts[RHS] += 1
+        status = find_accelerations(e, m)
+        copy(m.basis, known.basis)
+        copy(m.shares, known.shares)
+        if status == OK:
+            status = share_forces(e, m)
+        if status != OK:
+            return _status(m, status)
+    add_forces(m, m.x)
+    for i in range(len(known.modes)):
+        k = m.places[0] + 3 * i
+        c.point_z[k], c.point_z[k + 1], c.point_z[k + 2] = m.normal[i], m.tangent[i], abs(known.modes[i])
+    for i in range(len(m.coordinates)):
+        c.point_z[m.places[0] + 3 * len(shapes.contacts) + i] = m.x[m.coordinates[i]]
+    return OK
 
 
 @subkernel
@@ -435,9 +474,9 @@ def _end_quietly(e, c, m, shows):
             last = j
     for i in range(len(known.modes)):
         is_closed = known.modes[i] != OPEN
-        m.normal[i] = known.normal[i] = m.sample_values[last, 0, i] if is_closed else 0.0
-        m.tangent[i] = known.tangent[i] = m.sample_values[last, 1, i] if is_closed else 0.0
-    sum_forces(m)
+        m.normal[i] = m.sample_values[last, 0, i] if is_closed else 0.0
+        m.tangent[i] = m.sample_values[last, 1, i] if is_closed else 0.0
+    note_forces(m)
     return OK
 
 
@@ -632,17 +671,14 @@ def attempt(run, method, t, h, want_error):
 def dense(run, method, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.step_loop`.
 
-    Forces of contacts are linear.
+    Forces of contacts follow from the motion there.
     """
     c, m = load_run_state(run), load_events(method)
-    known = m.known
-    status = _find_within(load_engine(m.engine[0]), c, m, run, t, h, theta)
+    e = load_engine(m.engine[0])
+    status = _find_within(e, c, m, run, t, h, theta)
     if not _has_power(m):
         fill(c.point_gain, 0.0)
-    for k in range(m.places[1]):
-        begin, end = known.shown[0, k], known.shown[1, k]
-        c.point_z[m.places[0] + k] = begin + theta * (end - begin)
-    return status
+    return _show_inside(e, c, m, t + theta * h) if status == OK else status
 
 
 @entry
