@@ -17,7 +17,7 @@ NEARLY_NOTHING = 2**20
 """A disk with less free space than this is reported as full [bytes]."""
 
 LARGEST = 2**50
-"""Archives that are larger do not fit on any disk, so that the spec is wrong; others may on another computer [bytes]."""
+"""Size from which an archive is taken for a mistake in the spec, because no disk has room for it [bytes]."""
 
 SMALL = 2**22
 """For archives in memory up to this size [bytes], free memory is not checked, because querying it takes 0.1 ms."""

@@ -427,6 +427,9 @@ class SimulatedRun:
         elif stepper is not None and not stepper.finished:
             at = f"t = {stepper.time:.6g} s of {self.spec.time.final:.6g} s"
             status, reason = "interrupted", f"interrupted: stopped by the user at {at}."
+        elif self.interrupted and (self.recorder.kept is not None or self.spec.gradients):
+            what = "errors were estimated" if self.recorder.kept is not None else "gradients were computed"
+            status, reason = "interrupted", f"interrupted: stopped by the user after the last step, before {what}."
         elif self.watch is not None and self.watch.stopped is not None:
             reason = f"event: {self.watch.stopped}."
         misalignment_max = self.recorder.misalignment_max(
@@ -440,7 +443,7 @@ class SimulatedRun:
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
         found = (*self.findings, *self.recorder.findings())
-        if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
+        if self.becomes_run and self.spec.gradients and status == "complete":
             self.gradients = higher_layers.gradients_json(self.spec)
         questions = (*open_doubts(found, self.spec.accept), *self.doubtful_gradients())
         evidence = evidence_of_run(
