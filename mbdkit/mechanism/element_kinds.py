@@ -11,11 +11,12 @@ from pydantic import Field, TypeAdapter, create_model
 from pydantic.fields import FieldInfo
 
 from mbdkit.base import higher_layers
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MissingPartError, SpecError
 from mbdkit.base.parts import ELEMENTS_OF_PARTS
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.model_methods import of_models
-from mbdkit.registry.catalogue import MBDKIT, Registry
+from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.manager import log, registry
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -18,7 +19,7 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.cli import app
-from mbdkit_studies import pool
+from mbdkit_studies import pool, worker
 from mbdkit_studies.tasks import Outcome
 
 from .test_execution import index_hash
@@ -169,3 +170,12 @@ def test_runs_that_a_disk_is_too_small_for_are_computed_when_there_is_space(fini
     assert all(reason.startswith("no-resources: the disk of ") for reason in study.unfinished)
     assert mbdkit.study(small, out=begun).status == "complete"
     assert index_hash(begun) == index_hash(finished.folder)
+
+
+def test_an_error_of_the_disk_names_the_file_that_was_computed(begun, monkeypatch):
+    def carry(task: dict[str, Any], notify: Any) -> dict[str, Any]:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    task = {"path": str(begun / "runs" / "abc.h5"), "command": []}
+    (answer,) = worker.compute([task], mbdkit.__version__, carry)
+    assert answer["reason"] == f"no-resources: {task['path']}: Input/output error"
