@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # an alias exports a name for type checkers
     from mbdkit.base.plain_data import quoted as quoted
     from mbdkit.base.plain_data import value_text as value_text
     from mbdkit.base.progress_bars import progress_bar as progress_bar
+    from mbdkit.base.strict_model import FormatVersion as FormatVersion
     from mbdkit.base.strict_model import StrictModel as StrictModel
     from mbdkit.base.terminal import say as say
     from mbdkit.base.terminal import show as show
@@ -213,7 +214,7 @@ _STABLE = {
     "mbdkit.base.text": "counted did_you_mean listed one_line shown table",
     "mbdkit.base.plain_data": "copied parse_path path_text plain quoted value_text",
     "mbdkit.base.units": "Unit read_quantity read_unit",
-    "mbdkit.base.strict_model": "StrictModel",
+    "mbdkit.base.strict_model": "FormatVersion StrictModel",
     "mbdkit.mechanism.state_values": "Expression",
     "mbdkit.mechanism.values": "NotNegative Number Point Positive Table",
     "mbdkit.methods.kinds": "ExplicitRungeKutta ImplicitRungeKutta Method Tolerances Traits",

@@ -24,10 +24,13 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
-from mbdkit.base.errors import ArchiveError, SpecError
-from mbdkit.base.files import replace_file
+from mbdkit.base.errors import ArchiveError
+from mbdkit.base.files import read_bytes, replace_file
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import TEXT, Array
+
+LARGEST = 1 << 30
+"""Largest size of a checkpoint [bytes]; those of long runs with many bodies have a few megabytes."""
 
 _MAGIC = b"mbdkit checkpoint 2\n"
 _HEADER = len(_MAGIC) + hashlib.sha256().digest_size
@@ -178,15 +181,14 @@ class Checkpoint:
         ArchiveError
             If the checkpoint is damaged.
         SpecError
-            If it cannot be read.
+            If it is larger than `LARGEST`.
+        ResourceError
+            If the system refuses to read it.
         """
         path = checkpoint_path(part)
         if not path.is_file():
             return None
-        try:
-            checkpoint = cls.decoded(path.read_bytes())
-        except OSError as error:
-            raise SpecError(f"{path.name} cannot be read ({error.strerror})", file=part) from error
+        checkpoint = cls.decoded(read_bytes(path, LARGEST, "start the run again from the beginning"))
         if checkpoint is None:
             raise ArchiveError(
                 f"{path.name} is damaged, so this run cannot be resumed; start it again from the beginning", file=part

@@ -9,13 +9,15 @@ from pathlib import Path
 
 from mbdkit.archive import layout
 from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit.base.memory import available_memory, in_bytes, installed_memory
+from mbdkit.base.memory import available_memory, in_bytes
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import sizes_of
 
 NEARLY_NOTHING = 2**20
 """A disk with less free space than this is reported as full [bytes]."""
 
+LARGEST = 2**50
+"""Size from which an archive is taken for a mistake in the spec, because no disk has room for it [bytes]."""
 
 SMALL = 2**22
 """For archives in memory up to this size [bytes], free memory is not checked, because querying it takes 0.1 ms."""
@@ -57,18 +59,17 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
     Raises
     ------
     SpecError
-        If the archive is larger than the whole disk or memory.
+        If the archive is larger than `LARGEST`.
     ResourceError
-        If the archive is larger than the space that is free now.
+        If the archive is larger than the space that is free now, even if it is larger than the whole disk or memory.
     """
     needed = rows * row
     if path is None:
         if needed <= SMALL:
             return
-        free, size = available_memory(), installed_memory()
+        free = available_memory()
     else:
-        disk = shutil.disk_usage(path.parent)
-        free, size = disk.free, disk.total
+        free = shutil.disk_usage(path.parent).free
     if free is None or needed <= free:
         return
     place = "available in memory" if path is None else f"free in {path.parent.resolve()}"
@@ -79,14 +80,14 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
         f"{rows:,} rows of {row:,} bytes take {in_bytes(needed)}, but only {in_bytes(free)} are {place}: "
         f"record less often, such as {less}, or fewer `quantities`"
     )
-    if size is None or needed <= size:
-        if path is not None and free < NEARLY_NOTHING:
-            raise ResourceError(
-                f"the disk of {path.parent.resolve()} is full: {in_bytes(free)} are free, and the archive takes about "
-                f"{in_bytes(needed)}; free some space, or choose another folder"
-            )
-        raise ResourceError(f"output.{setting}: {message}")
-    raise SpecError(message, key=f"output.{setting}")
+    if path is not None and free < NEARLY_NOTHING:
+        raise ResourceError(
+            f"the disk of {path.parent.resolve()} is full: {in_bytes(free)} are free, and the archive takes about "
+            f"{in_bytes(needed)}; free some space, or choose another folder"
+        )
+    if needed > LARGEST:
+        raise SpecError(message, key=f"output.{setting}")
+    raise ResourceError(f"output.{setting}: {message}")
 
 
 def _round_up(number: int) -> int:

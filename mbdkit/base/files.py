@@ -38,7 +38,7 @@ def read_bytes(path: str | Path, largest: int, advice: str = "") -> bytes:
     Parameters
     ----------
     largest
-        Largest number of bytes. The bytes are counted as they are read, because a file may have more of them than the
+        Largest number of bytes. They are also counted as they are read, because a file may have more of them than the
         system states.
     advice
         Advice on a file that is too large, which is appended to the message.
@@ -55,10 +55,11 @@ def read_bytes(path: str | Path, largest: int, advice: str = "") -> bytes:
         # another program may have replaced the file by a pipe since the check
         waits_not = getattr(os, "O_NONBLOCK", 0)
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | waits_not)) as stream:
-            content = stream.read(largest + 1) or b""
+            size = os.fstat(stream.fileno()).st_size
+            content = b"" if size > largest else stream.read(largest + 1) or b""
     except OSError as error:
         raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=path) from None
-    if len(content) > largest:
+    if max(size, len(content)) > largest:
         message = f"this file is larger than {largest >> 20} MiB, the limit for files of this kind"
         raise SpecError("; ".join(filter(None, (message, advice))), file=path)
     return content

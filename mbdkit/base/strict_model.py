@@ -9,11 +9,18 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+)
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema
+from pydantic_core import CoreSchema, PydanticKnownError
 
 # For its first schema, Pydantic reads the entry points of all distributions, and fails if one of them is damaged. Later
 # schemas have no plugins of Pydantic then.
@@ -36,6 +43,16 @@ def _accept_lists(schema: Any, owner: type[BaseModel]) -> None:
             schema["strict"] = False
         for part in schema.values():
             _accept_lists(part, owner)
+
+
+def _not_a_truth_value(value: object) -> object:
+    if isinstance(value, bool):
+        raise PydanticKnownError("literal_error", {"expected": "1"})
+    return value
+
+
+FormatVersion = Annotated[Literal[1], BeforeValidator(_not_a_truth_value)]
+"""Version of the format of specs. Pydantic's ``Literal[1]`` alone also accepts True, which equals 1."""
 
 
 class StrictModel(BaseModel):

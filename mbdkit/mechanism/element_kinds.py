@@ -12,12 +12,13 @@ from pydantic import Field, TypeAdapter, create_model
 from pydantic.fields import FieldInfo
 
 from mbdkit.base import higher_layers
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MissingPartError, PluginError, SpecError
 from mbdkit.base.parts import ELEMENTS_OF_PARTS
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.bodies import FromTo
 from mbdkit.mechanism.model_methods import of_models
-from mbdkit.registry.catalogue import MBDKIT, Registered, Registry
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.item import described
 from mbdkit.registry.manager import log, registry

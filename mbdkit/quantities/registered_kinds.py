@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MissingPartError, PluginError
 from mbdkit.base.parts import GROUPS_OF_PARTS
 from mbdkit.quantities.array import Array, Kind, Recorded
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import KINDS
-from mbdkit.registry.catalogue import MBDKIT, Registered, Registry
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import QuantityKind
 from mbdkit.registry.manager import log, registry
 from mbdkit.registry.use import use

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Self, cast
 
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MissingPartError, PluginError
 from mbdkit.base.text import listed
-from mbdkit.registry.catalogue import MBDKIT, Registered
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import Accessor
 from mbdkit.registry.manager import log, registry
 from mbdkit.registry.use import use

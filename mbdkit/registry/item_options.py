@@ -10,9 +10,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, create_model
 
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import PluginError, in_this_process, with_place
 from mbdkit.base.strict_model import STRICT
-from mbdkit.registry.catalogue import MBDKIT, Registered
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item import Plugin
 
 

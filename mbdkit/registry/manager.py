@@ -16,6 +16,7 @@ from typing import Any, Protocol, cast
 import pluggy
 
 from mbdkit.base.distributions import (
+    MBDKIT,
     UnusableDistribution,
     entry_points,
     name_and_version,
@@ -24,7 +25,7 @@ from mbdkit.base.distributions import (
 from mbdkit.base.errors import MbdkitError, PluginError, SpecError, in_this_process, with_place
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
-from mbdkit.registry.catalogue import KINDS, MBDKIT, Kind, Origin, Registered, Registry, Report
+from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report
 from mbdkit.registry.item import Item, described
 from mbdkit.registry.policy import STRICT, Policy, check_api
 
@@ -261,8 +262,8 @@ def _origin(entry_point: EntryPoint) -> Origin:
     if isinstance(dist, importlib.metadata.Distribution):
         name, version = name_and_version(dist)
     else:
-        name, version = getattr(dist, "name", None), getattr(dist, "version", None)
-    return Origin(str(name or "unknown"), str(version or "unknown"), f"{entry_point.name} = {entry_point.value}")
+        name, version = (str(getattr(dist, key, None) or "unknown") for key in ("name", "version"))
+    return Origin(name, version, f"{entry_point.name} = {entry_point.value}")
 
 
 def _sentence(error: BaseException) -> str:

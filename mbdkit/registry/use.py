@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MbdkitError, PluginError, blaming
-from mbdkit.registry.catalogue import KINDS, MBDKIT, Registered
+from mbdkit.registry.catalogue import KINDS, Registered
 from mbdkit.registry.item import described
 
 

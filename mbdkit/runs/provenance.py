@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from mbdkit.base.command_words import command_line
-from mbdkit.base.distributions import own_version
+from mbdkit.base.distributions import MBDKIT, own_version
 from mbdkit.engine.native.machine_code import code_id
 from mbdkit.quantities.registered_kinds import kinds_of_others
-from mbdkit.registry.catalogue import MBDKIT, Registered
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec

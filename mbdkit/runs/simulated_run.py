@@ -430,6 +430,9 @@ class SimulatedRun:
         elif stepper is not None and not stepper.finished:
             at = f"t = {stepper.time:.6g} s of {self.spec.time.final:.6g} s"
             status, reason = "interrupted", f"interrupted: stopped by the user at {at}."
+        elif self.interrupted and (self.recorder.kept is not None or self.spec.gradients):
+            what = "errors were estimated" if self.recorder.kept is not None else "gradients were computed"
+            status, reason = "interrupted", f"interrupted: stopped by the user after the last step, before {what}."
         elif self.watch is not None and self.watch.stopped is not None:
             reason = f"event: {self.watch.stopped}."
         misalignment_max = self.recorder.misalignment_max(
@@ -444,7 +447,7 @@ class SimulatedRun:
         self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
         totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
         found = (*self.findings, *self.recorder.findings(totals))
-        if self.becomes_run and self.spec.gradients and status == "complete" and not self.interrupted:
+        if self.becomes_run and self.spec.gradients and status == "complete":
             self.gradients = higher_layers.gradients_json(self.spec)
         questions = (*open_doubts(found, self.spec.accept), *self.doubtful_gradients())
         evidence = evidence_of_run(

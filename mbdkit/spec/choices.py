@@ -23,12 +23,13 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, SchemaValidator, core_schema
 
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import value_text
 from mbdkit.base.strict_model import STRICT
 from mbdkit.base.text import listed
 from mbdkit.mechanism.law_element import Law
-from mbdkit.registry.catalogue import MBDKIT, Kind, Registered, Registry
+from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import class_name, is_of_item, item_of, name_type, named_options
 from mbdkit.registry.manager import registry
 

@@ -12,13 +12,14 @@ from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, SerializerFunctionWrapHandler, model_serializer
 
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.files_read import FileRead, FilesRead, recording
 from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_text, plain, without_collection
+from mbdkit.base.strict_model import FormatVersion
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions, without_units
 from mbdkit.registry.catalogue import Registered
@@ -137,7 +138,7 @@ class ModelSpec(StrictSpec):
     Specs written before these keys existed therefore keep their hash and run id.
     """
 
-    mbdkit: Literal[1]
+    mbdkit: FormatVersion
     """Version of the spec format."""
     title: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
     """Title of the run, free text."""

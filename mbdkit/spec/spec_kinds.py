@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MissingPartError, SpecError
 from mbdkit.base.parts import MARKERS_OF_PARTS
 from mbdkit.base.text import listed
-from mbdkit.registry.catalogue import MBDKIT
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 

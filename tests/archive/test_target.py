@@ -59,6 +59,19 @@ def test_sizes_are_told_in_units_that_suit_them(
         check_room(tmp_path / "run.h5", rows, 360, None)
 
 
+def test_an_archive_that_is_larger_than_the_whole_disk_may_be_written_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=1 << 16, total=1 << 16))
+    with pytest.raises(ResourceError, match=r"is full: 64\.0 KiB are free, and the archive takes about 3\.4 MiB"):
+        check_room(tmp_path / "run.h5", 10_000, 360, None)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=1 << 30, total=1 << 30))
+    with pytest.raises(ResourceError, match=r"output\.every: 10,000,000 rows"):
+        check_room(tmp_path / "run.h5", 10_000_000, 360, 1)
+    with pytest.raises(SpecError, match=r"output\.every: .* 1\.0 GiB are free"):
+        check_room(tmp_path / "run.h5", 1 << 50, 360, 1)
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -88,6 +88,7 @@ WRONG = {
     "unknown integrator": (small("gauss", "gaus"), 5, "integrator.name", "did you mean 'gauss'?"),
     "no version": (small("mbdkit: 1\n", ""), None, "mbdkit", "write `mbdkit: 1`"),
     "another version": (small("mbdkit: 1", "mbdkit: 2"), 1, "mbdkit", "should be 1, not 2"),
+    "a truth value as version": (small("mbdkit: 1", "mbdkit: true"), 1, "mbdkit", "should be 1, not true"),
     "no integrator": (small("integrator: {name: gauss, stages: 2}\n", ""), None, "integrator", "is missing"),
     "integrator without name": (small("name: gauss, ", ""), 5, "integrator.name", "is missing"),
     "integrator as a word": (small("{name: gauss, stages: 2}", "gauss"), 5, "integrator", "`{name: gauss}`"),

@@ -189,6 +189,25 @@ def test_companions_stop_at_the_limit_of_wall_time():
     assert result.accuracy.known_until < result.time[-1]
 
 
+def test_a_signal_during_the_comparison_runs_interrupts_the_run():
+    """Its rows are complete, but its errors are not known: the command ends as after a signal during the steps."""
+
+    ends = 0
+
+    def stop(time: float, end: float) -> None:
+        nonlocal ends
+        ends += time == end
+        if ends == 2:  # at the end of the first comparison run
+            raise KeyboardInterrupt
+
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.001}}
+    result = simulate(load_spec(spec, check=True), progress=stop)
+    assert (result.status, result.time[-1]) == ("interrupted", 1.0)
+    assert result.status_reason.endswith("after the last step, before errors were estimated.")
+    assert result.accuracy.known_until == 0.0
+    assert result.verdict == "doubtful"
+
+
 def test_an_interrupt_ends_the_check_and_keeps_the_run():
     # expected: whether the signal comes during the run or during its check, the archive is whole
     timer = threading.Timer(1.5, lambda: os.kill(os.getpid(), signal.SIGINT))

@@ -8,6 +8,7 @@ import math
 import os
 import random
 import shutil
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -330,6 +331,18 @@ def test_run_with_a_damaged_checkpoint_is_refused(part: Path) -> None:
     content[100] ^= 1
     checkpoint_path(part).write_bytes(content)
     assert "run.h5.part.checkpoint is damaged, so this run cannot be resumed; start it again" in refusal(part)
+
+
+def test_a_sparse_checkpoint_is_not_read(part: Path) -> None:
+    with checkpoint_path(part).open("r+b") as file:
+        file.truncate(20 << 30)
+    tracemalloc.start()
+    try:
+        with pytest.raises(SpecError, match=r"checkpoint: this file is larger than 1024 MiB"):
+            mbdkit.resume(part)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 26
+    finally:
+        tracemalloc.stop()
 
 
 def test_run_without_checkpoint_is_refused(part: Path) -> None:

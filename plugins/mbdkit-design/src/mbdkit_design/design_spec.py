@@ -23,6 +23,7 @@ from mbdkit.base.plain_data import copied, path_text, value_text
 from mbdkit.base.units import Unit, read_quantity
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
+from mbdkit.plugin import FormatVersion
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import parse_key, variable_path
 from mbdkit.spec.run_spec import RunSpec
@@ -262,7 +263,7 @@ class DesignSpec(StrictSpec):
     model_config = ConfigDict(title="mbdkit design spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
 
-    mbdkit_design: Literal[1]
+    mbdkit_design: FormatVersion
     """Version of the spec format."""
     title: str = ""
     """Title, free text."""

@@ -14,7 +14,18 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 from mbdkit.base.strict_model import description
 from mbdkit.mechanism.checks import check_name, check_tables
 from mbdkit.mechanism.values import Number, Positive, Table, curve_of
-from mbdkit.plugin import Count, DefinedMeasure, ModelSpec, Section, SpecError, did_you_mean, listed, path_text, quoted
+from mbdkit.plugin import (
+    Count,
+    DefinedMeasure,
+    FormatVersion,
+    ModelSpec,
+    Section,
+    SpecError,
+    did_you_mean,
+    listed,
+    path_text,
+    quoted,
+)
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
 from mbdkit_predict.chosen_numbers import UNKNOWNS, ChosenNumbers, elastic_muscles, unknowns_of
@@ -141,7 +152,7 @@ class PredictSpec(ModelSpec):
         "sensitivities", "compare", "guess", "starts", "seed", "limits",
     )  # fmt: skip
 
-    mbdkit_predict: Literal[1]
+    mbdkit_predict: FormatVersion
     """Version of the format of predictions."""
     controls: dict[str, Variable]
     """Functions of time that are optimized, by the key path of the value in the model that they replace, such as

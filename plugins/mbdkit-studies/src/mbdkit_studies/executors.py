@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import shutil
+import subprocess
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from importlib import import_module
@@ -31,6 +34,34 @@ INTERVAL = 0.5
 PATIENCE = 10.0
 """Time to wait for cancelled jobs to end [s]."""
 
+QUEUE_INTERVAL = 5.0
+"""Interval at which Slurm is asked for its jobs where it has no accounting [s]."""
+
+
+class SlurmQueue:
+    """The jobs of this user that Slurm has not ended, as `squeue` lists them.
+
+    submitit learns the states of jobs from `sacct`, which knows none where Slurm has no accounting, as is its default.
+    """
+
+    def __init__(self) -> None:
+        self._answers: deque[frozenset[str]] = deque(maxlen=2)
+        self._asked = -math.inf
+
+    def forget(self) -> None:
+        """Discard the answers, which do not list the jobs that are submitted later."""
+        self._answers.clear()
+
+    def lacks(self, job: str) -> bool:
+        """Return whether the last two answers do not list a job: its result may need a moment to become visible."""
+        if time.monotonic() - self._asked >= QUEUE_INTERVAL:
+            self._asked = time.monotonic()
+            command = ["squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}"]
+            with contextlib.suppress(OSError, subprocess.SubprocessError):  # Slurm does not answer
+                done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=TIMEOUT)
+                self._answers.append(frozenset(done.stdout.split()))
+        return len(self._answers) == 2 and not any(job in answer for answer in self._answers)
+
 
 class SubmititExecutor(Executor):
     """Jobs of a scheduler such as Slurm.
@@ -50,6 +81,7 @@ class SubmititExecutor(Executor):
         self._executor: Any = None
         self._jobs: dict[Future[Any], Any] = {}
         self._cancelled: list[Any] = []
+        self._queue = SlurmQueue()
         self._lock = threading.Lock()
 
     def submit_all(self, function: Callable[..., Any], values: Sequence[Any], *rest: Any) -> list[Future[Any]]:
@@ -58,6 +90,7 @@ class SubmititExecutor(Executor):
             self._executor = self._begin()
         jobs = self._executor.map_array(function, values, *([value] * len(values) for value in rest))
         futures: list[Future[Any]] = [Future() for _ in jobs]
+        self._queue.forget()
         with self._lock:
             is_watched = bool(self._jobs)
             self._jobs.update(zip(futures, jobs, strict=True))
@@ -90,6 +123,8 @@ class SubmititExecutor(Executor):
     def _has_ended(self, future: Future[Any], job: Any) -> bool:
         """Return whether a job has ended; if so, pass its result to its future."""
         try:
+            if self._is_lost(job):
+                raise RuntimeError(f"Slurm has ended the job {job.job_id}, which has left no result")
             if not job.done():
                 return False
             error = job.exception()
@@ -104,6 +139,10 @@ class SubmititExecutor(Executor):
                 future.set_exception(error)
         return True
 
+    def _is_lost(self, job: Any) -> bool:
+        """Return whether a job, whose state Slurm does not know, has ended without a result."""
+        return not job.done() and job.state == "UNKNOWN" and self._queue.lacks(job.job_id)
+
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Cancel the jobs if `cancel_futures`, and wait until they end if `wait`.
 
@@ -114,7 +153,9 @@ class SubmititExecutor(Executor):
         while wait and self._jobs:
             time.sleep(INTERVAL / 5)
         until = time.monotonic() + PATIENCE
-        while wait and time.monotonic() < until and not all(job.done() for job in self._cancelled):
+        while (
+            wait and time.monotonic() < until and not all(job.done() or self._is_lost(job) for job in self._cancelled)
+        ):
             time.sleep(INTERVAL / 5)
 
 
@@ -215,9 +256,7 @@ def _dask(scheduler: str | None, workers: int | None, notify: Callable[[str], No
 
 @contextlib.contextmanager
 def _without_logs(*packages: str) -> Iterator[None]:
-    """Silence the logs of packages, which print tracebacks when a scheduler is lost; the study reports the loss
-    itself.
-    """
+    """Silence the logs of packages, which repeat what the study reports itself, such as the loss of a scheduler."""
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in packages]
     before = {name: logging.getLogger(name).level for name in names}
     for name in names:
@@ -256,7 +295,8 @@ def _submitit(
 
     executor = SubmititExecutor(begin, workers or MOST_JOBS)
     try:
-        yield executor
+        with _without_logs("submitit"):  # which warns of every answer of `sacct` without accounting
+            yield executor
     finally:
         executor.shutdown(cancel_futures=True)
         if executor.has_lost:

@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text, quoted
 from mbdkit.base.text import listed, shortened
+from mbdkit.plugin import FormatVersion
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import Document, parse_key, put
 from mbdkit.spec.sections import Section
@@ -163,7 +164,7 @@ class StudySpec(StrictSpec):
     Studies written before these keys existed therefore keep their hash.
     """
 
-    mbdkit_study: Literal[1]
+    mbdkit_study: FormatVersion
     """Version of the spec format."""
     title: str = ""
     """Title, free text."""

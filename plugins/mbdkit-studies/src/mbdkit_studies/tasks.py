@@ -12,11 +12,11 @@ from typing import Any
 
 from mbdkit.base.command_words import command_words
 
-#: External reasons of failure: a resource was not available, a process died, or mbdkit has a defect.
-PASSING = ("no-resources", "worker-died", "error")
+#: External reasons of failure: a resource was not available, a process died or was stopped, or mbdkit has a defect.
+PASSING = ("no-resources", "worker-died", "interrupted", "error")
 
 #: Reasons of failure after which a run is computed again, because a second attempt may succeed.
-TRIED_AGAIN = ("interrupted", "plugin-error", *PASSING)
+TRIED_AGAIN = ("plugin-error", *PASSING)
 
 MOST_DEATHS = 20
 """Largest number of processes that may die in one task; after more deaths, the task is not tried again."""

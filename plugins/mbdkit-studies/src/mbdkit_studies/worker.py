@@ -113,6 +113,9 @@ def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) 
         if error.file == task["path"]:  # the folder of the study was changed, so the spec is not the cause
             return {"status": "missing", "reason": f"no-resources: {error}"}
         return asdict(refusal(error))
+    except OSError as error:  # which names no file if reading or writing an open one has failed
+        where = shown(error.filename or task["path"])
+        return {"status": "missing", "reason": f"no-resources: {where}: {error.strerror or error}"}
     except (Exception, SystemExit) as error:
         return asdict(refusal(error))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
@@ -18,9 +19,11 @@ import mbdkit
 from mbdkit.base.command_words import command_line, executing
 from mbdkit.base.errors import SpecError
 from mbdkit.cli import app
-from mbdkit_studies import executor_pool, worker
+from mbdkit_studies import executor_pool, executors, worker
+from mbdkit_studies.command_options import Cluster
 from mbdkit_studies.executor_pool import ExecutorPool
 from mbdkit_studies.executors import SubmititExecutor
+from mbdkit_studies.owned_folder import JOBS
 from mbdkit_studies.tasks import Task
 
 from .test_execution import index_hash
@@ -284,6 +287,43 @@ def test_jobs_are_submitted_as_an_array_and_lost_ones_again(blocks, tmp_path):
     assert jobs.arrays == [[4], [1, 3]]  # the block at which the job was lost, and the others
     assert index_hash(study.folder) == index_hash(blocks.folder)
     assert pendulums(out=tmp_path / "t", executor=Jobs()).status == "complete"
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put commands of a Slurm without accounting on the path; the file that is returned is its queue of jobs."""
+    pytest.importorskip("submitit")
+    commands, queue = tmp_path / "commands", tmp_path / "queue"
+    commands.mkdir()
+    for name, code in {
+        "sbatch": f"printf '7_0\\n7_1\\n' > {queue}; echo Submitted batch job 7",
+        "squeue": f"cat {queue}",
+        "sacct": "echo Slurm accounting storage is disabled >&2; exit 1",
+        "scancel": "true",
+        "srun": "true",
+    }.items():
+        (commands / name).write_text(f"#!/bin/sh\n{code}\n")
+        (commands / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(commands), prepend=os.pathsep)
+    monkeypatch.setattr(executors, "INTERVAL", 0.01)
+    monkeypatch.setattr(executors, "QUEUE_INTERVAL", 0.05)
+    return queue
+
+
+def test_a_job_that_slurm_without_accounting_no_longer_lists_is_lost(slurm, tmp_path):
+    cluster = Cluster("submitit", "slurm", None)
+    notes: list[str] = []
+    with executors.opened(cluster, 2, tmp_path, notes.append) as executor:
+        killed, running = executor.submit_all(abs, [-1, -2])
+        with pytest.raises(TimeoutError):
+            killed.result(0.5)
+        slurm.write_text("7_1\n")
+        with pytest.raises(RuntimeError, match="Slurm has ended the job 7_0, which has left no result"):
+            killed.result(10.0)
+        assert not running.done()
+        slurm.write_text("")
+        assert running.exception(10.0) is not None
+    assert notes == [f"some jobs were lost; their logs are in {next(tmp_path.glob(f'{JOBS}*'))}"]
 
 
 def test_what_is_no_executor_is_refused(tmp_path):

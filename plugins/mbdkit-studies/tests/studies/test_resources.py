@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,7 +19,7 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.cli import app
-from mbdkit_studies import pool
+from mbdkit_studies import pool, worker
 from mbdkit_studies.tasks import Outcome
 
 from .test_execution import index_hash
@@ -157,3 +160,22 @@ def test_the_error_of_a_file_says_whether_its_name_is_to_blame(name, kind):
     assert type(error) is kind
     assert isinstance(error, MbdkitError)
     assert str(error) == "run.h5: refused"
+
+
+def test_runs_that_a_disk_is_too_small_for_are_computed_when_there_is_space(finished, small, begun, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=1 << 10, total=1 << 10))
+        study = mbdkit.study(small, out=begun, executor=ThreadPoolExecutor(1))
+    assert {point.status for point in study.points} == {"missing"}
+    assert all(reason.startswith("no-resources: the disk of ") for reason in study.unfinished)
+    assert mbdkit.study(small, out=begun).status == "complete"
+    assert index_hash(begun) == index_hash(finished.folder)
+
+
+def test_an_error_of_the_disk_names_the_file_that_was_computed(begun, monkeypatch):
+    def carry(task: dict[str, Any], notify: Any) -> dict[str, Any]:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    task = {"path": str(begun / "runs" / "abc.h5"), "command": []}
+    (answer,) = worker.compute([task], mbdkit.__version__, carry)
+    assert answer["reason"] == f"no-resources: {task['path']}: Input/output error"
