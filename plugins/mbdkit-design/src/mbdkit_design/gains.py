@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import largest_loads
-from mbdkit.base.plain_data import path_text
 from mbdkit.measures.take import describe
 from mbdkit.spec.reading import variable_path
 from mbdkit_design.design_spec import GOAL
 from mbdkit_design.problem import FEASIBLE
-from mbdkit_report.key_words import key_unit, stated_units
+from mbdkit_report.key_words import key_unit
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -77,10 +76,7 @@ class Cost:
 
 def variable_unit(spec: DesignSpec, name: str) -> str:
     """Return the unit of a variable; empty if it is unknown."""
-    path = variable_path(name)
-    bases = [base for base in (spec.base, *(one.base for one in spec.scenarios.values())) if isinstance(base, Mapping)]
-    units = [units[key] for units in map(stated_units, bases) if (key := path_text(path)) in units]
-    return units[0] if units else key_unit(path, spec.specs.values())
+    return key_unit(variable_path(name), spec.specs.values())
 
 
 def with_unit(value: float, unit: str, digits: int = 6) -> str:
