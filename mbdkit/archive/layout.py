@@ -79,6 +79,8 @@ COUNTERS = (
     "newton_iterations",
     "projections",
 )
+SOME_COUNTERS = ("host_evaluations",)
+"""Counters that only runs of methods in Python have: evaluations by mbdkit itself, for work and integrals over time."""
 TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
 SOME_TIMINGS = ("integrals_s", "check_s")
 """Times that only some runs have: those with integrals over the continuous motion, and those that are checked."""

@@ -122,7 +122,7 @@ def plain_attributes(group: h5py.Group) -> Mapping[str, Any]:
 def numbers(group: h5py.Group) -> Mapping[str, Any]:
     """Return the attributes of the group ``/stats``; raise ValueError if a counter or a time is not a number."""
     values = plain_attributes(group)
-    for name in (*layout.COUNTERS, *layout.TIMINGS, *layout.SOME_TIMINGS):
+    for name in (*layout.COUNTERS, *layout.SOME_COUNTERS, *layout.TIMINGS, *layout.SOME_TIMINGS):
         if isinstance(values.get(name, 0), str):
             raise ValueError(f"{name} of {group.name.lstrip('/')} is not a number")
     return values

@@ -49,6 +49,7 @@ _COUNTERS = {
     "newton_iterations": "iterations",
     "projections": "projections",
     "rejected": "rejections",
+    "host_evaluations": "right-hand sides by mbdkit for work and integrals",
 }
 
 

@@ -143,7 +143,16 @@ def plain(value: Any, path: Path = ()) -> Any:
             return os.fspath(value)
     if hasattr(value, "tolist"):  # a NumPy array or number
         return plain(value.tolist(), path)
+    if callable(value):
+        raise SpecError(NO_FUNCTIONS, key=path_text(path))
     raise SpecError(f"a spec cannot contain an object of type {type(value).__name__}", key=path_text(path))
+
+
+NO_FUNCTIONS = (
+    "a spec cannot contain a Python function; write an expression of the time or of the state, such as '2*sin(t)' or "
+    "'-40*leg.angle', or a table; a law of forces in Python is an mbdkit.FunctionLaw (`mbdkit guide plugins`), and a "
+    "feedback that is computed at samples is one of `controllers` (`mbdkit guide mechanism`)"
+)
 
 
 def copied(value: Any, path: Path = ()) -> Any:

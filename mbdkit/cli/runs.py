@@ -132,13 +132,25 @@ def _check_accuracy(accuracy: float) -> None:
         raise SpecError(f"{message}, not {accuracy:g}{why}")
 
 
-def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -> None:
+def validate(
+    spec: AnySpecName,
+    assignments: Set = None,
+    assembled: Annotated[
+        Path | None,
+        typer.Option("--assembled", metavar="FILE", help="Write the run spec with the initial values after assembly."),
+    ] = None,
+    debug: Debug = False,
+) -> None:
     """Check a spec of any kind without running it.
 
     The mechanism is built and its initial state made consistent; changes of the initial
     state are printed. Gravity is (0, -9.81) m/s^2 unless `model.gravity` is given. For a
     study, the expressions of its measures and the specs of all runs are checked (a few of
     them if many runs share a file); --set changes the base of every run.
+
+    With --assembled, the spec is also written with the initial values after assembly, so
+    that its start is consistent. The text is kept, comments included, as far as it
+    defines the bodies itself; otherwise, the mechanism is written in full.
     """
     from mbdkit.spec.loading import read_source
     from mbdkit.spec.spec_kinds import kind_of, spec_kinds
@@ -146,9 +158,32 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     if spec != "-" and not os.path.isfile(spec):
         for kind in spec_kinds():
             if kind.is_packaged is not None and kind.is_packaged()(spec):
-                return _validate(kind, spec, spec, assignments)
+                _validate(kind, spec, spec, assignments)
+                return
     document = read_source(spec)
-    return _validate(kind_of(document.data), document, spec, assignments)
+    kind = kind_of(document.data)
+    _validate(kind, document, spec, assignments)
+    if assembled is not None:
+        _write_assembled(kind, document, spec, assignments, assembled)
+
+
+def _write_assembled(kind: SpecKind, source: Document, name: str, assignments: list[str] | None, path: Path) -> None:
+    """Write a run spec with the initial values after assembly."""
+    from mbdkit.base.errors import SpecError
+    from mbdkit.runs.assembled_spec import write_assembled
+    from mbdkit.runs.preparation import build
+    from mbdkit.spec import example_text, load_spec
+
+    if kind.run_kind not in ("forward", ""):
+        raise SpecError(f"--assembled writes specs of runs, but this is {kind.phrase}", file=name)
+    spec, text = load_spec(source, assignments or ()), ""
+    if not assignments and name != "-" and Path(name).suffix.lower() != ".toml":
+        text = Path(name).read_text("utf-8") if os.path.isfile(name) else example_text(name)
+    start = build(spec)[1]
+    if not start.changed:
+        raise SpecError("the start is consistent, so that --assembled has nothing to write", file=name)
+    is_kept = write_assembled(spec, start, text, path)
+    show(f"written      {path}, {'with the text of the spec' if is_kept else 'with the mechanism in full'}")
 
 
 def _validate(kind: SpecKind, source: Document | str, name: str, assignments: list[str] | None) -> None:

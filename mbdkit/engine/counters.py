@@ -17,3 +17,11 @@ class Counters:
     factorizations: int = 0
     newton_iterations: int = 0
     projections: int = 0
+
+
+@dataclass
+class HostCounters(Counters):
+    """Counters of a method in Python, which does not pay for what mbdkit evaluates beside its steps."""
+
+    host_evaluations: int = 0
+    """Evaluations of the right-hand side by mbdkit, for work and for integrals over time."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.engine.counters import Counters
+from mbdkit.engine.counters import HostCounters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import put, vector
 from mbdkit.engine.kernels import equations
@@ -41,7 +41,7 @@ class EvaluatedEquations:
         self.z0 = np.array(mechanism.initial_states if z0 is None else z0)
         for array in (self.mass, self.q0, self.v0, self.z0):
             array.flags.writeable = False
-        self.counters = Counters()
+        self.counters = HostCounters()
         self.has_power = mechanism.has_power
         self._has_friction = len(mechanism.topology.frictions) > 0
         self.first_step: float | None = None
@@ -88,6 +88,11 @@ class EvaluatedEquations:
             (n,), (m,) and (Z,) arrays; rates in the units of the states per second.
         """
         self.counters.rhs_evaluations += 1
+        return self._derivatives(t, q, v, z)
+
+    def observed(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
+        """Return the result of `derivatives` for mbdkit itself, which is counted apart, as a `host_evaluation`."""
+        self.counters.host_evaluations += 1
         return self._derivatives(t, q, v, z)
 
     def rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:

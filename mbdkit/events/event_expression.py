@@ -406,6 +406,9 @@ class RunCompiler(Compiler):
         """Raise SpecError for an unknown name."""
         few = f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}" if known else "; there are none"
         hint = did_you_mean(name, known) or few
+        for meant in (one for one in known if not one.isidentifier() and f"'{one}'" in hint):
+            kind = next((kind for kind, names in self.known.items() if meant in names), "")
+            hint = f" (did you mean {kind}[{meant!r}]?)" if kind else hint
         self.refuse(
             f"there is no {what} '{name}'{', because the ground does not move' if name == GROUND else hint}", node
         )

@@ -69,7 +69,7 @@ class HostEnergies:
 
     def _at(self, t: float, state: StepState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the accelerations (n,), the rates (Z,) and the powers (2,) [W] at a state."""
-        a, lam, rates = self._equations.derivatives(t, state.q, state.v, state.z)
+        a, lam, rates = self._equations.observed(t, state.q, state.v, state.z)
         return a, rates, np.array(self._equations.powers(t, state.q, state.v, lam))
 
     def _of_dense(self, theta: float, t: float, h: float, made: Step, results: StepResults) -> np.ndarray | None:
@@ -142,6 +142,5 @@ class HostNodes(KeptNodes):
         t0, t1, ends, accelerations = begin.begin, end.begin, [], []
         for t, state in ((t0, begin.state), (t1, end.state)):
             ends += [with_ground(state.q), with_ground(state.v)]
-            equations.hold(state.z)
-            accelerations.append(with_ground(equations.accelerations(t, state.q, state.v)[0]))
+            accelerations.append(with_ground(equations.observed(t, state.q, state.v, state.z)[0]))
         self.keep(t0, t1, StepTaken(t0, t1, *ends).quintic(*accelerations))

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.engine.counters import Counters
+from mbdkit.engine.counters import HostCounters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
@@ -66,7 +66,7 @@ class StepHost(LastStep):
         self.workspace, self.timetable = workspace, timetable
         self._is_external = isinstance(method, ExternalMethod)
         self._is_fixed = method.tolerances is None and not self._is_external  # otherwise steps are controlled
-        self.counters = Counters()
+        self.counters = HostCounters()
         self.finished = False
         self.failure: Failure | None = None
         self.last_step: StepTaken | None = None

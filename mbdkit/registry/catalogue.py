@@ -22,6 +22,17 @@ KINDS: dict[Kind, type[Item]] = {item_class.kind: item_class for item_class in _
 """The item class of each kind."""
 
 
+SEPARATE = {
+    "mbdkit-generalized-alpha": ("generalized-alpha",),
+    "mbdkit-lobatto": ("lobatto-iiia", "lobatto-iiib", "lobatto-iiic", "lobatto-iiid"),
+    "mbdkit-opensim": ("opensim",),
+    "mbdkit-robots": ("urdf", "mjcf", "pylinkage"),
+    "mbdkit-sundials": ("sundials-cvode", "sundials-ida"),
+    "mbdkit-walker": ("walker",),
+}
+"""Names of models and integrators in the distributions that are published with mbdkit but installed separately."""
+
+
 @dataclass(frozen=True)
 class Origin:
     """Origin of an item: its distribution, the version of the distribution, and the entry point."""
@@ -174,16 +185,20 @@ class Registry:
         raise SpecError(message + self.advice(name), key=key)
 
     def advice(self, name: str) -> str:
-        """Return the reason why the distribution in a full id is not loaded, as the end of an error message.
+        """Return the reason why the distribution that has an item is not loaded, as the end of an error message.
 
-        The result is empty if `name` is not a full id, or if the distribution is installed and not excluded.
+        The result is empty if `name` is neither a full id nor the name of an item in `SEPARATE`, or if the distribution
+        is installed and not excluded.
         """
         distribution, colon, _ = name.partition(":")
+        if owner := next((owner for owner, names in SEPARATE.items() if name in names), ""):
+            distribution, colon = owner, ":"
         here = [report for report in self._reports if report.origin.distribution == distribution]
         if not colon or not distribution:
             return ""
         if not here:
-            return f"; '{name}' is provided by the distribution {distribution}, which is not installed"
+            folder = f" (`pip install ./plugins/{distribution}` in the sources)" if distribution in SEPARATE else ""
+            return f"; '{name}' is provided by the distribution {distribution}, which is not installed{folder}"
         reasons = dict.fromkeys(report.error for report in here if report.status == "disabled" and report.error)
         return f"; {distribution} is {listed(reasons, 'and')}" if reasons else ""
 

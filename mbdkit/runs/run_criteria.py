@@ -88,7 +88,7 @@ def moved_start(spec: RunSpec, start: AssembledState) -> Iterator[str]:
             f"assembly moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's "
             f"size of {size:.3g} m; check the positions and angles at {_key(mechanism, name)} and its neighbours, "
             f"because the mechanism may have been assembled in an unintended configuration (`mbdkit validate` lists "
-            f"all changes)"
+            f"all changes){_accepted('moved-start')}"
         )
 
 
@@ -114,8 +114,16 @@ def changed_velocities(spec: RunSpec, start: AssembledState) -> Iterator[str]:
         yield (
             f"assembly changes {largest} at the start{others}, because the velocities of the bodies do not satisfy "
             f"the joints; check those at {_key(mechanism, name)} and its neighbours: velocities that are not given "
-            f"are zero"
+            f"are zero{_accepted('changed-velocities')}"
         )
+
+
+def _accepted(criterion: str) -> str:
+    """Return a clause on what to do if a change by assembly is intended."""
+    return (
+        f"; if this is intended, `mbdkit validate SPEC --assembled FILE` writes the spec with the initial values after "
+        f"assembly, or write `accept: [{criterion}]`"
+    )
 
 
 def _key(mechanism: Mechanism, body: str) -> str:

@@ -148,6 +148,12 @@ def law_element(item: Registered) -> type[Law]:
     return cast("type[Law]", element)
 
 
+ADD_IN_PYTHON = (
+    "; without this key, m = mbdkit.spec.load_spec('FILE.yaml').mechanism() is the mechanism in Python, to which "
+    "methods such as m.torsion_spring add elements, and which mbdkit.run(m, ...) runs"
+)
+
+
 @dataclass(frozen=True)
 class RegistryLookup:
     """The `PluginLookup` of a registry.
@@ -183,4 +189,5 @@ class RegistryLookup:
                 others += [f"'{other.name}'"] * (key in other.plugin.options.model_fields)
         if not others:
             return ""
-        return f"'{key}' belongs to {listed(others, 'and')}, not to the {item.plugin.label()} '{item.name}'"
+        message = f"'{key}' belongs to {listed(others, 'and')}, not to the {item.plugin.label()} '{item.name}'"
+        return message + (ADD_IN_PYTHON if item.kind == "model" and "'mechanism'" in others else "")

@@ -40,6 +40,8 @@ def test_work_and_dissipation_that_a_method_does_not_book_are_integrated_to_orde
     for steps in (400, 800):
         run = run_with(RungeKutta(), driven_chain(), {"steps": steps, "step": 1.0 / steps}).check()
         open_by.append(np.abs(run.energy.balance).max())
+        assert run.stats["rhs_evaluations"] == 4 * steps  # those of the method, as in the compiled one
+        assert run.stats["host_evaluations"] == 3 * steps  # Simpson's rule
     assert np.abs(run.energy.work).max() > 0.1
     assert np.abs(run.energy.dissipated).max() > 0.1
     assert open_by[1] < 1e-6

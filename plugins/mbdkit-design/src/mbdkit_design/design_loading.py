@@ -16,6 +16,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.inverse_loading import is_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
+from mbdkit_report.key_words import stated_units
 from mbdkit_studies.study_loading import base_source, document_of
 
 
@@ -108,8 +109,10 @@ def _scenario_spec(
         given[path_text(("scenarios", name, "overrides", key))] = (parse_key(key), value)
     _put_all(data, given)
     chosen: Given = {}
+    units = stated_units(data)
     for key, variable in design.variables.items():
         _check_variable(key, data)
+        variable.take_unit(units.get(path_text(variable_path(key)), ""))
         chosen[path_text(("variables", key))] = (variable_path(key), variable.written)
     chosen |= changes or {}
     _put_all(data, chosen)

@@ -20,7 +20,7 @@ from pydantic import (
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied, path_text, value_text
-from mbdkit.base.units import Unit, read_quantity
+from mbdkit.base.units import Unit, read_quantity, read_unit
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
 from mbdkit.plugin import FormatVersion
@@ -109,6 +109,11 @@ class Variable(_WithUnit):
         if self.start is not None and not low <= self.start <= high:
             raise SpecError(f"should be within the bounds {low:g} and {high:g}, not {self.start:g}", key="start")
         return self
+
+    def take_unit(self, unit: str) -> None:
+        """Use the unit of the parameter in the base, in SI, unless the variable has a unit of its own."""
+        if unit and self._unit is None:
+            self._unit = read_unit(unit)
 
     @property
     def first(self) -> float:

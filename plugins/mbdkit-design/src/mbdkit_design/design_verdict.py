@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.base.text import counted
 from mbdkit.spec.yaml_reader import write_yaml
-from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units, variable_unit
+from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units, variable_unit, with_unit
 from mbdkit_design.robustness import Deviation
 from mbdkit_design.trust import QUESTIONED
 from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
@@ -169,7 +169,9 @@ def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
          *((", ".join(one.exceeds),) if limits else ()))
         for one in deviations
     ]  # fmt: skip
-    best = ", ".join(f"{goal_words(name)} {value:.4g}" for name, value in design.best.goals.items())
+    best = ", ".join(
+        f"{goal_words(name)} {with_unit(value, units[name], 4)}" for name, value in design.best.goals.items()
+    )
     note = f"At the best point: {best}. Bounds of the variables do not apply here."
     columns += [Column("limits exceeded")] if limits else []
     return Table("robustness", "If a number is not met exactly", tuple(columns), tuple(rows), note)

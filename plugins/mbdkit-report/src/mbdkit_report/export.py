@@ -59,7 +59,8 @@ def suffix_of(to: str) -> str:
     """Return the suffix of the files of a format; raise SpecError if there is none of this name."""
     names = registry().names("table-format")
     if to not in names:
-        raise SpecError(f"there is no format {to!r}{did_you_mean(to, names)}; the formats are {listed(names)}")
+        hint = " (OpenSim reads sto wherever it reads mot)" if to == "mot" else did_you_mean(to, names)
+        raise SpecError(f"there is no format {to!r}{hint}; the formats are {listed(names)}")
     return cast(TableFormat, registry().get("table-format", to).plugin).suffix
 
 

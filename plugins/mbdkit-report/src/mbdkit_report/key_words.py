@@ -12,7 +12,7 @@ from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.strict_model import description
 from mbdkit.base.units import described_units
 from mbdkit.mechanism.bodies import Element
-from mbdkit.mechanism.parameters import ParameterValues, names_in
+from mbdkit.mechanism.parameters import ParameterValues, names_in, parameter_values
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit_report.unit_of_use import unit_of_use
@@ -71,6 +71,12 @@ def key_unit(key: str | Path, specs: Iterable[BaseModel]) -> str:
             continue
         return found
     return ""
+
+
+def stated_units(base: Mapping[str, Any]) -> dict[str, str]:
+    """Return the SI units of the parameters that have one in the data of a spec, by dotted key."""
+    units = parameter_values(base.get("parameters")).units
+    return {f"parameters.{name}": unit.si.removesuffix("1") for name, unit in units.items()}
 
 
 def described_unit(description: str, along: str = "") -> str:

@@ -12,18 +12,15 @@ from typing import Any, TypeAlias
 
 from pydantic import ValidationError
 
-from mbdkit.base.errors import blaming
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.plugin import (
     Claims,
-    IntegratorPlugin,
     MbdkitError,
     RunSpec,
     SpecError,
     build,
     listed,
     parse_key,
-    plain,
     put,
     value_text,
 )
@@ -32,10 +29,11 @@ from mbdkit.registry.manager import registry
 from mbdkit.runs.preparation import make_method, require_support
 from mbdkit.spec.formulation_choice import choice_of
 from mbdkit.spec.reading import read_value
-from mbdkit_studies.planned_points import Grid, Setting, grids
-from mbdkit_studies.point_selection import IN_TOLERANCES, METHOD
+from mbdkit_studies.method_claims import METHOD, claims_of
+from mbdkit_studies.planned_points import HOW, Grid, PlannedPoints, Setting, grids, sets_method
+from mbdkit_studies.point_selection import IN_TOLERANCES
 from mbdkit_studies.study_spec import StudySpec
-from mbdkit_studies.value_sets import Value, is_labelled, label_of, sets_together
+from mbdkit_studies.value_sets import Value, is_labelled, label_of
 
 MethodSource: TypeAlias = str | Mapping[str, Any]
 """The name of an integrator, a mapping of its name and options, or a labelled value ``{label, set}`` of an axis; as
@@ -97,17 +95,15 @@ class AddedMethod:
                 forms = "the name of an integrator, or a mapping of its name and options"
                 raise SpecError(f"should be {forms}, not {value_text(chosen if labelled else data)}")
             item = registry().get("integrator", chosen["name"])
-            plugin, model = item.plugin, named_options(item)
-            assert isinstance(plugin, IntegratorPlugin)
-            with blaming(f"{item.id} failed to return its claims", ValidationError):
-                claims = plugin.claims(model.model_validate_json(json.dumps(plain(chosen))))
+            model = named_options(item)
+            claims = claims_of(chosen)
         except ValidationError as error:
             raise spec_error(error, model).located(file=where) from None
         except SpecError as error:
             raise error.located(file=where) from None
         label = str(data["label"]) if labelled else label_of({**chosen, "name": item.name})
         settings = {**settings, METHOD: {**chosen, "name": item.spec_name}}
-        return cls(where, str(label), settings, claims, frozenset(plugin.options.model_fields), labelled)
+        return cls(where, str(label), settings, claims, frozenset(model.model_fields), labelled)
 
     @property
     def formulations(self) -> list[Any]:
@@ -221,6 +217,8 @@ def with_methods(
 
 
 def _with(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None]) -> StudySpec:
+    first = next((point for point in PlannedPoints(spec) if not point.lacking), None)
+    assert first is None or first.spec  # errors of the study itself are reported as such
     places = [place for grid in grids(spec) if (place := _place(grid)) is not None]
     if not places:
         message = "no axis of this study varies the integrator alone, so that no method can be added"
@@ -298,7 +296,12 @@ class _Attempt:
             span = RunSpec(**next(place.data(chosen))).span
             chosen |= _without_step(base, span, others if without is None else others - place.keys_set(without))
         same = {place.words_of(value): value.label for value in place.values}
-        for number, data in enumerate(place.data(chosen, without)):
+        shared = chosen
+        if sets_method(place.grid.reference or ()):
+            shared = {key: value for key, value in chosen.items() if key not in HOW}
+        for number, (data, referred) in enumerate(
+            zip(place.data(chosen, without), place.data(shared, without), strict=True)
+        ):
             spec = RunSpec(**data)
             spec.mechanism()
             if number == 0:
@@ -308,8 +311,8 @@ class _Attempt:
                 problem, integrator = build(spec)[0], make_method(spec)
                 require_support(spec, integrator, problem.mechanism)
             if place.grid.reference is not None:
-                _put(data, [*place.grid.reference, *_restored(place.grid, chosen)])
-                RunSpec(**data)
+                _put(referred, place.grid.reference)
+                RunSpec(**referred)
         self.joined.append((place, chosen))
 
     def _step_axis(self, place: _Place, chosen: Mapping[str, Any]) -> int | None:
@@ -345,14 +348,6 @@ def _without_step(base: Mapping[str, Any], span: tuple[float, float], others: se
     return {"time": {"start": span[0], "end": span[1]}} if base["time"].get("steps") else {"time.step": None}
 
 
-def _restored(grid: Grid, chosen: Mapping[str, Any]) -> list[Setting]:
-    """Return settings of reference runs, which keep the formulation and stabilization that a method would change."""
-    if grid.reference is None:
-        return []
-    base, given = json.loads(grid.base_json), {one.path[0] for one in grid.reference}
-    return [Setting((key,), base.get(key, _HOW[key]), ()) for key in _HOW if key in chosen and key not in given]
-
-
 def _joined(spec: StudySpec, attempt: _Attempt) -> StudySpec:
     """Return a study with the method of an attempt in the families that it joins."""
     data = spec.model_dump(exclude_unset=True)
@@ -363,14 +358,11 @@ def _joined(spec: StudySpec, attempt: _Attempt) -> StudySpec:
         made[name] = family
         if place is None:
             continue
-        grid, axes = place.grid, list(family["axes"])
-        if restored := _restored(grid, chosen):
-            given = family.get("reference", data.get("reference"))
-            family = {**family, "reference": {**given, **{str(one.path[0]): one.value for one in restored}}}
+        axes = list(family["axes"])
         without = place.step_axis if attempt.method.claims.adaptive else None
         new = {"label": attempt.label, "set": chosen}
         if without is None:
-            axes[place.number] = {place.key: [*_in_sets(place, axes[place.number][place.key]), new]}
+            axes[place.number] = {place.key: [*axes[place.number][place.key], new]}
             made[name] = {**family, "axes": axes}
         else:
             axes[place.number] = {place.key: [new]}
@@ -384,14 +376,3 @@ def _joined(spec: StudySpec, attempt: _Attempt) -> StudySpec:
     if "" in made:
         made = {name or _ONLY_FAMILY: family for name, family in made.items()}
     return spec.changed(added=added, axes=None, families=made)
-
-
-def _in_sets(place: _Place, values: Sequence[Any]) -> list[Any]:
-    """Return the values of an axis of methods as values with labels that set several keys."""
-    if sets_together(values):
-        return list(values)
-    needed = [{"if_installed": value.if_installed} if value.if_installed else {} for value in place.values]
-    return [
-        {"label": str(value.label), "set": {place.key: value.value}, **more}
-        for value, more in zip(place.values, needed, strict=True)
-    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report.analysis.order import observed_order
-from mbdkit_report.analysis.verdict import Cell, Table, Verdict, columns_of
+from mbdkit_report.analysis.verdict import Cell, Figure, Table, Verdict, columns_of
 from mbdkit_studies.cost_at_error import ERROR, wall_time
 from mbdkit_studies.general_verdict import size_at_start
 from mbdkit_studies.point_selection import IN_TOLERANCES, STEP, Points, value
@@ -19,6 +19,9 @@ from mbdkit_studies.point_selection import IN_TOLERANCES, STEP, Points, value
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
     from mbdkit_studies.study_point import StudyPoint
+
+ADDED = "added"
+"""Name of the table of added methods."""
 
 DRIFT = "misalignment_max"
 
@@ -34,26 +37,47 @@ NOTE = (
 
 
 def with_added_methods(verdict: Verdict, study: Study) -> Verdict:
-    """Return a verdict with a table of the added methods of the study, if there are any, and a sentence on each.
+    """Return a verdict with a table of the added methods of the study, if there are any.
 
     The verdict on a study with a sample is unchanged, because such a study may have too many runs to compare.
     """
-    if not study.spec.added or study.spec.has_table:
-        return verdict
     rows: list[tuple[Cell, ...]] = []
-    sentences = [verdict.sentence]
-    for method in study.spec.added:
-        points = [point for point in study.points if method in point.axes.values()]
-        places = _places(study, points, method)
+    for method, points, places in _added(study):
         groups: dict[str, list[StudyPoint]] = {}
         for point in points:
             words = [label for label in point.axes.values() if isinstance(label, str) and label != method]
             groups.setdefault(", ".join(filter(None, [point.family, *words])), []).append(point)
-        of_method = [_row(method, name, group, places) for name, group in groups.items()]
-        rows += of_method
-        sentences.append(_sentence(method, points, places, [row[8] for row in of_method]))
-    table = Table("added", "Added methods", COLUMNS, tuple(rows), NOTE, headline=True)
-    return replace(verdict, sentence=" ".join(filter(None, sentences)), tables=(*verdict.tables, table))
+        rows += [_row(method, name, group, places) for name, group in groups.items()]
+    if not rows:
+        return verdict
+    table = Table(ADDED, "Added methods", COLUMNS, tuple(rows), NOTE, headline=True)
+    return replace(verdict, tables=(*verdict.tables, table))
+
+
+def added_texts(study: Study) -> list[tuple[str, str]]:
+    """Return pairs of a name and a text about the results of each added method."""
+    verdict = with_added_methods(Verdict("", "", ""), study)
+    orders = {row[:2]: row[8] for table in verdict.tables for row in table.rows}
+    return [
+        (f"added: {method}", _text(points, places, [order for (name, _), order in orders.items() if name == method]))
+        for method, points, places in _added(study)
+    ]
+
+
+def with_emphasis(figure: Figure, methods: Sequence[str]) -> Figure:
+    """Return a figure in which the lines of added methods are emphasized."""
+    lines = (
+        replace(line, is_emphasized=True) if line.group in methods or line.label in methods else line
+        for line in figure.lines
+    )
+    return replace(figure, lines=tuple(lines))
+
+
+def _added(study: Study) -> Iterator[tuple[str, list[StudyPoint], dict[int, tuple[int, int]]]]:
+    """Yield each added method with its runs and their places; nothing for a study with a sample."""
+    for method in () if study.spec.has_table else study.spec.added:
+        points = [point for point in study.points if method in point.axes.values()]
+        yield method, points, _places(study, points, method)
 
 
 def _places(study: Study, points: Sequence[StudyPoint], method: str) -> dict[int, tuple[int, int]]:
@@ -102,12 +126,10 @@ def _row(method: str, name: str, points: Sequence[StudyPoint], places: dict[int,
     return (method, name, counted, *ranges[:2], place, *ranges[2:], *reversed(orders), *means)
 
 
-def _sentence(
-    method: str, points: Sequence[StudyPoint], places: dict[int, tuple[int, int]], orders: Sequence[Cell]
-) -> str:
-    """Return a sentence on the runs of an added method."""
+def _text(points: Sequence[StudyPoint], places: dict[int, tuple[int, int]], orders: Sequence[Cell]) -> str:
+    """Return a text on the runs of an added method."""
     complete = [drift for point in points if math.isfinite(drift := value(point, DRIFT))]
-    told = f"Added, {method}: {len(complete)} of {len(points)} runs are complete"
+    told = f"{len(complete)} of {len(points)} runs are complete"
     if complete:
         told += f", with a misalignment of {_between(complete, '.1e')} m"
     known = [float(order) for order in orders if isinstance(order, float)]
@@ -118,7 +140,7 @@ def _sentence(
         told += f"; no other method has a smaller misalignment in {first} of {len(places)} comparisons"
     if any(point.family.endswith(IN_TOLERANCES) for point in points):
         told += "; it has tolerances in place of steps"
-    return told + "."
+    return told
 
 
 def _between(values: Sequence[float], form: str) -> str:

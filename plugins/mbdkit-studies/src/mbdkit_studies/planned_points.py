@@ -7,23 +7,30 @@ import copy
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, overload
 
 import numpy as np
+from pydantic import ValidationError
 
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text, plain
 from mbdkit.base.text import listed, shortened
-from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
+from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, choice_of
 from mbdkit.spec.reading import parse_key, put
+from mbdkit_report.key_words import stated_units
+from mbdkit_studies.method_claims import METHOD, claims_of
 from mbdkit_studies.sample_section import unit_of
 from mbdkit_studies.sampled_values import rows_of, table_place, values_of
 from mbdkit_studies.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit_studies.value_sets import Value, expand, size
+
+HOW = ("formulation", "stabilization")
+"""Keys of a run spec that belong to a method."""
 
 #: Largest number of runs in a study that writes one file per run.
 LARGEST_STUDY = 10_000
@@ -102,8 +109,7 @@ class Grid:
     @cached_property
     def stated_units(self) -> dict[str, str]:
         """SI units by dotted key: those of parameters of the base, and of values of the study that have a unit."""
-        parameters = parameter_values(json.loads(self.base_json).get("parameters"))
-        units = {f"parameters.{name}": unit.si for name, unit in parameters.units.items()} | dict(self.sample_units)
+        units = stated_units(json.loads(self.base_json)) | dict(self.sample_units)
         units |= {key: value.unit for axis in self.axes for key, values in axis for value in values if value.unit}
         return {key: unit.removesuffix("1") for key, unit in units.items()}
 
@@ -241,6 +247,21 @@ def _settings(keys: Mapping[str, Any], place: Path) -> tuple[Setting, ...]:
     return tuple(Setting(parse_key(key), value, (*place, key)) for key, value in keys.items())
 
 
+def sets_method(settings: Iterable[Setting]) -> bool:
+    """Return whether settings choose another method."""
+    return any(setting.path in ((METHOD,), (METHOD, "name")) for setting in settings)
+
+
+def _first_formulation(integrator: Any) -> dict[str, Any]:
+    """Return the first formulation that a method claims, as a key of a run spec, if it does not claim the default one.
+    Wrong methods are reported when the run spec is validated.
+    """
+    with suppress(MbdkitError, ValidationError):
+        names = claims_of(integrator).formulations
+        return {} if BY_ACCELERATIONS in names else {"formulation": choice_of(names[0])}
+    return {}
+
+
 @dataclass(frozen=True)
 class PlannedPoint:
     """One point of a study: its coordinates on the axes, and the parts from which its run spec is built.
@@ -293,7 +314,7 @@ class PlannedPoint:
         if self.grid.reference is None:
             return None
         which = f"the reference of run {self.number}"
-        made = self._checked((*self.grid.overrides, *self.settings, *self.grid.reference), which)
+        made = self._checked((*self.grid.overrides, *self._settings_of_reference, *self.grid.reference), which)
         mine, other = ((spec.time.start, spec.time.final) for spec in (self.spec, made))
         if any(abs(a - b) > 1e-9 * (mine[1] - mine[0]) for a, b in zip(mine, other, strict=True)):
             message = (
@@ -308,6 +329,16 @@ class PlannedPoint:
                 message = f"{which} has the bodies {other_listed}, the run has {mine_listed}; both should have the same"
                 raise self._placed(SpecError(message), self.grid.reference_place)
         return made
+
+    @property
+    def _settings_of_reference(self) -> tuple[Setting, ...]:
+        """The settings that the reference run shares. A reference with a method of its own does not share those that a
+        value sets together with the method of the run.
+        """
+        own = {setting.place[:-1] for setting in self.settings if setting.path == (METHOD,)}
+        if not sets_method(self.grid.reference or ()):
+            own = set()
+        return tuple(one for one in self.settings if one.path[0] not in HOW or one.place[:-1] not in own)
 
     @cached_property
     def run_id(self) -> str:
@@ -332,11 +363,15 @@ class PlannedPoint:
                 put(data, setting.path, copy.deepcopy(setting.value))
             except SpecError as error:
                 raise self._placed(SpecError(error.message + where), setting.place) from None
+        if sets_method(self.settings) and "formulation" not in data:
+            data |= _first_formulation(data[METHOD])
         try:
             spec = RunSpec(**data)
             spec.mechanism()
         except SpecError as error:
-            place, exact = _origin(parse_path(error.key), settings, self.grid)
+            document = self.study._document
+            given = {} if document is None else document.overridden
+            place, exact = _origin(parse_path(error.key), settings, self.grid, given)
             key = "" if exact else f"{error.key}: "
             raise self._placed(SpecError(f"{key}{error.message}{where}"), place) from None
         return spec
@@ -346,10 +381,11 @@ class PlannedPoint:
         return self.study.placed(error.located(prefix=path_text(place)))
 
 
-def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path, bool]:
+def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid, given: Mapping[Path, str]) -> tuple[Path, bool]:
     """Return the location in the study at which a key of the run spec is set.
 
-    Also return whether this is the location of the key itself; otherwise, it is that of a key below.
+    Also return whether this is the location of the key itself; otherwise, it is that of a key below, of which those
+    that are `given` on the command line come first.
     """
     above = [setting for setting in settings if path[: len(setting.path)] == setting.path]
     if above:
@@ -357,7 +393,7 @@ def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path
         return (*last.place, *path[len(last.path) :]), True
     below = [setting for setting in settings if setting.path[: len(path)] == path]
     if below:
-        return below[-1].place, False
+        return next((one.place for one in below if one.place in given), below[-1].place), False
     return (*grid.base_place, *path), True
 
 

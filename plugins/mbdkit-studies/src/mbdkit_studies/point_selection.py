@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit_studies.method_claims import METHOD as METHOD
+
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
     from mbdkit_studies.study_point import StudyPoint
 
 
-MODEL, METHOD, STEP = "model", "integrator", "time.step"
+MODEL, STEP = "model", "time.step"
 IN_TOLERANCES = "-tolerances"
 """Suffix of the family in which an added method has tolerances in place of the steps of another family."""
 OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.trust.criteria import MISALIGNMENT
-from mbdkit_report.analysis.verdict import Verdict, columns_of
-from mbdkit_report.figures.page_model import Cell, Column, Table
+from mbdkit_report.analysis.verdict import Answer, Verdict, columns_of
+from mbdkit_report.figures.page_model import Cell, Column, Figure, Table
 from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.notebook.result_views import View
@@ -23,6 +23,7 @@ from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.report_page import NO_FAILURES, ReportPage
 from mbdkit_report.pages.run_report import environment
 from mbdkit_report.pages.run_verdict import mechanism_size
+from mbdkit_studies.added_results import ADDED, added_texts, with_emphasis
 from mbdkit_studies.cost_at_error import is_timed
 from mbdkit_studies.judge import find_verdict, judge
 from mbdkit_studies.point_selection import OPERATIONS, value
@@ -72,13 +73,18 @@ def study_report(study: Study) -> ReportPage:
         If the study names an unknown verdict.
     """
     states = Counter(study.statuses())
+    verdict = _verdict(study)
     missing = states["missing"] + sum(point.status == "missing" for point in study.references)
     return ReportPage(
         title=" ".join((study.spec.title or study.folder.resolve().name).split()),
         settings=settings(study),
         alarm=f'{count(missing, "run")} missing: the command "mbdkit study" computes them' if missing else "",
-        headline=(*headlines(study, "±"), *notes(study)),
-        verdict=_verdict(study),
+        headline=(*added_texts(study), *_claims(verdict), *headlines(study, "±")),
+        remarks=tuple(notes(study)),
+        remarks_title=_remarks_title(study),
+        verdict=verdict,
+        beside_verdict=(ADDED,),
+        begins_with_verdict=True,
         films=tuple(_films(study)),
         failures=_failures(study),
         methods=methods(_specs(study), find_verdict(study.spec)[0].plugin.references if study.spec.verdict else ()),
@@ -128,13 +134,30 @@ def _verdict(study: Study) -> Verdict:
     of the sample. Other studies have general charts if the verdict has no charts.
     """
     verdict = judge(study)
-    figures = tuple(with_slope_guides(figure) for figure in verdict.figures)
+    figures: tuple[Figure, ...] = tuple(with_slope_guides(figure) for figure in verdict.figures)
     tables = verdict.tables
     if study.spec.has_table:
         figures, tables = (*figures, *sample_figures(study)), (*tables, *sample_tables(study))
     else:
-        figures = figures or study_figures(study)
+        figures = tuple(with_emphasis(figure, study.spec.added) for figure in figures or study_figures(study))
     return replace(verdict, figures=figures, tables=(*tables, runs_table(study)))
+
+
+def _claims(verdict: Verdict) -> Iterator[tuple[str, str]]:
+    """Yield a label and the numbers of claims by answer; nothing without claims."""
+    words = {Answer.YES: "hold", Answer.PARTLY: "hold partly", Answer.NO: "do not hold", Answer.OPEN: "are open"}
+    answers = Counter(claim.answer for claim in verdict.claims)
+    if answers:
+        parts = [f"{answers[answer]} {text}" for answer, text in words.items() if answers[answer]]
+        yield "claims", f"of {len(verdict.claims)}, {listed(parts, 'and')}"
+
+
+def _remarks_title(study: Study) -> str:
+    """Return the title of the remarks on single runs, with the numbers of runs that they are about."""
+    states, levels = Counter(study.statuses()), Counter(study.verdicts())
+    counts = {"bad": levels["bad"] - states["failed"], "doubtful": levels["doubtful"], "failed": states["failed"]}
+    named = listed([f"{number:,} {name}" for name, number in counts.items() if number], "and")
+    return f"Remarks on {named} runs" if named else "Remarks on the runs"
 
 
 def _listed(study: Study) -> Sequence[StudyPoint]:

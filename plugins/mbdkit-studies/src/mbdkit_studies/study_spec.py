@@ -49,9 +49,11 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
     for key, values in axis.items():
         sizes[key] = size(values)
         together = sets_together(values)
-        if together and len(together) < sizes[key]:
-            message = "cannot mix values with and without `set` in one axis"
-            raise SpecError(message, key=path_text((key, together[0][0][0])))
+        path = parse_key(key)
+        for place, keys in together if len(together) < sizes[key] else ():
+            if not any(path[: len(inner)] == inner for inner in map(parse_key, keys) if inner):
+                message = f"a `set` beside values of '{key}' should also set '{key}'"
+                raise SpecError(message, key=path_text((key, place[0])))
         for place, keys in together:
             for inner in keys:
                 if not parse_key(inner):

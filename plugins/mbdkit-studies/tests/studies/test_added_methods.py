@@ -8,12 +8,14 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit_report.figures.palette import line_styles
 from mbdkit_studies.added_methods import with_methods
 from mbdkit_studies.judge import judge
 from mbdkit_studies.planned_points import PlannedPoints
 from mbdkit_studies.point_selection import IN_TOLERANCES, Points
 from mbdkit_studies.study_figures import study_figures
 from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.study_report import study_report
 
 METHODS: dict[str, Any] = {
     "mbdkit_study": 1,
@@ -58,7 +60,7 @@ def test_added_methods_have_their_order_beside_ours(both: tuple[mbdkit.Study, mb
     assert orders["dopri5"] == pytest.approx(5, abs=0.3)
     assert orders["rattle, index-3"] == pytest.approx(2, abs=0.2)
     assert rows["rattle, index-3"][3:6] == pytest.approx((0, 0, "1 of 4"), abs=1e-12)  # it closes the joints
-    assert all(name in verdict.sentence for name in added.spec.added)
+    assert [name for name, _ in study_report(added).headline[:3]] == [f"added: {name}" for name in added.spec.added]
     assert "added" not in {table.name for table in judge(both[0]).tables}
 
 
@@ -149,3 +151,52 @@ def test_the_command_refuses_before_anything_runs(mbdkit, in_tmp_path):
     result = mbdkit("study", "convergence", "--with", "rk4")
     assert (result.exit_code, result.stderr) == (2, "error: --with rk4: is already in this study, as 'RK4'\n")
     assert not list(in_tmp_path.iterdir())
+
+
+def test_the_report_begins_with_the_verdict_and_emphasizes_added_methods(
+    both: tuple[mbdkit.Study, mbdkit.Study],
+) -> None:
+    page = study_report(both[1])
+    assert [title for _, title in page.contents][:2] == ["Verdict", "Motion"]
+    html = page.html()
+    places = [html.index(text) for text in ("added: dopri5", "<summary>Remarks on", 'id="verdict"', 'id="table-added"',
+                                            'id="motion"')]  # fmt: skip
+    assert places == sorted(places)
+    lines = [(line.group or line.label, line) for figure in page.verdict.figures for line in figure.lines]
+    assert {name for name, line in lines if line.is_emphasized} == {*both[1].spec.added}
+    for figure in page.verdict.figures:
+        colors = [color for color, _ in line_styles(figure)]
+        own = {color for color, line in zip(colors, figure.lines, strict=True) if line.is_emphasized}
+        assert own.isdisjoint(color for color, line in zip(colors, figure.lines, strict=True) if not line.is_emphasized)
+
+
+OWN: dict[str, Any] = METHODS | {
+    "axes": [
+        {"integrator": [{"name": "rk4"}, {"label": "Mine", "set": {"integrator": {"name": "rattle"}}},
+                        {"label": "GGL", "set": {"integrator": {"name": "radau-iia"}, "formulation": "ggl"}}]},
+        METHODS["axes"][1],
+    ],
+}  # fmt: skip
+"""A study of methods that a user writes at the first attempt, without formulations of RATTLE and of the reference."""
+
+
+def test_an_own_method_joins_an_own_study_without_its_formulation() -> None:
+    """RATTLE claims index-3 alone; the reference, whose method is another one, keeps the formulation of the base."""
+    points = PlannedPoints(load_study_spec(OWN))
+    formulations = {point.axes["integrator"]: point.spec.formulation for point in points}
+    assert formulations == {"rk4": "index-1", "Mine": "index-3", "GGL": "ggl"}
+    assert len({point.reference_id for point in points}) == 1
+    assert points[0].reference is not None
+    assert points[0].reference.formulation == "index-1"
+
+
+def test_a_formulation_of_the_base_is_not_replaced() -> None:
+    given = OWN | {"base": OWN["base"] | {"formulation": "index-1"}}
+    with pytest.raises(SpecError, match=r"add `formulation: index-3`|does not support the formulation 'index-1'"):
+        _ = PlannedPoints(load_study_spec(given))[3].spec
+
+
+def test_an_added_method_is_not_blamed_for_an_override() -> None:
+    spec = load_study_spec(METHODS, ["time.steps=100"])
+    with pytest.raises(SpecError, match=r"^--set time.steps=100: .*takes exactly one of `end` and `steps`"):
+        with_methods(spec, ["dop853"], print)

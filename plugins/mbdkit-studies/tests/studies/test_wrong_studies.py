@@ -108,10 +108,10 @@ WRONG = {
     "no reference": (f"{WITHOUT_REFERENCE}measures: [end_error]\n", 12, "measures[0]", "needs a `reference`"),
     "no repeats": (f"{STUDY}repeats: 0\n", 14, "repeats", "at least 1"),
     "several keys beside one": (
-        study("[0.1, 0.05]", "[0.1, {label: x, set: {time.step: 0.1}}]"),
+        study("[0.1, 0.05]", "[0.1, {label: x, set: {time.end: 0.1}}]"),
         11,
         'axes[1]."time.step"[1]',
-        "cannot mix values with and without `set`",
+        "a `set` beside values of 'time.step' should also set 'time.step'",
     ),
     "no key of several": (several("set: {.step: 0.1}"), 11, 'axes[1].name[0].set.".step"', "dotted key"),
     "several keys of which one is set by another axis": (

@@ -81,6 +81,9 @@ class Line:
         Colour as ``#rrggbb``, such as that of a body in other pictures; by default that of the group.
     band
         (M, 2) corners of a shaded outline around the line, such as its estimated error; None if there is none.
+    is_emphasized
+        Whether the line is that of which the figure is about: it is wider, and has the colour of text, which no other
+        line has.
     """
 
     label: str
@@ -90,6 +93,7 @@ class Line:
     group: str = ""
     band: np.ndarray | None = None
     color: str = ""
+    is_emphasized: bool = False
 
 
 @dataclass(frozen=True)

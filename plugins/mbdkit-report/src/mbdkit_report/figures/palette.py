@@ -45,12 +45,13 @@ def line_styles(chart: Figure) -> list[tuple[str, int]]:
     """Return the colour and the index of the dash pattern of each line.
 
     Lines of a group share a colour; a line without a group forms its own group. If there are more groups than colours,
-    the colours repeat. Lines of the same colour differ in their dash patterns.
+    the colours repeat. Lines of the same colour differ in their dash patterns. Emphasized lines have the
+    colour of text.
     """
-    groups = dict.fromkeys(line.group or line.label for line in chart.lines if not line.color)
+    groups = dict.fromkeys(line.group or line.label for line in chart.lines if not (line.color or line.is_emphasized))
     colors = {group: PALETTE[index % len(PALETTE)] for index, group in enumerate(groups)}
     found: list[tuple[str, int]] = []
     for line in chart.lines:
-        color = line.color or colors[line.group or line.label]
+        color = line.color or (INK if line.is_emphasized else colors[line.group or line.label])
         found.append((color, sum(color == other for other, _ in found)))
     return found

@@ -44,6 +44,8 @@ class ReportPage:
         Warning at the top; empty if there is none.
     headline
         Labels and texts of the main results of the run, study or design, which are shown first.
+    remarks, remarks_title
+        Labels and texts of remarks on single runs, which are folded below the headlines, and their title.
     tone
         Colour of the first headline, which is the verdict: ``good``, ``warn`` or ``alarm``; empty without a colour.
     films
@@ -55,6 +57,8 @@ class ReportPage:
         the input, such as the model, are below it.
     beside_verdict
         Names of the tables and charts that are shown below the claims of the verdict instead of among the others.
+    begins_with_verdict
+        Whether the verdict precedes the animations and the other results.
     """
 
     title: str
@@ -68,9 +72,12 @@ class ReportPage:
     spec_file: str
     alarm: str = ""
     headline: tuple[tuple[str, str], ...] = ()
+    remarks: tuple[tuple[str, str], ...] = ()
+    remarks_title: str = ""
     tone: str = ""
     sections: tuple[Section, ...] = ()
     beside_verdict: tuple[str, ...] = ()
+    begins_with_verdict: bool = False
     films: tuple[dict[str, Any], ...] = ()
     failures: Table = field(default=NO_FAILURES)
 
@@ -78,10 +85,13 @@ class ReportPage:
     def contents(self) -> list[tuple[str, str]]:
         """Anchor and title of each section, in order."""
         parts = [(one.anchor, one.title, one.is_input) for one in self.sections]
-        sections = [
+        results = [
             ("motion", "Motion", bool(self.films)),
             *((anchor, title, not given) for anchor, title, given in parts),
-            ("verdict", "Verdict", True),
+        ]
+        verdict = [("verdict", "Verdict", True)]
+        sections = [
+            *([*verdict, *results] if self.begins_with_verdict else [*results, *verdict]),
             ("failed", "Runs that failed", bool(self.failures.rows)),
             ("figures", "Figures", bool(self.figures(beside=False))),
             ("tables", "Tables", bool(self.tables(beside=False))),
@@ -216,6 +226,7 @@ def chart_data(chart: Figure) -> dict[str, Any]:
                 "band": None if line.band is None else _outline(line.band, chart),
                 "kind": line.kind,
                 "color": color_key(color),
+                "is_emphasized": line.is_emphasized,
                 "dash": DASHES[style % len(DASHES)],
                 "symbol": SYMBOLS[color_number(color) % len(SYMBOLS)],
             }

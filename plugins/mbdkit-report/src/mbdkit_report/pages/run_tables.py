@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.layout import COUNTERS, SOME_TIMINGS, TIMINGS
+from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, SOME_TIMINGS, TIMINGS
 from mbdkit.quantities.registered_kinds import added_kinds
 from mbdkit_contact.modes import STICK
 from mbdkit_report.figures.beam_curves import has_beams
@@ -164,7 +164,7 @@ def _one_node_of_each_beam(run: Run, size: np.ndarray) -> np.ndarray:
 def _cost(run: Run) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (name.replace("_", " ").replace("rhs", "right-side"), int(run.stats[name]))
-        for name in COUNTERS
+        for name in (*COUNTERS, *SOME_COUNTERS)
         if name in run.stats and run.kind == "forward"
     ]
     times = (name for name in (*TIMINGS, *SOME_TIMINGS) if name in run.stats)

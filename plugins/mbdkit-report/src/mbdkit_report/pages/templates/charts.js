@@ -24,7 +24,7 @@ function traces(figure, color) {
   const curves = figure.lines.map((line, number) => ({
     type: "scatter", visible: !line.hidden, x: line.x, y: line.y, name: plain(line.label),
     mode: { line: "lines", points: "markers", both: "lines+markers" }[line.x.length === 1 ? "points" : line.kind],
-    line: { color: color(line.color), width: width(number), dash: line.dash },
+    line: { color: color(line.color), width: width(number) * (line.is_emphasized ? 1.8 : 1), dash: line.dash },
     marker: { color: color(line.color), size: 7, symbol: line.symbol },
     hovertemplate: `%{y:.4~g} ${plain(figure.y.unit)} at %{x:.5~g} ${plain(figure.x.unit)}<extra>%{fullData.name}</extra>`,
   }));
@@ -129,7 +129,7 @@ function swatch(line) {
   };
   for (const [key, value] of Object.entries({ width: 28, height: 12, "aria-hidden": "true" })) svg.setAttribute(key, value);
   const stroke = `var(--${line.color})`;
-  if (line.kind !== "points") add("path", { d: "M0 6h28", style: `stroke:${stroke};stroke-width:2`, "stroke-dasharray": DASHES[line.dash] });
+  if (line.kind !== "points") add("path", { d: "M0 6h28", style: `stroke:${stroke};stroke-width:${line.is_emphasized ? 3.6 : 2}`, "stroke-dasharray": DASHES[line.dash] });
   if (line.kind !== "line") add("path", { d: MARKS[line.symbol], style: `fill:${stroke}` });
   return svg;
 }
