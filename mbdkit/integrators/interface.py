@@ -411,6 +411,13 @@ class Advancing(Protocol):
         """
         ...
 
+    def rows_before_error(self) -> Stretch | None:
+        """Return the rows of the last `advance` before the exception that it has raised; None if there are none.
+
+        An exception is raised where it occurs, and never kept for a later call, so that it cannot be lost.
+        """
+        ...
+
     def last_state(self) -> Stretch:
         """Return the state reached as one row, for a run that is stopped between two recorded states."""
         ...
