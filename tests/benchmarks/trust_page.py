@@ -98,7 +98,7 @@ these are the doubts of `left-out`. Plugins may add criteria ([items](plugins.md
   runs give an estimated error for every recorded position, velocity, reaction force and reaction torque. From the time
   at which these differences no longer decrease with the step, the estimates are nan; `run.accuracy.known_until` is the
   last recorded time before that time, and the summary and the verdict give the reason. The summary prints, for example,
-  `largest force in J1 24.5250 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive
+  `largest force in J1 24.525000 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive
   contains them. A force may have its peak between two recorded times. A check therefore determines the largest forces
   and torques between recorded times as well. By how much they exceed the largest recorded values is part of the errors
   of these values, and counts in the verdict. It does not count for a joint whose largest force is a measure, such as

@@ -162,9 +162,10 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     """
     from mbdkit_design.design_loading import load_design_spec
     from mbdkit_design.evaluation import Evaluator
-    from mbdkit_design.gains import heading, measure_units, variable_unit
+    from mbdkit_design.gains import measure_units, variable_unit
     from mbdkit_design.limits_in_degrees import limits_in_degrees
     from mbdkit_design.search import check_installed
+    from mbdkit_report.figures.quantity_text import heading
 
     spec = load_design_spec(source, assignments)
     check_installed(spec)

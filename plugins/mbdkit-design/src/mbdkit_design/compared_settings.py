@@ -12,11 +12,12 @@ from mbdkit.base.errors import RunError
 from mbdkit.base.text import counted, table
 from mbdkit_design.design_spec import DesignSpec, LocalOptimizer
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_design.gains import goal_units, heading, variable_unit, with_unit
+from mbdkit_design.gains import goal_units, variable_unit
 from mbdkit_design.point import DesignPoint, point_of
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import searches
 from mbdkit_design.stages import Stages
+from mbdkit_report.figures.quantity_text import heading, with_unit
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.front import front_table, pareto_front
-from mbdkit_design.gains import Gain, gains, goal_units, goal_words, measure_units, variable_unit, violations, with_unit
+from mbdkit_design.gains import Gain, gains, goal_units, goal_words, measure_units, variable_unit, violations
 from mbdkit_design.identifiability import sentence, undetermined
 from mbdkit_design.limits_in_degrees import limits_in_degrees
 from mbdkit_design.point import DesignPoint, numbers, point_of
@@ -25,6 +25,7 @@ from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, advice, searches
 from mbdkit_design.stages import Stages
 from mbdkit_design.trust import Trust, certified
+from mbdkit_report.figures.quantity_text import with_unit
 from mbdkit_studies.varied_values import start_warnings_of_study
 
 LEAST_ERROR = 1e-3

@@ -18,7 +18,7 @@ from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
 from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
-from mbdkit_design.gains import costs, goal_units, goal_words, measure_units, variable_unit, with_unit
+from mbdkit_design.gains import costs, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit_design.robustness import robustness
 from mbdkit_design.sensitivity_bars import sensitivity_section
@@ -29,6 +29,7 @@ from mbdkit_design.trust import QUESTIONED
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose
 from mbdkit_report.figures.page_model import Section, Table
+from mbdkit_report.figures.quantity_text import with_unit
 from mbdkit_report.key_words import key_words
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.model_section import drawing

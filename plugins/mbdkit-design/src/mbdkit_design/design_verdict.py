@@ -9,11 +9,12 @@ import numpy as np
 
 from mbdkit.base.text import counted
 from mbdkit.spec.yaml_reader import write_yaml
-from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units, variable_unit, with_unit
+from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.robustness import Deviation
 from mbdkit_design.trust import QUESTIONED
 from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
 from mbdkit_report.figures.page_model import Cell, Column, Table
+from mbdkit_report.figures.quantity_text import with_unit
 from mbdkit_report.key_words import key_words
 
 if TYPE_CHECKING:

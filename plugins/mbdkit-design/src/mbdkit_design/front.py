@@ -10,10 +10,11 @@ import numpy as np
 from mbdkit.base.text import counted, table
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_design.gains import goal_units, heading, variable_unit
+from mbdkit_design.gains import goal_units, variable_unit
 from mbdkit_design.point import DesignPoint, Notify
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, searches
+from mbdkit_report.figures.quantity_text import heading
 
 ROWS = 20
 """Largest number of points in the table of a front."""

@@ -13,6 +13,7 @@ from mbdkit.measures.take import describe
 from mbdkit.spec.reading import variable_path
 from mbdkit_design.design_spec import GOAL
 from mbdkit_design.problem import FEASIBLE
+from mbdkit_report.figures.quantity_text import with_unit
 from mbdkit_report.key_words import key_unit
 
 if TYPE_CHECKING:
@@ -77,16 +78,6 @@ class Cost:
 def variable_unit(spec: DesignSpec, name: str) -> str:
     """Return the unit of a variable; empty if it is unknown."""
     return key_unit(variable_path(name), spec.specs.values())
-
-
-def with_unit(value: float, unit: str, digits: int = 6) -> str:
-    """Return a number with its unit as text."""
-    return f"{value:.{digits}g} {unit}".rstrip()
-
-
-def heading(name: str, unit: str) -> str:
-    """Return a name with its unit as the heading of a column of text."""
-    return f"{name} [{unit}]" if unit else name
 
 
 def goal_words(name: str) -> str:

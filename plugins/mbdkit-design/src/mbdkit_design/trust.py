@@ -13,7 +13,7 @@ from mbdkit.spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
-from mbdkit_design.gains import with_unit
+from mbdkit_report.figures.quantity_text import with_unit
 
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
 """Verdicts from the worst to the best."""

@@ -47,3 +47,13 @@ def least_most(values: Iterable[float]) -> str:
 def two_digits(number: float) -> str:
     """Return a count as text with two significant digits and thousands separators."""
     return f"{float(f'{number:.2g}'):,.0f}" if math.isfinite(number) else "an unknown number of"
+
+
+def with_unit(value: float, unit: str, digits: int = 6) -> str:
+    """Return a number with its unit as text."""
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def heading(name: str, unit: str) -> str:
+    """Return a name with its unit as the heading of a column of text."""
+    return f"{name} [{unit}]" if unit else name
