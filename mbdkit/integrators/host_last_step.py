@@ -18,7 +18,7 @@ from mbdkit.integrators.step_results import called
 from mbdkit.methods.step_methods import ExternalMethod, StepState
 
 if TYPE_CHECKING:
-    from mbdkit.engine.counters import Counters
+    from mbdkit.engine.counters import HostCounters
     from mbdkit.integrators.python_projection import StabilizedSteps, Taken
     from mbdkit.integrators.step_watch import StepWatch
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class LastStep(HostRows):
     """Base class of `mbdkit.integrators.step_host.StepHost`: its last step."""
 
-    counters: Counters
+    counters: HostCounters
     failure: Failure | None
     stabilized: StabilizedSteps
     time: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 from mbdkit.quantities.states import States
@@ -75,9 +76,8 @@ class StateWatchers:
         watched: list[Finding] = []
         for name, watcher in self._watchers.items():
             item, criterion = self._criteria[name]
-            watched += use(
-                item, lambda own=criterion, one=watcher: [*as_findings(own, one.findings(energies, integrals))]
-            )  # type: ignore[misc]
+            end = partial(watcher.findings, energies, integrals)
+            watched += use(item, lambda own=criterion, end=end: [*as_findings(own, end())])  # type: ignore[misc]
         return [*watched, *findings("end", self._spec, energies)]
 
     def stored(self) -> dict[str, Any]:

@@ -107,7 +107,7 @@ def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -
         return Comparison(name, None, None, False, f"There is no best point with {name}: {str(error).rstrip('.')}.")
     end = found.end
     stages.notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
-                  f"{with_unit(other.totals(end)[0], *goal_units(evaluator.spec).values())}")  # fmt: skip
+                  f"{with_unit(other.totals(end)[0], next(iter(goal_units(evaluator.spec).values())))}")  # fmt: skip
     is_feasible = Problem(evaluator).is_feasible(end)
     reason = "" if found.feasible else f"With {name}, the search found no point that satisfies all limits."
     own = point_of(other, evaluator.first), point_of(other, best)

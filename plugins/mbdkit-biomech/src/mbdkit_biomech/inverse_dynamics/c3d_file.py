@@ -94,7 +94,10 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
         )
     with TemporaryDirectory() as folder:
         columns = Path(folder) / "columns.npz"
-        program = f"import sys; sys.path[:] = {[*map(str, sys.path)]!r}; from {__name__} import write_columns; write_columns()"
+        path_of_imports = [*map(str, sys.path)]
+        program = (
+            f"import sys; sys.path[:] = {path_of_imports!r}; from {__name__} import write_columns; write_columns()"
+        )
         command = [sys.executable, "-c", program, str(path.absolute()), str(columns), str(most_cells)]
         try:
             code = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=LONGEST).returncode
