@@ -7,26 +7,26 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbdkit.base.terminal import say, show, show_json
-from mbdkit.base.text import counted
-from mbdkit.cli.common_options import (
+from mbdkit.cli.common_options import InverseSpecName
+from mbdkit.plugin import counted, show, show_json
+from mbdkit.plugin.terminal import (
     Archive,
     AsJson,
     Debug,
-    InverseSpecName,
     MotionSet,
     Overwrite,
     Printing,
     check_new,
     grouped,
     output_to,
+    say,
     stem,
+    tell,
 )
-from mbdkit.cli.outcome import tell
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit.spec.reading import Document
+    from mbdkit.plugin import Run
+    from mbdkit.plugin.specs import Document
 
 
 @grouped
@@ -72,8 +72,8 @@ def workload(
     With --load, the workload is also printed for each phase of contact, each swing and each cycle, and --json contains
     the mean cycle from 0 to 100 % with its standard deviation. Drivers of a forward run count as actuators.
     """
-    from mbdkit.archive.archive_check import blaming_damage
-    from mbdkit.archive.reader import load as opened
+    from mbdkit.plugin import load as opened
+    from mbdkit.plugin.archives import blaming_damage
     from mbdkit_biomech.inverse_dynamics.workload import workload as of
 
     with blaming_damage(archive), opened(archive) as run:
@@ -95,9 +95,8 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     SpecError
         If a table is not there.
     """
-    from mbdkit.base.errors import SpecError
-    from mbdkit.base.text import shown
-    from mbdkit.spec.reading import Document
+    from mbdkit.plugin import SpecError, shown
+    from mbdkit.plugin.specs import Document
     from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
     from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 
@@ -117,8 +116,8 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
-    from mbdkit.measures.take import check_measures
-    from mbdkit.mechanism.mechanism import gravity_text
+    from mbdkit.plugin.measures import check_measures
+    from mbdkit.plugin.mechanisms import gravity_text
     from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, check
     from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
     from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec

@@ -19,10 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mbdkit
-from mbdkit.base import elementary
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.terminal import show
-from mbdkit.spec.loading import read_source
+from mbdkit.plugin import MbdkitError, SpecError, show
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.specs import read_source
 from mbdkit_biomech.inverse_dynamics.chi_square import quantile
 from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.table_files import read_table

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.plugin import AXIS, JOINT, Array, Chart, Recorded, name_array, quantity_group, unit_array
+from mbdkit.plugin import Array, Chart, Recorded, name_array, quantity_group
+from mbdkit.plugin.archives import AXIS, JOINT, unit_array
 from mbdkit.quantities.array import MIXED
 from mbdkit_biomech.muscles.muscle_values import MuscleValues
 

@@ -31,8 +31,9 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.engine.native import machine_code
-from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, chosen_level, this_platform
+from mbdkit.engine.native.levels import PLATFORMS, Level, Platform
 from mbdkit.engine.native.machine_code import kernel_packages, stored_folder
+from mbdkit.kernels import chosen_level, this_platform
 
 _GENERATED = {
     "contacts": "contact_kernels",

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from mbdkit.base.errors import MbdkitError
+from mbdkit.plugin import MbdkitError
 
 MEMORY_FUNCTIONS = {
     "linux": {"memcpy", "memmove", "memset"},

@@ -24,9 +24,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbdkit.base.errors import MbdkitError
-from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, this_platform
+from mbdkit.engine.native.levels import PLATFORMS, Level, Platform
 from mbdkit.engine.native.machine_code import BUILT, COMPILED, MANIFEST, PACKAGE, digest, library_name
+from mbdkit.kernels import this_platform
+from mbdkit.plugin import MbdkitError
 from mbdkit_builder import sources
 from mbdkit_builder.binary_files import check_imports
 from mbdkit_builder.sources import module_of

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from mbdkit.engine.native.functions import ENTRIES, KERNELS, LAWS
+from mbdkit.engine.native.functions import ENTRIES, KERNELS
 from mbdkit.engine.native.machine_code import CORE, package_of
+from mbdkit.kernels import LAWS
 from mbdkit_builder import (  # noqa: F401
     bundle_pointers,
     call_code,

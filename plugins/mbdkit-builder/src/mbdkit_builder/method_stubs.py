@@ -14,7 +14,7 @@ from typing import Any
 from mbdkit.engine.native.machine_code import PACKAGE
 from mbdkit.mechanism.element_kinds import builder_of
 from mbdkit.mechanism.element_methods import ElementMethods
-from mbdkit.registry.element_items import ElementKind
+from mbdkit.plugin import ElementKind
 from mbdkit.registry.manager import built_in
 
 TARGET = PACKAGE / "mechanism/element_methods.pyi"

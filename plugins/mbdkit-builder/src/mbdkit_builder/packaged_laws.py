@@ -9,7 +9,7 @@ from typing import Any
 
 from mbdkit.engine.native.machine_code import PACKAGE
 from mbdkit.laws import exponential, gas_spring, linear, one_sided
-from mbdkit.mechanism.law_parameters import law_parameters
+from mbdkit.plugin.specs import law_parameters
 from mbdkit.symbolic.symbolic_law import law_source
 
 TARGET = PACKAGE / "engine/kernels/law_kernels.py"

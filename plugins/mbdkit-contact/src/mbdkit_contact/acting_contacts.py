@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base import elementary
-from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
 from mbdkit.plugin import GROUND, SpecError
+from mbdkit.plugin.equations import CompiledLaw, NativeLaw, elementary, native_law, with_ground
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.contact_laws import (
     FORCE_LAWS,

@@ -10,14 +10,11 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
 
-from mbdkit.base import elementary
-from mbdkit.mechanism.bodies import Attachment
-from mbdkit.mechanism.joints import Weld
-from mbdkit.mechanism.values import BodyPair, NotNegative, sequence
 from mbdkit.plugin import (
     GROUND,
     Element,
     Joint,
+    NotNegative,
     Point,
     Positive,
     Revolute,
@@ -28,6 +25,8 @@ from mbdkit.plugin import (
     of_models,
     quoted,
 )
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.mechanisms import Attachment, BodyPair, Weld, sequence
 from mbdkit_contact.polylines import check_polyline, surface_of
 
 Pair = tuple[float, float]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine.force_laws import CompiledLaw
+from mbdkit.plugin.equations import CompiledLaw
 from mbdkit_contact.acting_contacts import ActingContact, contact_law, has_sides, pairs_of_shapes
 from mbdkit_contact.kernels.contact_laws import STIFFNESS, VALUE, VALUES, contact_rows
 

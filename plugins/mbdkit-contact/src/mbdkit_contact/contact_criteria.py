@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.plugin import GROUND, Finding, quoted
-from mbdkit.runs.slow_friction import SHARE, FrictionElement, SlowFriction
+from mbdkit.plugin.doubts import SHARE, FrictionElement, SlowFriction
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.plugin import RunSpec, States
+    from mbdkit.plugin.equations import CompiledMechanism
 
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 

@@ -10,7 +10,7 @@ from itertools import groupby
 
 import numpy as np
 
-from mbdkit.engine.repeated_call import RepeatedCall
+from mbdkit.plugin.equations import RepeatedCall
 from mbdkit_contact.acting_contacts import ActingContact, polygon_edges, surface_numbers
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.kinematics import (

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, MISSED, largest_of
-from mbdkit.archive.peak_errors import errors_of_largest, missed_between_rows
-from mbdkit.archive.run_summary import counted_impacts, few, impacts_of_drivers, ranked
-from mbdkit.base.errors import MbdkitError
-from mbdkit.base.text import listed
-from mbdkit.plugin import Headline
+from mbdkit.archive.headlines import MISSED
+from mbdkit.archive.peak_errors import errors_of_largest
+from mbdkit.archive.run_summary import counted_impacts, impacts_of_drivers
+from mbdkit.plugin import Headline, MbdkitError, listed
+from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, few, largest_of, missed_between_rows, ranked
 from mbdkit_contact.modes import SLIP, STICK
 
 if TYPE_CHECKING:

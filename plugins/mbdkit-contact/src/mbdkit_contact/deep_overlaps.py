@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.peak_errors import expression_of_largest
-from mbdkit.engine.stored_arrays import fill
+from mbdkit.plugin.archives import expression_of_largest
+from mbdkit.plugin.equations import fill
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
-    from mbdkit.archive.measured_values import Integrals
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.plugin import RunSpec, States
-    from mbdkit.trust.energy_record import EnergyRecord
+    from mbdkit.plugin.archives import Integrals
+    from mbdkit.plugin.doubts import EnergyRecord
+    from mbdkit.plugin.equations import CompiledMechanism
 
 DEEP = 0.5
 """Overlaps up to this share of the radius of a circle cause no warning.

@@ -9,14 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.base.errors import StepError
-from mbdkit.base.quadrature import gauss_legendre
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import StepTaken
-from mbdkit.integrators.sampled_control import states_at_start
-from mbdkit.integrators.stage_polynomials import collocation_polynomials
-from mbdkit.methods.step_methods import Dense, ExternalMethod, Step, StepMethod, StepState, Why
+from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Step, StepError, StepMethod, StepState, Why
+from mbdkit.plugin.equations import Workspace, gauss_legendre
+from mbdkit.plugin.methods import Dense, StepTaken, collocation_polynomials, states_at_start
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, Point, gains, power_at

@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.base.errors import StepCode, StepError
-from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.kernels.system import NOT_FINITE, OK
-from mbdkit.engine.native.bundle import PinnedBundle
-from mbdkit.integrators.impulse import ElementImpact
-from mbdkit.integrators.step_loop import PAUSED
+from mbdkit.kernels import NOT_FINITE, OK, PAUSED, PinnedBundle
+from mbdkit.plugin import EquationsOfMotion, StepCode, StepError
+from mbdkit.plugin.equations import SingularSystemError
+from mbdkit.plugin.methods import ElementImpact
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.contact_forces import new_closed_contacts
 from mbdkit_contact.kernels.contact_modes import react
@@ -42,7 +39,7 @@ from mbdkit_contact.modes import OPEN, STICK
 from mbdkit_contact.rigid_contacts import RigidContacts
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Workspace
+    from mbdkit.plugin.equations import Workspace
     from mbdkit_contact.contact_section import ContactTreatment
 
 FAILURES: dict[int, tuple[StepCode, str]] = {

@@ -12,8 +12,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.plugin import SpecError, did_you_mean, listed, quoted, read_data, read_unit, shown
+from mbdkit.plugin.specs import spec_error
 from mbdkit_contact.contact import PolylineFile
 
 LARGEST_FILE = 16 * 2**20

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.plugin import Chart, Recorded, name_array, quantity_group
-from mbdkit.quantities.entries import AXIS, TIME, computed
+from mbdkit.plugin.archives import AXIS, TIME, computed
 from mbdkit_contact.acting_contacts import contact_values
 from mbdkit_contact.ground_reactions import feet, ground_reactions
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.methods.step_methods import StepState
+from mbdkit.plugin import EquationsOfMotion, StepState
 from mbdkit_contact.acting_contacts import ActingContact
 from mbdkit_contact.contact_kinematics import ContactKinematics
 from mbdkit_contact.contact_state import ContactState, HeldForces

@@ -10,10 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from mbdkit.methods.kinds import Method, Traits
-from mbdkit.methods.method_options import Options
-from mbdkit.registry.items import Claims
-from mbdkit.registry.target import Target
+from mbdkit.plugin import Claims, Method, Options, Target, Traits
 
 JEAN = """@article{jean1999,
   author = {Jean, Michel},

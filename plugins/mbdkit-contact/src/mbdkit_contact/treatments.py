@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mbdkit.base.plain_data import quoted
-from mbdkit.engine.formulation import INDEX_1
-from mbdkit.integrators.compiled_method import CompiledMethod
-from mbdkit.mechanism.joints import joint_with_friction
-from mbdkit.plugin import ExternalMethod, Mechanism, Method, RunSpec, SpecError, StepMethod
+from mbdkit.plugin import ExternalMethod, Mechanism, Method, RunSpec, SpecError, StepMethod, quoted
+from mbdkit.plugin.equations import INDEX_1
+from mbdkit.plugin.mechanisms import joint_with_friction
+from mbdkit.plugin.methods import CompiledMethod
 from mbdkit_contact.compiled_events import CompiledEventDriven
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.event_driven import EventDriven, EventDrivenLibrary, with_contact_forces

@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Any
 
 from mbdkit import InverseSpec
-from mbdkit.base.errors import ResourceError, RunError
-from mbdkit.engine.native.levels import WIDTH
+from mbdkit.kernels import WIDTH
+from mbdkit.plugin import ResourceError, RunError
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
 from mbdkit_studies.batch import CHUNK

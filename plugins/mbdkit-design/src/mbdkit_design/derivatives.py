@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError
-from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.base.plain_data import path_text
-from mbdkit.base.text import counted, told_apart
-from mbdkit.spec import RunSpec
+from mbdkit.plugin import MbdkitError, RunSpec, counted, path_text
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.terminal import told_apart
 from mbdkit_biomech.inverse_dynamics.inverse_gradient import gradient_of_inverse
 from mbdkit_gradients.differentiated_expressions import definitions_of
 from mbdkit_gradients.gradient import Gradient, gradient_of_run_spec

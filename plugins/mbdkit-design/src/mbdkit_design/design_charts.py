@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mbdkit import InverseSpec
-from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.measured_quantities import recorded, unit_of
-from mbdkit.quantities.quantity import Quantity
-from mbdkit.spec import RunSpec
+from mbdkit.plugin import RunSpec
+from mbdkit.plugin.archives import Quantity
+from mbdkit.plugin.measures import MeasureExpression, recorded, unit_of
 from mbdkit_design.gains import goal_words, variable_unit
 from mbdkit_design.landscape import Cut
 from mbdkit_report.figures.curves import band_over_time, bands, errors_at
@@ -22,7 +21,7 @@ from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
 from mbdkit_report.key_words import key_words
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
     from mbdkit_design.design import Design
 
 POINT_WORDS = {"start": "at the start", "best": "at the best point"}

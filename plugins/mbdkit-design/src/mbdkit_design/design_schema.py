@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.registry.catalogue import Registry
-from mbdkit.spec.schema import DRAFT, allow_units, described, run_schema
+from mbdkit.plugin.specs import DRAFT, Registry, allow_units, described, run_schema
 from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
 from mbdkit_design.design_spec import DesignSpec
 

@@ -12,18 +12,12 @@ from typing import Any
 import numpy as np
 
 from mbdkit import InverseSpec
-from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents
-from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
-from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.base.plain_data import Path, path_text, plain
-from mbdkit.engine.consistent_start import Starts
-from mbdkit.engine.linear_systems import product
-from mbdkit.measures.take import describe, error_of, take
-from mbdkit.spec import RunSpec
-from mbdkit.spec.reading import parse_key, variable_path
-from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.plugin import MbdkitError, ResourceError, Run, RunSpec, SpecError, path_text, plain
+from mbdkit.plugin.archives import ArrayContents, FinishedRun
+from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra, product
+from mbdkit.plugin.files import Path
+from mbdkit.plugin.measures import describe, error_of, take
+from mbdkit.plugin.specs import VariedSpecs, parse_key, variable_path
 from mbdkit_biomech.inverse_dynamics.inverse_loading import varied_inverse
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures, sampled_measures

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit import InverseSpec
-from mbdkit.spec import RunSpec
-from mbdkit.spec.reading import Document
+from mbdkit.plugin import RunSpec
+from mbdkit.plugin.specs import Document
 from mbdkit_design.computing import plain_outcome
 from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_studies import worker

@@ -18,13 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit import InverseSpec
 from mbdkit.archive.part_file import remove_checkpoint
-from mbdkit.archive.reader import load
-from mbdkit.base.errors import SpecError
-from mbdkit.base.files import replacing
-from mbdkit.base.plain_data import canonical_text
-from mbdkit.runs.simulation import simulate
-from mbdkit.spec import RunSpec
-from mbdkit.spec.reading import read_file, variable_path
+from mbdkit.plugin import RunSpec, SpecError, load, simulate
+from mbdkit.plugin.files import canonical_text, replacing
+from mbdkit.plugin.specs import read_file, variable_path
 from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
 from mbdkit_design.design import Design
 from mbdkit_design.design_loading import load_design_spec
@@ -36,7 +32,7 @@ from mbdkit_design.trust import check_of
 from mbdkit_studies.owned_folder import OwnedFolder
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 VERSION = "mbdkit_result"
 """Name of the format version in the result."""

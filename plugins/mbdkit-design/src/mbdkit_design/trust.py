@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbdkit import InverseSpec
-from mbdkit.engine.linear_systems import product
-from mbdkit.spec import RunSpec
+from mbdkit.plugin import RunSpec
+from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL
 from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings

@@ -7,13 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import MOST, headline_texts
-from mbdkit.base.errors import MbdkitError
-from mbdkit.base.plain_data import copied, plain
-from mbdkit.base.text import shown
-from mbdkit.spec import load_spec
-from mbdkit.spec.loading import read_source
-from mbdkit.spec.reading import put
+from mbdkit.archive.headlines import MOST
+from mbdkit.plugin import MbdkitError, copied, headline_texts, plain, shown
+from mbdkit.plugin.specs import load_spec, put, read_source
 from mbdkit_biomech.inverse_dynamics.inverse_loading import is_inverse, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
@@ -22,8 +18,7 @@ from mbdkit_report.pages.run_report import TONES, film_of, yaml_text
 from mbdkit_studies.prepared_run import PreparedRun
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit.spec.run_spec import RunSpec
+    from mbdkit.plugin import Run, RunSpec
 
 NUMBERS = 20_000
 """Approximate number of pose values of a motion."""

@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import path_text
-from mbdkit.expressions.program import Program
-from mbdkit.integrators.dual_run import Seeds
-from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.spec import RunSpec
-from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.plugin import RunSpec, SpecError, path_text
+from mbdkit.plugin.measures import MeasureExpression, Program
+from mbdkit.plugin.methods import Seeds
+from mbdkit.plugin.specs import ModelSpec
 
 if TYPE_CHECKING:
     pass

@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.plugin import ExpressionLaw, SpecError
 
 if TYPE_CHECKING:
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.engine.force_laws import CompiledLaw
+    from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism
 
 
 class DifferentiatedLaws:

@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.kernels.observe import Observed
-from mbdkit.events.event_expression import RunExpression
-from mbdkit.expressions.program import execute
-from mbdkit.quantities.names import ArchiveNames, archive_names
-from mbdkit.quantities.quantity import Quantity
-from mbdkit.quantities.states import NONE, States
+from mbdkit.kernels import Observed
+from mbdkit.plugin import SpecError, States
+from mbdkit.plugin.archives import NONE, ArchiveNames, Quantity, archive_names
+from mbdkit.plugin.equations import CompiledMechanism
+from mbdkit.plugin.measures import RunExpression, execute
 from mbdkit_gradients.derived_values import Value, of_operands
 
 

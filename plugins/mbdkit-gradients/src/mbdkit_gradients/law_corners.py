@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.force_laws import CompiledLaw, bind_law
-from mbdkit.integrators.dual_run import Seeds
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw
+from mbdkit.plugin import ExpressionLaw, FunctionLaw, SpecError
+from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism, bind_law
+from mbdkit.plugin.mechanisms import ARGUMENTS
+from mbdkit.plugin.methods import Seeds
 
 if TYPE_CHECKING:
     import sympy

@@ -14,14 +14,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from mbdkit.archive.measured_values import Integrals
-from mbdkit.base import elementary
-from mbdkit.expressions.operations import REDUCE, arity_of
-from mbdkit.expressions.program import execute
-from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.reductions import Functional
-from mbdkit.quantities.quantity import Quantity
-from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
+from mbdkit.plugin.archives import Integrals, Quantity
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.measures import REDUCE, Functional, MeasureExpression, arity_of, execute
+from mbdkit.plugin.runs import EQUAL, Peak, Sampled, sampled
 from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
 from mbdkit_gradients.derived_values import Value, of_operands
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion, MotionStates

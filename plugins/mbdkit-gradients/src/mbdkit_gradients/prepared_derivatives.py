@@ -11,12 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import Starts
+from mbdkit.plugin import RunSpec, SpecError
+from mbdkit.plugin.equations import CompiledMechanism, Starts
+from mbdkit.plugin.specs import VariedSpecs
 from mbdkit.runs.corners import knots_of
-from mbdkit.spec import RunSpec
-from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import Arrays, Preparation, PreparedDerivatives

@@ -16,13 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from mbdkit.base.errors import StepError
-from mbdkit.engine.observed_states import StateObserver
-from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.compiled_method import CompiledMethod
-from mbdkit.integrators.dual_run import Seeds
-from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
-from mbdkit.integrators.run_state import MODIFIED
+from mbdkit.kernels import MODIFIED
+from mbdkit.plugin import StepError
+from mbdkit.plugin.equations import StateObserver, Workspace
+from mbdkit.plugin.methods import CompiledMethod, Moment, Seeds, StepTaken, Stretch, Timetable
 from mbdkit_gradients.differentiated_states import DifferentiatedStates
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of

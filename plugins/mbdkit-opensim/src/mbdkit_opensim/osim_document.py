@@ -15,8 +15,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
-from mbdkit.base.text import cited
-from mbdkit.plugin import read_data
+from mbdkit.plugin import cited, read_data
 from mbdkit_opensim.osim_defaults import MOST, TooManyError, apply_defaults
 from mbdkit_opensim.osim_format_3 import as_format_4, rename_switches
 

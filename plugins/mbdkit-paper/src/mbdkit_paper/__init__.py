@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mbdkit.registry.items import StudyPlugin
-from mbdkit.registry.target import Target
+from mbdkit.plugin import StudyPlugin, Target
 
 
 def _packaged(name: str, summary: str, references: Any = ()) -> StudyPlugin:

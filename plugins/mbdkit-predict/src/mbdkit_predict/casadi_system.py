@@ -10,16 +10,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mbdkit.base import elementary
 from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
-from mbdkit.engine.kernels.engine_bundles import Topology
-from mbdkit.engine.kernels.frames import Reactions
-from mbdkit.events.event_expression import RunExpression
-from mbdkit.expressions.program import value_of
-from mbdkit.plugin import CompiledMechanism, Observed, SpecError, States, Workspace, archive_names, listed
-from mbdkit.quantities.quantity import Quantity
-from mbdkit.quantities.table import KINDS
+from mbdkit.kernels import Observed, Reactions, Topology
+from mbdkit.plugin import SpecError, States, listed
+from mbdkit.plugin.archives import KINDS, Quantity, archive_names
+from mbdkit.plugin.equations import CompiledMechanism, Workspace, elementary
+from mbdkit.plugin.measures import RunExpression, value_of
 from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.hill_laws import fiber_pull, tendon_gap

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.plain_data import Path, copied, parse_path, path_text, plain, quoted
-from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.kernels.engine_bundles import Topology
-from mbdkit.mechanism.element_kinds import element_kinds
-from mbdkit.plugin import Mechanism, SpecError, did_you_mean, listed
+from mbdkit.kernels import Topology
+from mbdkit.plugin import Mechanism, SpecError, copied, did_you_mean, listed, parse_path, path_text, plain, quoted
+from mbdkit.plugin.equations import compile_mechanism
+from mbdkit.plugin.files import Path
+from mbdkit.plugin.mechanisms import element_kinds
 
 STEP = 0.25
 """Change of parameters, relative to their values, by which linear functions are recognized, together with its half."""

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from mbdkit.base.terminal import show
-from mbdkit.cli.common_options import MotionSet, Overwrite, Printing, check_new, grouped, output_to, stem
-from mbdkit.cli.outcome import tell
+from mbdkit.plugin import show
+from mbdkit.plugin.terminal import MotionSet, Overwrite, Printing, check_new, grouped, output_to, stem, tell
 
 
 def validate_predict(source: Any, name: str, assignments: list[str]) -> None:

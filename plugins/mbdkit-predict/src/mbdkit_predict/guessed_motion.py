@@ -8,8 +8,8 @@ from contextlib import suppress
 
 import numpy as np
 
-from mbdkit.base.files_read import check_readable, read_data
-from mbdkit.plugin import MbdkitError, Run, SpecError, listed, load, parse_path, shown
+from mbdkit.plugin import MbdkitError, Run, SpecError, listed, load, parse_path, read_data, shown
+from mbdkit.plugin.files import check_readable
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 

@@ -17,14 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels import angles, equations, law_programs, motions
-from mbdkit.engine.kernels.law_programs import OPCODES
-from mbdkit.engine.native import arithmetic, calls
-from mbdkit.engine.native.functions import LAWS
-from mbdkit.engine.native.kernel import Entry, Kernel, LawFunction
 from mbdkit.expressions import operations
+from mbdkit.kernels import LAWS, OPCODES, Entry, Kernel, LawFunction, arithmetic, calls
 from mbdkit.plugin import FunctionLaw, SpecError
+from mbdkit.plugin.equations import CompiledLaw
 from mbdkit_contact.kernels import contact_laws, uneven_ground
 from mbdkit_predict.merged_branches import Numbers, merged, select
 from mbdkit_predict.symbols import BranchError, Symbol, apply, best, every_branch, where

@@ -9,10 +9,8 @@ from typing import Any
 
 import casadi as ca
 
-from mbdkit.expressions.operations import OPERATIONS, REDUCE
-from mbdkit.expressions.program import execute
-from mbdkit.measures.measure_compiler import MeasureCompiler
 from mbdkit.plugin import SpecError, Unit
+from mbdkit.plugin.measures import OPERATIONS, REDUCE, MeasureCompiler, execute
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.symbols import Symbol, column

@@ -5,8 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import Accessor, Command, Example, GuidePage, ReportSection, SpecKind, SummaryLine, Target, hookimpl
-from mbdkit.registry.item import Item
+from mbdkit.plugin import (
+    Accessor,
+    Command,
+    Example,
+    GuidePage,
+    Item,
+    ReportSection,
+    SpecKind,
+    SummaryLine,
+    Target,
+    hookimpl,
+)
 
 _HERE = Path(__file__).parent
 _RESULTS = {

@@ -7,11 +7,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from mbdkit.base.plain_data import copied, parse_path, path_text, value_text
-from mbdkit.plugin import Document, SpecError, did_you_mean, listed, loaded, put, read_source
-from mbdkit.registry.catalogue import Registry
-from mbdkit.registry.manager import registry
-from mbdkit.spec.schema import DRAFT, described, model_schema
+from mbdkit.plugin import SpecError, copied, did_you_mean, listed, loaded, parse_path, path_text, value_text
+from mbdkit.plugin.specs import DRAFT, Document, Registry, described, model_schema, put, read_source, registry
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
 from mbdkit_studies.study_loading import base_source
 

@@ -11,28 +11,25 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
-from mbdkit.base.strict_model import description
-from mbdkit.mechanism.checks import check_name, check_tables
-from mbdkit.mechanism.values import Number, Positive, Table, curve_of
-from mbdkit.plugin import (
+from mbdkit.plugin import FormatVersion, Number, Positive, SpecError, Table, did_you_mean, listed, path_text, quoted
+from mbdkit.plugin.mechanisms import curve_of
+from mbdkit.plugin.specs import (
+    Choice,
     Count,
     DefinedMeasure,
-    FormatVersion,
     ModelSpec,
+    Registered,
+    Registry,
     Section,
-    SpecError,
-    did_you_mean,
-    listed,
-    path_text,
-    quoted,
+    check_name,
+    check_tables,
+    description,
 )
-from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.spec.choices import Choice
 from mbdkit_predict.chosen_numbers import UNKNOWNS, ChosenNumbers, elastic_muscles, unknowns_of
 from mbdkit_predict.measured_functions import MeasuredFunction
 
 if TYPE_CHECKING:
-    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.plugin import Mechanism
 
 STAGES = {"radau": (2, 3, 5), "gauss": (1, 2, 3, 4, 5, 6)}
 """Numbers of collocation points of each method."""

@@ -11,18 +11,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from mbdkit.archive import layout
-from mbdkit.archive.part_file import check_target
-from mbdkit.archive.run_writer import Ending, Origin
-from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.errors import RunError, SpecError
-from mbdkit.base.interrupts import interrupts_noted
-from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit.mechanism.values import curve_of
-from mbdkit.plugin import EquationsOfMotion, Judgement, Run, StateObserver, States, archive_names, load
-from mbdkit.runs.provenance import model_provenance
-from mbdkit.runs.recorder import shared_forces
+from mbdkit.plugin import EquationsOfMotion, Judgement, Run, RunError, SpecError, States, load
+from mbdkit.plugin.archives import ArchiveWriter, Ending, Origin, archive_names, check_target, layout
+from mbdkit.plugin.equations import StateObserver, one_thread_of_linear_algebra, workspace_at_start
+from mbdkit.plugin.mechanisms import curve_of
+from mbdkit.plugin.runs import model_provenance, shared_forces
+from mbdkit.plugin.terminal import interrupts_noted
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.forward_run import Difference, forward_difference
 from mbdkit_predict.grid import weights

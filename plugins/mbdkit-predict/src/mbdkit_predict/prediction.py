@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mbdkit.plugin import Document, Run
+from mbdkit.plugin import Run
+from mbdkit.plugin.specs import Document
 from mbdkit_predict.export import require_casadi
 from mbdkit_predict.predict_loading import PredictSource, load_predict_spec
 from mbdkit_predict.predict_spec import PredictSpec

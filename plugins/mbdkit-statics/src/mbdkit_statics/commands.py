@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mbdkit.base.files import check_output, check_suffix, replacing
-from mbdkit.base.terminal import show, show_json
-from mbdkit.base.text import listed
-from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName, output_to
+from mbdkit.plugin import listed, show, show_json
+from mbdkit.plugin.files import check_output, check_suffix, replacing
+from mbdkit.plugin.terminal import AsJson, Debug, Overwrite, Set, SpecName, output_to
 
 if TYPE_CHECKING:
     from mbdkit_statics.prepared_mechanism import PreparedMechanism
@@ -49,7 +48,7 @@ def equilibrium(
     found = equilibrium_of(prepared)
     notes = []
     if write is not None:
-        from mbdkit.spec.yaml_reader import write_yaml
+        from mbdkit.plugin.specs import write_yaml
 
         written = spec_at(prepared, found)
         with replacing(write, overwrite=overwrite, source=spec) as temporary:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plugin import Mechanism
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit_report.figures.page_model import Axis, Line
 from mbdkit_report.figures.page_model import Figure as Chart

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plugin import Mechanism
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit_report.figures.palette import FAINT, body_colors
 from mbdkit_report.figures.plane_geometry import view_box

@@ -17,10 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from mbdkit.base.errors import SpecError, StepError
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.workspace import Workspace
-from mbdkit.plugin import Tangents
+from mbdkit.plugin import EquationsOfMotion, SpecError, StepError, Tangents
+from mbdkit.plugin.equations import Workspace
 
 MOST_ITERATIONS = 50
 """Largest number of Newton steps for the states at rest."""

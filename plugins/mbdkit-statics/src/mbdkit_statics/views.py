@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.mechanism.beams import beam_of
-from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plugin import Mechanism
+from mbdkit.plugin.mechanisms import beam_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose
 from mbdkit_report.figures.page_model import Cell, Illustration, Table, columns_of
 from mbdkit_report.figures.plane_geometry import Array

@@ -12,22 +12,9 @@ from typing import Any, TypeAlias
 
 from pydantic import ValidationError
 
-from mbdkit.mechanism.validation_errors import spec_error
-from mbdkit.plugin import (
-    Claims,
-    MbdkitError,
-    RunSpec,
-    SpecError,
-    build,
-    listed,
-    parse_key,
-    put,
-    value_text,
-)
-from mbdkit.registry.item_options import named_options
-from mbdkit.registry.manager import registry
-from mbdkit.runs.preparation import make_method, require_support
-from mbdkit.spec.formulation_choice import choice_of
+from mbdkit.plugin import Claims, MbdkitError, RunSpec, SpecError, listed, value_text
+from mbdkit.plugin.runs import build, make_method, require_support
+from mbdkit.plugin.specs import choice_of, named_options, parse_key, put, registry, spec_error
 from mbdkit.spec.reading import read_value
 from mbdkit_studies.method_claims import METHOD, claims_of
 from mbdkit_studies.planned_points import HOW, Grid, PlannedPoints, Setting, grids, sets_method

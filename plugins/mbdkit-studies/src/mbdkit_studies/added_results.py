@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.trust.criteria import ROUND_OFF
+from mbdkit.plugin.doubts import ROUND_OFF
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import Cell, Figure, Table, Verdict, columns_of
 from mbdkit_studies.cost_at_error import ERROR, wall_time

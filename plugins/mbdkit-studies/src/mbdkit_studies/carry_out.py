@@ -14,16 +14,11 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive.missing_plugins import missing_plugins
-from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.interrupts import interrupts_delayed
-from mbdkit.base.logs import logger_of
-from mbdkit.base.plain_data import plain, value_text
-from mbdkit.base.progress_bars import count_bar, in_notebook
-from mbdkit.base.terminal import say
-from mbdkit.base.text import counted, shown, without_numbers
-from mbdkit.plugin import load
-from mbdkit.spec.loading import RunSource, load_spec, read_source
-from mbdkit.spec.reading import parse_key
+from mbdkit.base.text import without_numbers
+from mbdkit.plugin import MbdkitError, SpecError, counted, load, plain, shown, value_text
+from mbdkit.plugin.specs import RunSource, load_spec, parse_key, read_source
+from mbdkit.plugin.terminal import count_bar, in_notebook, logger_of, say
 from mbdkit_studies import member_table, study_index
 from mbdkit_studies.added_methods import MethodSource, with_methods
 from mbdkit_studies.block_writer import Store

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
-from mbdkit.base.progress_bars import count_bar
-from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
-from mbdkit.cli.common_options import PLAIN, Printing, grouped, output_to, stem
+from mbdkit.cli.common_options import PLAIN
+from mbdkit.plugin import show, show_json
+from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, count_bar, grouped, output_to, say, silence, stem
 from mbdkit_studies.command_options import BaseSet, Cluster, StudyName, Workers, cores
 
 if TYPE_CHECKING:
-    from mbdkit.spec.reading import Document
+    from mbdkit.plugin.specs import Document
 
 
 class StudyCommand(TyperCommand):

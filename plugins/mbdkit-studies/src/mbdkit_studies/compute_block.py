@@ -11,22 +11,18 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents
-from mbdkit.archive.stored_mechanism import is_determined, mechanism_json
-from mbdkit.base import file_locks
-from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit.base.files_read import files_json
-from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.base.plain_data import collecting_new_objects_only, path_text
-from mbdkit.base.terminal import say
+from mbdkit.archive.stored_mechanism import is_determined
+from mbdkit.base.plain_data import collecting_new_objects_only
 from mbdkit.base.text import joined_lines
-from mbdkit.measures.take import Description, with_error
+from mbdkit.measures.take import with_error
+from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, path_text
+from mbdkit.plugin.archives import ArrayContents, FinishedRun, mechanism_json
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.files import file_locks, files_json
+from mbdkit.plugin.measures import Description
+from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs
+from mbdkit.plugin.terminal import say
 from mbdkit.runs.provenance import plugins_of, surroundings
-from mbdkit.spec import RunSpec
-from mbdkit.spec.study_measures import DefinedMeasure
-from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.batch import CHUNK, refusal, simulate_in_any_order
 from mbdkit_studies.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, places_by_group

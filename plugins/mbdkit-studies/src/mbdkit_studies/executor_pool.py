@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import mbdkit
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import value_text
-from mbdkit.base.text import one_line
+from mbdkit.plugin import SpecError, one_line, value_text
 from mbdkit_studies.executors import SubmititExecutor
 from mbdkit_studies.pool import PROGRAM, Pool
 from mbdkit_studies.tasks import Outcome, Task, died

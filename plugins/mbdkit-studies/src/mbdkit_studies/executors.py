@@ -18,8 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import counted, one_line, shown
+from mbdkit.plugin import SpecError, counted, one_line, shown
 from mbdkit_studies.owned_folder import JOBS
 
 if TYPE_CHECKING:

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError
-from mbdkit.mechanism.size import mechanism_size
-from mbdkit.trust.criteria import EPS, ROUND_OFF
+from mbdkit.plugin import MbdkitError
+from mbdkit.plugin.doubts import ROUND_OFF
+from mbdkit.plugin.mechanisms import mechanism_size
+from mbdkit.trust.criteria import EPS
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
 from mbdkit_studies.cost_at_error import cost_at_error

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.base.errors import PluginError, SpecError, with_place
-from mbdkit.base.text import did_you_mean, listed
-from mbdkit.registry.items import StudyPlugin
-from mbdkit.registry.manager import registry
+from mbdkit.plugin import PluginError, SpecError, StudyPlugin, did_you_mean, listed, with_place
+from mbdkit.plugin.specs import registry
 
 if TYPE_CHECKING:
-    from mbdkit.registry.catalogue import Registered
+    from mbdkit.plugin.specs import Registered
     from mbdkit_report.analysis.verdict import Verdict
     from mbdkit_studies.study import Study
     from mbdkit_studies.study_spec import StudySpec

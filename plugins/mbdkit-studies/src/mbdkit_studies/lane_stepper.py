@@ -12,33 +12,36 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import MechanismAtStart
-from mbdkit.engine.counters import Counters
-from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.kernels.engine_bundles import Topology
-from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.native.bundle import PinnedBundle
-from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.machine_code import IN_PYTHON
-from mbdkit.engine.native.number_arrays import Lanes, new_lanes
-from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import StepEvidence, Timetable
-from mbdkit.integrators.lane_collocation import (
+from mbdkit.integrators.run_plan import smallest_step
+from mbdkit.integrators.start import step_control
+from mbdkit.integrators.step_control import control_data, first_size
+from mbdkit.integrators.step_watch import guard_evidence
+from mbdkit.kernels import (
+    BY_LANE,
+    ENDED,
+    FACTORIZATIONS,
+    ITERATIONS,
+    JACOBIANS,
+    RHS,
+    WIDTH,
+    Lanes,
+    Observed,
+    PinnedBundle,
     StagePivoting,
     StagePivots,
+    Topology,
+    accelerate,
     load_stage_pivots,
+    new_guard_state,
+    new_lane_control,
+    new_lane_run,
+    new_lanes,
 )
-from mbdkit.integrators.lane_control import ENDED, accelerate, new_lane_control
-from mbdkit.integrators.lane_run import BY_LANE, new_lane_run
-from mbdkit.integrators.run_plan import guard_limits, smallest_step
-from mbdkit.integrators.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
-from mbdkit.integrators.start import step_control
-from mbdkit.integrators.step_control import Control, control_data, first_size
-from mbdkit.integrators.step_guards import new_guard_state
-from mbdkit.integrators.step_watch import guard_evidence
-from mbdkit.methods.kinds import Method
-from mbdkit.quantities.names import archive_names
+from mbdkit.plugin import Method
+from mbdkit.plugin.archives import archive_names
+from mbdkit.plugin.equations import CompiledMechanism, Counters, MechanismAtStart, SingularSystemError, Workspace
+from mbdkit.plugin.methods import Control, StepEvidence, Timetable, guard_limits
 
 
 @dataclass(frozen=True)

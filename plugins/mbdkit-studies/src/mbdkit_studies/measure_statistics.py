@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError
+from mbdkit.plugin import MbdkitError
 from mbdkit_studies import sample_statistics
 from mbdkit_studies.sample_groups import SampledStudy, SampleGroup, measured, one_group
 from mbdkit_studies.sample_statistics import CONFIDENCE, Estimate

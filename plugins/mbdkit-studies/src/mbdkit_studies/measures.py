@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.named_columns import NotRecordedError
-from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
-from mbdkit.base.errors import MbdkitError
-from mbdkit.mechanism.size import mechanism_sizes
-from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.archive.peak_errors import missed_of_verdict
+from mbdkit.plugin import MbdkitError
+from mbdkit.plugin.archives import NotRecordedError, kind_of_group, missed_between_rows
+from mbdkit.plugin.mechanisms import mechanism_sizes
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
 from mbdkit_report.analysis.energy import Trend, trends
 from mbdkit_report.analysis.reference import (
@@ -27,8 +26,8 @@ from mbdkit_report.analysis.reference import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.archive.finished_run import FinishedRun
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
+    from mbdkit.plugin.archives import FinishedRun
 
 
 class RunGroup:

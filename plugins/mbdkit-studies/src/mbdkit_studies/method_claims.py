@@ -7,10 +7,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mbdkit.base.errors import blaming
-from mbdkit.plugin import Claims, IntegratorPlugin, plain
-from mbdkit.registry.item_options import named_options
-from mbdkit.registry.manager import registry
+from mbdkit.plugin import Claims, IntegratorPlugin, blaming, plain
+from mbdkit.plugin.specs import named_options, registry
 
 METHOD = "integrator"
 """Key of the method in a run spec."""

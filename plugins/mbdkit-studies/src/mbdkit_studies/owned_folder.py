@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from mbdkit.base.errors import SpecError, file_error
-from mbdkit.base.files import check_folder, check_writable, rename_new
-from mbdkit.spec.reading import read_file
-from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit.base.files import check_writable
+from mbdkit.plugin import SpecError, file_error
+from mbdkit.plugin.files import check_folder, rename_new
+from mbdkit.plugin.specs import read_file, write_yaml
 from mbdkit_studies import folder_lock
 from mbdkit_studies.folder_lock import LOCK, WHOLE, Shard
 

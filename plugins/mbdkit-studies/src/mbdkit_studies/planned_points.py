@@ -15,13 +15,10 @@ from typing import Any, overload
 import numpy as np
 from pydantic import ValidationError
 
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.plain_data import Path, parse_path, path_text, plain
-from mbdkit.base.text import listed, shortened
-from mbdkit.registry.manager import registry
-from mbdkit.spec import RunSpec
-from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, choice_of
-from mbdkit.spec.reading import parse_key, put
+from mbdkit.plugin import MbdkitError, RunSpec, SpecError, listed, parse_path, path_text, plain
+from mbdkit.plugin.files import Path
+from mbdkit.plugin.specs import BY_ACCELERATIONS, choice_of, parse_key, put, registry
+from mbdkit.plugin.terminal import shortened
 from mbdkit_report.key_words import stated_units
 from mbdkit_studies.method_claims import METHOD, claims_of
 from mbdkit_studies.sample_section import unit_of

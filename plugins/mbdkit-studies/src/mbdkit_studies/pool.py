@@ -22,9 +22,10 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from mbdkit.archive.part_file import checkpoint_path, part_path, remove_part
-from mbdkit.base.errors import ResourceError
+from mbdkit.archive.part_file import remove_part
 from mbdkit.base.text import without_numbers
+from mbdkit.plugin import ResourceError
+from mbdkit.plugin.archives import checkpoint_path, part_path
 from mbdkit_studies.tasks import Outcome, Task, died
 
 PROGRAM = "mbdkit_studies.worker"

@@ -6,19 +6,12 @@ import json
 from collections.abc import Mapping
 from typing import Unpack
 
-from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import utc_now
-from mbdkit.base.errors import SpecError
-from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.base.plain_data import Path
-from mbdkit.base.text import did_you_mean, listed
-from mbdkit.engine.consistent_start import Starts
-from mbdkit.runs.run_in_memory import run_in_memory
-from mbdkit.runs.simulation import simulate
-from mbdkit.spec import RunSpec, load_spec
-from mbdkit.spec.loading import RunSource, Sections
-from mbdkit.spec.reading import variable_path
-from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.plugin import Run, RunSpec, SpecError, did_you_mean, listed, simulate
+from mbdkit.plugin.archives import utc_now
+from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra
+from mbdkit.plugin.files import Path
+from mbdkit.plugin.runs import run_in_memory
+from mbdkit.plugin.specs import RunSource, Sections, VariedSpecs, load_spec, variable_path
 from mbdkit_report.key_words import keys_ending_in
 from mbdkit_studies.given_start import spec_started_at
 from mbdkit_studies.lane_runs import LaneRuns

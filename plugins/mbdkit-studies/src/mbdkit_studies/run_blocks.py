@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
-from mbdkit.measures.take import Description
+from mbdkit.plugin import MbdkitError, ResourceError, SpecError
+from mbdkit.plugin.archives import COUNTERS, TIMINGS
+from mbdkit.plugin.measures import Description
 from mbdkit_studies.blocks import AnotherStudyError, Block
 from mbdkit_studies.compute_block import MISALIGNMENT
 from mbdkit_studies.folder_lock import Shard

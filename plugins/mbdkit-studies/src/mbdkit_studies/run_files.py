@@ -11,17 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mbdkit.archive.fingerprint import data_sha256
-from mbdkit.archive.hdf5_errors import DAMAGE
-from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.archive.reader import load
-from mbdkit.archive.run import Run
 from mbdkit.archive.untrusted_file import is_sparse
-from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit.base.text import counted
 from mbdkit.measures.take import with_error
-from mbdkit.runs.integrals import functionals_of
-from mbdkit.spec import RunSpec
+from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, counted, load
+from mbdkit.plugin.archives import COUNTERS, DAMAGE, TIMINGS, data_sha256
+from mbdkit.plugin.runs import functionals_of
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
 from mbdkit_studies.run_store import MISSING, Round, RunStore

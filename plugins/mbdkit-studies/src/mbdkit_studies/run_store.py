@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import mbdkit
-from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.plugin import ResourceError, SpecError
 from mbdkit_studies import study_index
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.study_folder import StudyFolder

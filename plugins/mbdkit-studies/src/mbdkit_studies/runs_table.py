@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
+from mbdkit.plugin import Array, SpecError
+from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT
 from mbdkit_report.export import suffix_of, write_tables
 from mbdkit_report.group_table import BLOCK_VALUES, TableColumn
 from mbdkit_studies.study import Study

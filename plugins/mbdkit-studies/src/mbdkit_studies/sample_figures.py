@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError
-from mbdkit.measures.reductions import REDUCTIONS
+from mbdkit.plugin import MbdkitError
+from mbdkit.plugin.measures import REDUCTIONS
 from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Line, Table
 from mbdkit_report.key_words import key_words
 from mbdkit_studies.measure_statistics import statistics_of_group

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.plugin import MbdkitError, did_you_mean, listed
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
     from mbdkit_studies.planned_points import Grid, Label
     from mbdkit_studies.study_spec import StudySpec
 

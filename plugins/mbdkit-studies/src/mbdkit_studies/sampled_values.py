@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.plain_data import Path, path_text
+from mbdkit.plugin import MbdkitError, SpecError, path_text
+from mbdkit.plugin.files import Path
 from mbdkit_studies import member_table
 from mbdkit_studies.sample_section import Sample, frozen
 from mbdkit_studies.study_folder import StudyFolder

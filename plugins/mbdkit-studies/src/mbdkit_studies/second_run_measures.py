@@ -9,16 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, StepError
-from mbdkit.base.text import one_line
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.stabilization import NONE
-from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Stretch, Timetable
-from mbdkit.integrators.start import start_method
-from mbdkit.runs.preparation import build
-from mbdkit.runs.simulation import simulate
-from mbdkit.spec import RunSpec
+from mbdkit.plugin import EquationsOfMotion, MbdkitError, RunSpec, StepError, one_line, simulate
+from mbdkit.plugin.equations import NONE, Workspace
+from mbdkit.plugin.methods import Stretch, Timetable, start_method
+from mbdkit.plugin.runs import build
 
 REVERSALS = ("reversibility_defect", "reversibility_velocity_defect")
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.text import listed
+from mbdkit.plugin import MbdkitError, SpecError, listed
 from mbdkit_report.group_table import data_frame
 from mbdkit_report.key_words import key_words
 from mbdkit_studies.sample_groups import SampledStudy, measured, one_group

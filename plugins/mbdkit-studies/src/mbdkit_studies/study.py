@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.html_view import HtmlView
+from mbdkit.plugin import MbdkitError, SpecError
+from mbdkit.plugin.terminal import HtmlView
 from mbdkit_report.group_table import data_frame
 from mbdkit_studies import study_index
 from mbdkit_studies.measure_statistics import MeasureStatistics, statistics

@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 
 from mbdkit.archive.disk_space import row_bytes
-from mbdkit.base.errors import MbdkitError
-from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.quantities.names import archive_names
+from mbdkit.plugin import MbdkitError, RunSpec
+from mbdkit.plugin.archives import archive_names
+from mbdkit.plugin.equations import compile_mechanism
 from mbdkit.runs.preparation import rows_expected
-from mbdkit.spec import RunSpec
 from mbdkit_studies.block_writer import HISTORIES, Store
 from mbdkit_studies.planned_points import PlannedPoints, number_of_points
 from mbdkit_studies.study_folder import StudyFolder

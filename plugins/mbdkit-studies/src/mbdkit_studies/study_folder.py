@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from mbdkit.base.errors import SpecError
+from mbdkit.plugin import SpecError
 from mbdkit_studies import member_table
 from mbdkit_studies.owned_folder import OwnedFolder, contains
 from mbdkit_studies.study_loading import load_study_spec

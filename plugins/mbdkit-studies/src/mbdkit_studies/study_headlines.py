@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import plus_minus
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.base.errors import MbdkitError
-from mbdkit.base.text import listed, told_apart
+from mbdkit.plugin import MbdkitError, listed, plus_minus
+from mbdkit.plugin.terminal import told_apart
 from mbdkit_report.key_words import key_words
 from mbdkit_studies.cost_at_error import error_headlines
 from mbdkit_studies.measure_statistics import MeasureStatistics, statistics_of_group

@@ -17,16 +17,25 @@ import h5py
 import numpy as np
 
 import mbdkit
-from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
-from mbdkit.archive.hdf5 import create, set_text
-from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import ATTRIBUTES_HASH, COUNTERS, TIMINGS
+from mbdkit import ArchiveError
 from mbdkit.archive.part_file import LIBVER
-from mbdkit.archive.untrusted_file import open_hdf5
-from mbdkit.base.errors import ArchiveError, SpecError
-from mbdkit.base.files import replacing
-from mbdkit.measures.take import Description
-from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
+from mbdkit.plugin import Array, SpecError
+from mbdkit.plugin.archives import (
+    ATTRIBUTES_HASH,
+    COUNTERS,
+    FLOAT,
+    INTEGER,
+    TEXT,
+    TIMINGS,
+    attributes_sha256,
+    create,
+    data_sha256,
+    open_hdf5,
+    reading,
+    set_text,
+)
+from mbdkit.plugin.files import replacing
+from mbdkit.plugin.measures import Description
 from mbdkit_studies.columns import read_column, write_column, write_hashes
 from mbdkit_studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit_studies.planned_points import Label

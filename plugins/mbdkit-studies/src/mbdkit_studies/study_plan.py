@@ -9,17 +9,16 @@ from functools import cached_property
 from itertools import islice
 
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.text import without_numbers
-from mbdkit.measures.take import Description, describe, has_error, is_taken
-from mbdkit.runs.angles_in_degrees import angles_in_degrees
+from mbdkit.measures.take import has_error, is_taken
+from mbdkit.plugin import RunSpec, SpecError, path_text
+from mbdkit.plugin.doubts import angles_in_degrees
+from mbdkit.plugin.files import Path
+from mbdkit.plugin.measures import Description, describe
+from mbdkit.plugin.runs import caution
+from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs, parse_key
 from mbdkit.runs.notes import zero_reactions
-from mbdkit.runs.preparation import caution
-from mbdkit.spec import RunSpec
-from mbdkit.spec.reading import parse_key
-from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
-from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.spec.study_measures import expressions_of
 from mbdkit_studies.judge import find_verdict
 from mbdkit_studies.measures import MEASURES
 from mbdkit_studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import overload
 
-from mbdkit.base.errors import MbdkitError
-from mbdkit.spec import RunSpec
+from mbdkit.plugin import MbdkitError, RunSpec
 from mbdkit_report.key_words import key_unit, key_words
 from mbdkit_studies.planned_points import Label, PlannedPoint, PlannedPoints, point_label
 from mbdkit_studies.study_folder import StudyFolder

@@ -11,9 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import listed
-from mbdkit.trust.criteria import MISALIGNMENT
+from mbdkit.plugin import SpecError, listed
+from mbdkit.plugin.doubts import MISALIGNMENT
 from mbdkit_report.analysis.verdict import Answer, Verdict, columns_of
 from mbdkit_report.figures.page_model import Cell, Column, Figure, Table
 from mbdkit_report.figures.player_data import film_data

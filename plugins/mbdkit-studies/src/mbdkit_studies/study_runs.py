@@ -12,16 +12,13 @@ from pathlib import Path
 import numpy as np
 
 import mbdkit
-from mbdkit.archive.layout import COUNTERS
-from mbdkit.archive.measured_values import ERROR, MeasuredValues
-from mbdkit.archive.reader import load
-from mbdkit.archive.run import Run
+from mbdkit.archive.measured_values import ERROR
 from mbdkit.archive.run_contents import NotStoredError
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.files_read import FileRead, only_known
-from mbdkit.base.text import did_you_mean, listed
-from mbdkit.measures.take import Description, with_error
-from mbdkit.runs.simulation import simulate
+from mbdkit.measures.take import with_error
+from mbdkit.plugin import MbdkitError, Run, SpecError, did_you_mean, listed, load, simulate
+from mbdkit.plugin.archives import COUNTERS, MeasuredValues
+from mbdkit.plugin.files import FileRead, only_known
+from mbdkit.plugin.measures import Description
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit_studies.block_writer import KEEPING_TIMES
 from mbdkit_studies.blocks import Block

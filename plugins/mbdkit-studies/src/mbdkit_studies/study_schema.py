@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.registry.catalogue import Registry
-from mbdkit.spec.schema import DRAFT, described, run_schema
+from mbdkit.plugin.specs import DRAFT, Registry, described, run_schema
 from mbdkit_studies.study_spec import StudySpec
 
 

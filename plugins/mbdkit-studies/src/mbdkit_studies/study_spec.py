@@ -10,22 +10,11 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text, quoted
-from mbdkit.base.text import listed, shortened
-from mbdkit.plugin import FormatVersion
-from mbdkit.spec.model_spec import StrictSpec
-from mbdkit.spec.reading import Document, parse_key, put
-from mbdkit.spec.sections import Section
-from mbdkit.spec.study_measures import (
-    REFERENCE,
-    SECOND_RUN,
-    DefinedMeasure,
-    Measures,
-    built_in,
-    built_in_measures,
-    defined,
-)
+from mbdkit.plugin import FormatVersion, SpecError, copied, listed, parse_path, path_text, quoted
+from mbdkit.plugin.files import LONGEST_NAME, Path
+from mbdkit.plugin.specs import DefinedMeasure, Document, Measures, Section, StrictSpec, defined, parse_key, put
+from mbdkit.plugin.terminal import shortened
+from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN, built_in, built_in_measures
 from mbdkit_studies.sample_section import Sample, comparable
 from mbdkit_studies.value_sets import ValueSet, sets_together, size
 

@@ -6,16 +6,16 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.base.plain_data import json_text
-from mbdkit.base.text import counted, shown
-from mbdkit.trust.criteria import LEVELS
+from mbdkit.plugin import counted, shown
+from mbdkit.plugin.doubts import LEVELS
+from mbdkit.plugin.files import json_text
 from mbdkit_studies.sample_section import central_range, unit_of
 from mbdkit_studies.study_headlines import headlines
 from mbdkit_studies.study_index import STATUSES
 from mbdkit_studies.study_notes import notes
 
 if TYPE_CHECKING:
-    from mbdkit.measures.take import Description
+    from mbdkit.plugin.measures import Description
     from mbdkit_studies.planned_points import Grid
     from mbdkit_studies.study import Study
     from mbdkit_studies.study_plan import StudyPlan

@@ -22,13 +22,12 @@ from typing import IO, TYPE_CHECKING, Any
 
 import mbdkit
 from mbdkit.base.command_words import executing
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.base.text import shown
+from mbdkit.plugin import MbdkitError, SpecError, shown
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit_studies.batch import refusal
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 Carry = Callable[[dict[str, Any], Callable[[str], None]], dict[str, Any]]
 """Function that carries out the task described by a message, and returns the answer.
@@ -121,8 +120,7 @@ def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) 
 
 
 def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]:
-    from mbdkit.runs.simulation import simulate
-    from mbdkit.spec import RunSpec
+    from mbdkit.plugin import RunSpec, simulate
 
     if "block" in task:
         from mbdkit_studies.compute_block import compute_block
@@ -155,7 +153,7 @@ def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]
 
 def _continued(path: Path, measures: Sequence[str]) -> Run | None:
     """Continue the run that an interrupted call has left; return None if there is none that can be continued."""
-    from mbdkit.archive.part_file import checkpoint_path, part_path
+    from mbdkit.plugin.archives import checkpoint_path, part_path
     from mbdkit.runs.resuming import continue_run
 
     part = part_path(path)

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
-from mbdkit.archive.run import Run
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.plugin import EquationsOfMotion, Run
+from mbdkit.plugin.equations import FORMULATIONS
 from mbdkit_report.analysis.growth import growth_law, worst_history
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_testing.check import Check, Skip, check

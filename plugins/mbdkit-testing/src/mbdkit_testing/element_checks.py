@@ -16,28 +16,28 @@ from typing import Any, cast
 
 import numpy as np
 
-from mbdkit.archive.run import Run
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.plain_data import parse_path
-from mbdkit.base.strict_model import description
-from mbdkit.base.text import listed
-from mbdkit.base.units import described_units, read_unit
-from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.observed_states import StateObserver
-from mbdkit.engine.workspace import Workspace
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.element_kinds import lines_of
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.quantities.array import Kind, Recorded
-from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.element_items import ElementKind
-from mbdkit.runs.preparation import build
-from mbdkit.runs.resuming import resume
-from mbdkit.runs.simulation import simulate
-from mbdkit.spec.loading import load_spec
-from mbdkit.spec.reading import put
-from mbdkit.spec.run_spec import RunSpec
+from mbdkit import resume
+from mbdkit.plugin import (
+    GROUND,
+    ElementKind,
+    EquationsOfMotion,
+    Kind,
+    MbdkitError,
+    Mechanism,
+    Recorded,
+    Run,
+    RunSpec,
+    SpecError,
+    listed,
+    parse_path,
+    read_unit,
+    simulate,
+)
+from mbdkit.plugin.archives import kind_of_group
+from mbdkit.plugin.equations import StateObserver, Workspace
+from mbdkit.plugin.mechanisms import lines_of
+from mbdkit.plugin.runs import build
+from mbdkit.plugin.specs import Registered, Registry, described_units, description, load_spec, put
 from mbdkit_gradients.gradient import Gradient, gradient
 from mbdkit_statics.equilibrium import equilibrium
 from mbdkit_testing.check import Skip, check

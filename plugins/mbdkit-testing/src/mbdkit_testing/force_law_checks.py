@@ -11,16 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import listed
-from mbdkit.engine.force_laws import bind_law
-from mbdkit.engine.native.calls import LAW
+from mbdkit.kernels import LAW
 from mbdkit.mechanism.law_parameters import law_range
-from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.items import ForceLawPlugin
-from mbdkit.runs.simulation import simulate
+from mbdkit.plugin import ForceLawPlugin, RunSpec, SpecError, listed, simulate
+from mbdkit.plugin.equations import bind_law
+from mbdkit.plugin.specs import Registered, Registry
 from mbdkit.spec.choices import law_element
-from mbdkit.spec.run_spec import RunSpec, spec_type
+from mbdkit.spec.run_spec import spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
 from mbdkit_testing.options_under_test import options_result, validated, variants

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import to_stderr
-from mbdkit.registry.catalogue import Kind, Registered, Registry
-from mbdkit.registry.manager import registry
+from mbdkit.plugin import SpecError
+from mbdkit.plugin.specs import Registered, Registry, registry
+from mbdkit.registry.catalogue import Kind
 from mbdkit_testing import (
     conservation_checks,
     contract_checks,

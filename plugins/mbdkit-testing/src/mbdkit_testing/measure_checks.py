@@ -8,13 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.run import Run
-from mbdkit.base.errors import MbdkitError
-from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.item_options import named_options
-from mbdkit.registry.items import MeasurePlugin
-from mbdkit.runs.simulation import simulate
-from mbdkit.spec.loading import load_spec
+from mbdkit.plugin import MbdkitError, MeasurePlugin, Run, simulate
+from mbdkit.plugin.specs import Registered, Registry, load_spec, named_options
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
 from mbdkit_testing.options_under_test import options_result, validated

@@ -12,17 +12,24 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from mbdkit.mechanism.angle_function import AngleTable
-from mbdkit.mechanism.beams import Beam
-from mbdkit.mechanism.bodies import Body, Marker
-from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
-from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
-from mbdkit.mechanism.state_values import Controller, FirstOrderState
-from mbdkit.mechanism.values import Table
-from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.manager import registry
-from mbdkit.spec.schema import run_schema
+from mbdkit.mechanism.pathways import Coordinate, RelativeAngle
+from mbdkit.plugin import Body, Joint, Table
+from mbdkit.plugin.mechanisms import (
+    Assembly,
+    Beam,
+    Controller,
+    FirstOrderState,
+    JointAngles,
+    Marker,
+    MechanismData,
+    NamedCoordinate,
+    PointForce,
+    SpringDamper,
+    Torque,
+    TorsionSpring,
+    TwoPoints,
+)
+from mbdkit.plugin.specs import Registered, Registry, registry, run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
 from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem

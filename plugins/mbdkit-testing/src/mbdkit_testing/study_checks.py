@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.plugin.specs import Registered, Registry
 from mbdkit_studies.carry_out import study
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.judge import judge

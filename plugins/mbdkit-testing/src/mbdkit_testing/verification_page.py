@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import mbdkit
-from mbdkit.base.files import check_output, check_suffix, replacing
-from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit.plugin.files import check_output, check_suffix, replacing
+from mbdkit.plugin.specs import write_yaml
 from mbdkit_report.pages.templating import render
 from mbdkit_testing.check_result import Report, figures_text
 

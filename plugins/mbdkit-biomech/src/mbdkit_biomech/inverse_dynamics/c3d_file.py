@@ -25,8 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.text import shown
+from mbdkit.plugin import MbdkitError, SpecError, shown
 
 UNLOADED = 10.0
 """A plate counts as unloaded if the force along its normal [N] is below this.

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbdkit.base.errors import RunError, SpecError
-from mbdkit.base.text import listed
+from mbdkit.plugin import RunError, SpecError, listed
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.fit import Fitter, Target
 from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbdkit.base.text import listed
-from mbdkit.plugin import Finding
+from mbdkit.plugin import Finding, listed
 from mbdkit_biomech.inverse_dynamics.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, doubt

@@ -7,15 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
-from mbdkit.base.errors import RunError, SpecError
-from mbdkit.base.text import counted, listed
-from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.observed_states import GivenForces, StateObserver
-from mbdkit.integrators.interface import Nodes
-from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.quantities.states import States
-from mbdkit.runs.assembled_mechanism import AssembledMechanism
-from mbdkit.runs.law_ranges import LawRanges
+from mbdkit.kernels import Observed
+from mbdkit.plugin import QuantityNames, RunError, SpecError, States, counted, listed
+from mbdkit.plugin.doubts import LawRanges
+from mbdkit.plugin.equations import GivenForces, StateObserver
+from mbdkit.plugin.methods import Nodes
+from mbdkit.plugin.runs import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec

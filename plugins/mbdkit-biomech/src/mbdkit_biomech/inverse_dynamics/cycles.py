@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
+from mbdkit.plugin import SpecError
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 POINTS = 101
 """Number of points of a normalized cycle: one per percent, both ends included."""

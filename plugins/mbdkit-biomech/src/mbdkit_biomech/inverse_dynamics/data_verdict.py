@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Finding, accepted_doubts, findings, open_doubts
-from mbdkit.trust.criteria import Evidence, Judgement, judge
+from mbdkit.plugin import Evidence, Finding, Judgement, accepted_doubts, findings, judge, open_doubts
 from mbdkit_biomech.inverse_dynamics.column_criteria import column_doubts, doubts_before_fit
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars

@@ -25,9 +25,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.base.text import listed
-from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
+from mbdkit.engine.linear_systems import symmetric_eigenvectors
 from mbdkit.engine.stacked_matrices import products, pseudoinverses
+from mbdkit.plugin import listed
+from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 from mbdkit_biomech.inverse_dynamics.noise import NoisePath

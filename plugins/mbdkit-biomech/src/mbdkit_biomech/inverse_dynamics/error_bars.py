@@ -22,10 +22,8 @@ from functools import partial
 
 import numpy as np
 
-from mbdkit.archive.accuracy import Accuracy
-from mbdkit.base.errors import RunError, SpecError
-from mbdkit.base.text import listed
 from mbdkit.engine.stacked_matrices import products
+from mbdkit.plugin import Accuracy, RunError, SpecError, listed
 from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL, quantile
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, recorded_states
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import (

@@ -6,9 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.base.errors import RunError
-from mbdkit.base.text import listed
 from mbdkit.mechanism.mechanism_quantities import GROUND
+from mbdkit.plugin import RunError, listed
 from mbdkit_biomech.inverse_dynamics.fit import Fitter, Target
 from mbdkit_biomech.inverse_dynamics.marker_distances import marker_columns
 from mbdkit_biomech.inverse_dynamics.measured import Measured

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from mbdkit.base.text import counted, listed
-from mbdkit.plugin import Finding
+from mbdkit.plugin import Finding, counted, listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.loads import LoadSeries, global_point

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from mbdkit.base.plain_data import Path as KeyPath
-from mbdkit.spec.loading import loaded
-from mbdkit.spec.reading import put
+from mbdkit.plugin import loaded
+from mbdkit.plugin.files import Path as KeyPath
+from mbdkit.plugin.specs import put
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
+from mbdkit.plugin import SpecError
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, fit, motion_of
 from mbdkit_biomech.inverse_dynamics.dynamics import columns_of, weights_of
 from mbdkit_biomech.inverse_dynamics.inverse_loading import varied_inverse

@@ -13,14 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.part_file import check_target
-from mbdkit.archive.reader import load
-from mbdkit.archive.run import Run
-from mbdkit.base.errors import RunError
-from mbdkit.base.logs import logger_of, warn_on_stderr
-from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.measures.take import check_measures
-from mbdkit.runs.angles_in_degrees import angles_in_degrees
+from mbdkit.plugin import Run, RunError, load
+from mbdkit.plugin.archives import check_target
+from mbdkit.plugin.doubts import angles_in_degrees
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.measures import check_measures
+from mbdkit.plugin.terminal import logger_of, warn_on_stderr
 from mbdkit_biomech.inverse_dynamics.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.registry.catalogue import Registry
-from mbdkit.registry.manager import registry
-from mbdkit.spec.schema import DRAFT, described, model_schema
+from mbdkit.plugin.specs import DRAFT, Registry, described, model_schema, registry
 from mbdkit_biomech.inverse_dynamics.inverse_spec import inverse_spec_type
 
 

@@ -7,18 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import path_text, quoted
-from mbdkit.base.strict_model import description
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.checks import check_name
-from mbdkit.mechanism.joints import joint_with_friction
-from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.target import Target
-from mbdkit.spec.choices import Choice
-from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
+from mbdkit.plugin import GROUND, QuantityNames, SpecError, Target, path_text, quoted
+from mbdkit.plugin.mechanisms import joint_with_friction
+from mbdkit.plugin.specs import (
+    Choice,
+    DefinedMeasure,
+    ModelSpec,
+    Registered,
+    Registry,
+    RunMeasures,
+    check_name,
+    defined,
+    description,
+)
 from mbdkit_biomech.inverse_dynamics.inverse_sections import (
     Actuator,
     Criterion,
@@ -32,7 +33,7 @@ from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 if TYPE_CHECKING:
-    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.plugin import Mechanism
 
 _PERSON_OF_SPEC: Target[Any] = Target("mbdkit_biomech.persons.person_spec:person_of_spec")
 """Named by text, because specs are read by parts of mbdkit that do not compute inverse dynamics."""

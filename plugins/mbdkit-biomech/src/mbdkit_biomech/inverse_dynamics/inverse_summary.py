@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, Headline, largest_of, plus_minus
-from mbdkit.archive.peak_errors import errors_of_frames
 from mbdkit.archive.run_summary import known_rows
-from mbdkit.base.text import counted
+from mbdkit.plugin import Headline, counted, plus_minus
+from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, errors_of_frames, largest_of
 from mbdkit_biomech.inverse_dynamics.named_actuators import RESERVE
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
 """Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used."""

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import median_filter
 
-from mbdkit.base.text import listed
-from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate
-from mbdkit.plugin import Finding
+from mbdkit.plugin import Finding, listed
+from mbdkit.plugin.mechanisms import Coordinate, MarkerCoordinate
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import ROUND_OFF, TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.error_bars import ErrorBars

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plugin import Mechanism
 from mbdkit_biomech.inverse_dynamics.cycles import crossings
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import (
@@ -28,7 +28,7 @@ from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.figures.svg_canvas import Canvas
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 FRAMES, FRAMES_NARROW = 6, 3
 """Number of frames side by side on a wide page and on a narrow one."""

@@ -8,11 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.base import elementary
-from mbdkit.base.text import cited, listed
-from mbdkit.base.units import read_unit
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit.plugin import Finding
+from mbdkit.plugin import GROUND, Finding, listed, read_unit
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.glitch_criterion import spans

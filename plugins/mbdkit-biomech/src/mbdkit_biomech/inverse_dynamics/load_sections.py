@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit.archive.headlines import EXACT
-from mbdkit.base.text import listed
-from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plugin import Mechanism, listed
+from mbdkit.plugin.archives import EXACT
 from mbdkit_biomech.inverse_dynamics.inverse_summary import reserve_shares
 from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
 from mbdkit_biomech.inverse_dynamics.workload import ElementWorkload, workload
@@ -21,7 +20,7 @@ from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Illustr
 from mbdkit_report.figures.svg_canvas import svg_of
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 BARS = 24
 """Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left

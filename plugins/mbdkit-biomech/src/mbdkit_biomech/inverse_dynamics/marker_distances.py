@@ -6,8 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.base import elementary
-from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate, Point
+from mbdkit.mechanism.mechanism_quantities import Point
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.mechanisms import MarkerCoordinate
 from mbdkit_biomech.inverse_dynamics.measured import Measured
 
 UNLIKE = 5.0

@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.base import elementary
-from mbdkit.base.errors import RunError, SpecError
-from mbdkit.engine.linear_systems import product
+from mbdkit.plugin import RunError, SpecError
+from mbdkit.plugin.equations import elementary, product
 from mbdkit_biomech.inverse_dynamics.chi_square import quantile
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps

@@ -11,14 +11,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from mbdkit.archive.reader import load
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import cited, counted, listed
-from mbdkit.base.units import Unit, read_unit
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.mechanism.mechanism_quantities import Quantity
-from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.plugin import QuantityNames, SpecError, Unit, counted, listed, load, quoted, read_unit
+from mbdkit.plugin.mechanisms import Quantity
+from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.continued_angles import continued
 from mbdkit_biomech.inverse_dynamics.fit import Target
 from mbdkit_biomech.inverse_dynamics.interpolating_splines import interpolating_spline

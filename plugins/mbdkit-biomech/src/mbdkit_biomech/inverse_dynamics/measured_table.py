@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import cited, did_you_mean, listed
-from mbdkit.base.units import Unit, read_quantity, read_unit
+from mbdkit.plugin import SpecError, Unit, did_you_mean, listed, read_quantity, read_unit
+from mbdkit.plugin.terminal import cited
 
 GAPS = (
     *("", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "n.a.", "null", "none", "-", "--"),

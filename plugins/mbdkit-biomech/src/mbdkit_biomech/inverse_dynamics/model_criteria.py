@@ -10,21 +10,17 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.extent import points_of_elements
-from mbdkit.mechanism.improbable_bodies import (
-    STAND_IN,
+from mbdkit.mechanism.improbable_bodies import STAND_IN, improbable_radii, place_of
+from mbdkit.plugin import GROUND, Finding, Mechanism, Point
+from mbdkit.plugin.doubts import (
+    CoarseBeams,
+    angles_in_degrees,
+    improbable_beams,
     improbable_bodies,
+    improbable_lengths,
     improbable_people,
-    improbable_radii,
-    place_of,
 )
-from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.values import Point
-from mbdkit.plugin import Finding
-from mbdkit.runs.angles_in_degrees import angles_in_degrees
-from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec

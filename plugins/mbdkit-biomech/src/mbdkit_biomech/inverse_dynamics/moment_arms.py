@@ -8,12 +8,10 @@ from types import MethodType
 
 import numpy as np
 
-from mbdkit.archive.run import Run
-from mbdkit.base.errors import SpecError, UnknownNameError
-from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import least_norms, products
-from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.plugin import QuantityNames, Run, SpecError, UnknownNameError
+from mbdkit.plugin.equations import product
+from mbdkit.plugin.runs import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.manifold import GivenMechanism, Manifold
 from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
 from mbdkit_biomech.muscles.muscle_path import MusclePath

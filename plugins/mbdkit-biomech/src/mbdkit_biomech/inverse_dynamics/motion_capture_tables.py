@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import cited, listed
+from mbdkit.plugin import SpecError, listed
+from mbdkit.plugin.terminal import cited
 
 Rows = Sequence[tuple[int, list[str]]]
 """Rows of cells with the numbers of their lines, without empty lines."""

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import products
+from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.manifold import Directions

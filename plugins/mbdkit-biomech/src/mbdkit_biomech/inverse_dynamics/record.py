@@ -10,17 +10,21 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from mbdkit.archive import layout
-from mbdkit.archive.measured_values import MeasuredValues
-from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Ending, Origin
-from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.plain_data import json_text
-from mbdkit.measures.take import take_all
-from mbdkit.plugin import archive_names, kind_of_group, with_members
-from mbdkit.quantities.names import ArchiveNames
-from mbdkit.runs.provenance import model_provenance
-from mbdkit.runs.recorder import shared_forces
+from mbdkit.plugin import Run
+from mbdkit.plugin.archives import (
+    ArchiveNames,
+    ArchiveWriter,
+    Ending,
+    MeasuredValues,
+    Origin,
+    archive_names,
+    kind_of_group,
+    layout,
+    with_members,
+)
+from mbdkit.plugin.files import json_text
+from mbdkit.plugin.measures import take_all
+from mbdkit.plugin.runs import model_provenance, shared_forces
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
 from mbdkit_biomech.inverse_dynamics.data_verdict import DataDoubts, verdict_on_data
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import long_gaps

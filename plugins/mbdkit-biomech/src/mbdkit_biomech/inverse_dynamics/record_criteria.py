@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.base.text import listed
-from mbdkit.plugin import Finding
+from mbdkit.plugin import Finding, listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps

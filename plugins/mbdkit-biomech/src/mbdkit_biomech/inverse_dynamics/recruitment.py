@@ -19,11 +19,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbdkit.base.errors import RunError, SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import counted, listed
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.plugin import QuantityNames, RunError, SpecError, counted, listed, quoted
 from mbdkit_biomech.inverse_dynamics.dynamics import Balance, Dynamics
 from mbdkit_biomech.inverse_dynamics.elastic_tendons import ElasticMuscles, in_equilibrium
 from mbdkit_biomech.inverse_dynamics.fibers import fibers_on_rigid_tendon

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.engine.stacked_matrices import products, singular_values
-from mbdkit.mechanism.mechanism_quantities import Quantity
+from mbdkit.plugin.mechanisms import Quantity
 from mbdkit_biomech.inverse_dynamics.fit import Fitter, Target
 from mbdkit_biomech.inverse_dynamics.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.measured import Measured

@@ -7,9 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.base.text import cited, listed
-from mbdkit.engine.linear_systems import product
-from mbdkit.plugin import Finding
+from mbdkit.plugin import Finding, listed
+from mbdkit.plugin.equations import product
+from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Load

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linprog
 
-from mbdkit.base import elementary
 from mbdkit.engine.stacked_matrices import least_norms, products
+from mbdkit.plugin.equations import elementary
 
 ITERATIONS = 60
 """Largest number of Newton iterations of one proximal problem; 5 to 15 are usual."""

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import periodogram
 
-from mbdkit.base import elementary
-from mbdkit.base.text import listed
-from mbdkit.plugin import Finding
+from mbdkit.plugin import Finding, listed
+from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Butterworth, OpenSimFilter, SmoothingSpline

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.base.text import listed
+from mbdkit.plugin import listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.error_bars import LOAD_UNITS, ErrorBars
 

@@ -12,10 +12,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.files_read import check_readable, read_data
-from mbdkit.base.text import cited
-from mbdkit.base.units import NUMBER, read_unit
+from mbdkit.base.units import NUMBER
+from mbdkit.plugin import SpecError, read_data, read_unit
+from mbdkit.plugin.files import check_readable
+from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.c3d_file import read_c3d
 from mbdkit_biomech.inverse_dynamics.measured_table import DECIMAL_COMMA, Table, begins_like_number
 from mbdkit_biomech.inverse_dynamics.motion_capture_tables import (

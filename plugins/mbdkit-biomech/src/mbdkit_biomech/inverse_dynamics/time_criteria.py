@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.base.text import shown
-from mbdkit.plugin import Finding
+from mbdkit.plugin import Finding, shown
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.measured import Measured

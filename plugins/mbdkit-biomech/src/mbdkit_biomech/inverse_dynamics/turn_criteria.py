@@ -8,12 +8,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from mbdkit.base.text import listed
-from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.forces import TorsionSpring
-from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.pathways import AnglePathway, JointAngles
-from mbdkit.plugin import Finding
+from mbdkit.plugin import GROUND, Finding, listed
+from mbdkit.plugin.mechanisms import AnglePathway, JointAngles, Law, TorsionSpring
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from mbdkit.base.text import listed
-from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate
-from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.plugin import QuantityNames, listed
+from mbdkit.plugin.mechanisms import MarkerCoordinate
 from mbdkit_biomech.inverse_dynamics.inverse_sections import TimeColumn
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.measured import Measured

@@ -50,16 +50,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import listed
-from mbdkit.mechanism.bodies import GROUND, Body, Marker
-from mbdkit.mechanism.forces import Force
-from mbdkit.mechanism.joint_friction import PinFriction
-from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
-from mbdkit.mechanism.values import Number, Point, Positive
+from mbdkit.plugin import GROUND, Body, Joint, Mechanism, Number, Point, Positive, SpecError, listed, quoted
+from mbdkit.plugin.mechanisms import Force, Marker, MechanismData, NamedCoordinate, PinFriction
 from mbdkit_biomech.models._knee_linkage import Frame, xy
 from mbdkit_biomech.models._measured_segments import MeasuredPerson
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg

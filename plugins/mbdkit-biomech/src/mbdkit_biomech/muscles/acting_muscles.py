@@ -9,20 +9,13 @@ from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
-from mbdkit.base import elementary, higher_layers
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.base import higher_layers
 from mbdkit.expressions.parser import Expression
-from mbdkit.expressions.program import Program
-from mbdkit.mechanism.force_law import TracedLaw
-from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.pathways import Segment
-from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.mechanism.state_values import is_of_state
-from mbdkit.mechanism.values import Table, curve_of
-from mbdkit.trust.finding import Finding
+from mbdkit.kernels import tangents_at
+from mbdkit.plugin import Finding, Joint, Mechanism, QuantityNames, Segment, SpecError, Table, TracedLaw, quoted
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.measures import Program
+from mbdkit.plugin.mechanisms import curve_of, is_of_state
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.hill_laws import (
     LAW_ID,
@@ -37,10 +30,8 @@ from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 
 if TYPE_CHECKING:
-    from mbdkit.engine.compile_forces import Lowering
-    from mbdkit.engine.compiled_mechanism import ActingForce
-    from mbdkit.engine.workspace import Workspace
-    from mbdkit.spec import RunSpec
+    from mbdkit.plugin import ActingForce, Lowering, RunSpec
+    from mbdkit.plugin.equations import Workspace
 
 SHORTEST = 0.2
 """Shortest fibres allowed for an equilibrium at the start, in optimal lengths; the passive force is zero there."""

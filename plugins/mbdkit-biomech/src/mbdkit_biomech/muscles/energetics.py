@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.base import elementary
+from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.muscle import Muscle
 

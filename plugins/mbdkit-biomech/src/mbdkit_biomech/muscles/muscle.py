@@ -8,21 +8,32 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from mbdkit.base import elementary
-from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
-from mbdkit.base.strict_model import StrictModel
-from mbdkit.base.text import did_you_mean, listed
-from mbdkit.mechanism.bodies import Attachment, Element
-from mbdkit.mechanism.coordinate_function import (
-    CoordinateExpressionError,
+from mbdkit.mechanism.coordinate_function import names_of, value_and_slopes
+from mbdkit.plugin import (
     CoordinateFunction,
-    names_of,
-    value_and_slopes,
+    Element,
+    NotNegative,
+    Number,
+    Point,
+    Positive,
+    SpecError,
+    StrictModel,
+    did_you_mean,
+    listed,
+    of_models,
+    quoted,
 )
-from mbdkit.mechanism.model_methods import of_models
-from mbdkit.mechanism.state_values import Value, of_state, of_time
-from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive, pair, sequence
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.mechanisms import (
+    Attachment,
+    CoordinateExpressionError,
+    Motion,
+    Value,
+    of_state,
+    of_time,
+    pair,
+    sequence,
+)
 
 MOST_CIRCLES = 4
 """Largest number of circles between two points of a path. It is limited because all patterns of touched circles are

@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import JOINTS_NAMED, largest_of
-from mbdkit.archive.peak_errors import peak_errors
-from mbdkit.archive.run_summary import few, ranked
 from mbdkit.plugin import Headline, MbdkitError, plus_minus
+from mbdkit.plugin.archives import JOINTS_NAMED, few, largest_of, peak_errors, ranked
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 PULLING = (0.4, 1.6)
 """Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero."""

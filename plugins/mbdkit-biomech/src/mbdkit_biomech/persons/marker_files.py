@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import did_you_mean, listed, shown
+from mbdkit.plugin import SpecError, did_you_mean, listed, shown
 from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, TimeColumn
 from mbdkit_biomech.inverse_dynamics.measured import si_values, times_of
 from mbdkit_biomech.inverse_dynamics.measured_table import HEADINGS_SHOWN, Table

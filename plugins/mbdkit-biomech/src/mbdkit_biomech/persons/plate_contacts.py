@@ -12,9 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import listed
-from mbdkit.trust.finding import Finding
+from mbdkit.plugin import Finding, SpecError, listed
 from mbdkit_biomech.inverse_dynamics.c3d_file import UNLOADED
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.smoothing import low_passed

@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base import elementary
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.plugin import Mechanism, QuantityNames
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.runs import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.compute import Fitted, Inverse, InverseProblem, forces_of
 from mbdkit_biomech.inverse_dynamics.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.loads import LoadSeries

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import plus_minus
-from mbdkit.base.errors import SpecError, UnknownNameError
-from mbdkit.base.text import listed, table
+from mbdkit.plugin import SpecError, UnknownNameError, listed, plus_minus, table
 from mbdkit_biomech.uncertainty.sources import ADVICE
 from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 SHOWN = 0.005
 """Smallest share of a source in the printed table."""

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
+from mbdkit.plugin import SpecError
 from mbdkit_biomech.persons.calibration import require_joints
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 

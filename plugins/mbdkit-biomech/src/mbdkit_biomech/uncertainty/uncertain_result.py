@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.base.text import counted
-from mbdkit.engine.linear_systems import product
+from mbdkit.plugin import counted
+from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL, quantile
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, Source, asked_uncertainty, sources_of

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plugin import Mechanism
 from mbdkit_biomech.uncertainty.contributions import (
     NAMED,
     PERSON_MODEL_ERROR,
@@ -17,7 +17,7 @@ from mbdkit_biomech.uncertainty.contributions import (
 from mbdkit_report.figures.page_model import Axis, Cell, Figure, Line, Section, Table, columns_of
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 DRAWN = 6
 """Number of sources of a chart; those that are left out have smaller shares."""

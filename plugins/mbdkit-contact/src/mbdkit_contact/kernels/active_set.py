@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.bundle_types import IntVector, RealMatrix, RealVector
-from mbdkit.engine.native.functions import subkernel
+from mbdkit.kernels import IntVector, RealMatrix, RealVector, subkernel
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 PROXIMAL = 1e-9

@@ -17,9 +17,7 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.engine.kernels.angles import cosine_and_sine
-from mbdkit.engine.kernels.vectors import copy
-from mbdkit.engine.native.functions import separate, subkernel
+from mbdkit.kernels import copy, cosine_and_sine, separate, subkernel
 from mbdkit_contact.kernels.event_bundle import NORMAL
 from mbdkit_contact.kernels.kinematics import (
     CIRCLES,

@@ -30,7 +30,7 @@ from mbdkit_report.analysis.verdict import (
 from mbdkit_studies.point_selection import STEP, family, value
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
     from mbdkit_studies.study import Study
     from mbdkit_studies.study_point import StudyPoint
 

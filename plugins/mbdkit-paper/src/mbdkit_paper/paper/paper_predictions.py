@@ -26,7 +26,7 @@ from mbdkit_report.figures.quantity_text import least_most
 from mbdkit_studies.point_selection import METHOD, STEP, family
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
     from mbdkit_studies.study import Study
 
 PREDICTED = {GAUSS2: Range(1e-3, 1.0, "mm"), GAUSS3: Range(1e-7, 1e-4, "mm")}

@@ -24,7 +24,7 @@ from mbdkit_report.analysis.verdict import (
 from mbdkit_studies.point_selection import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
     from mbdkit_studies.study import Study
     from mbdkit_studies.study_point import StudyPoint
 

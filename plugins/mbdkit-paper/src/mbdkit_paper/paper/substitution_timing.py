@@ -15,9 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.files import replacing
-from mbdkit.spec import RunSpec
+from mbdkit.plugin import RunSpec, SpecError
+from mbdkit.plugin.files import replacing
 
 EVALUATIONS = 24
 """Number of timed evaluations. The minimum of this many is reproducible even on a busy machine."""

@@ -36,7 +36,7 @@ from mbdkit_studies.cost import at_equal_work, work_for
 from mbdkit_studies.point_selection import METHOD, STEP, family, value
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
     from mbdkit_studies.study import Study
 
 STANDARD = 0.08

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.archive.run import Run
+from mbdkit.plugin import Run
 from mbdkit_report.analysis.growth import block_means, independent
 
 SURE = 3.0

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from mbdkit.archive.run import Run
+from mbdkit.plugin import Run
 
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from mbdkit.archive.run import Run
-from mbdkit.base.errors import MbdkitError
+from mbdkit.plugin import MbdkitError, Run
 
 EVERY_ROW, LAST_ROW = slice(None), slice(-1, None)
 

@@ -11,7 +11,7 @@
 import numpy as np
 
 import mbdkit
-from mbdkit.spec import load_spec
+from mbdkit.plugin.specs import load_spec
 
 run = mbdkit.run("knee", check=True)
 run

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbdkit.base.errors import SpecError
+from mbdkit.plugin import SpecError
 
 if TYPE_CHECKING:
-    from mbdkit.archive.accuracy import Accuracy
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Accuracy, Run
 
 Array = NDArray[np.float64]
 BLOCK = 4_000_000  # values read at a time

@@ -12,7 +12,7 @@ from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.pages.animate import animate, page
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 _NUMBERS = 150_000
 """Approximate number of pose values in the output of a cell; they take about one megabyte."""

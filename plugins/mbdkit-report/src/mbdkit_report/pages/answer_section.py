@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF, Headline, excluded_error
-from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.archive.run_summary import derivative_texts
+from mbdkit.plugin import Headline
+from mbdkit.plugin.archives import ROUND_OFF, excluded_error, missed_between_rows, peak_errors
 from mbdkit_report.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit_report.figures.curves import BEYOND, Array, blocks, take
 from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration
@@ -21,8 +21,7 @@ from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section
 from mbdkit_report.plot.beams_plot import beam_peak
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.plugin import Mechanism, Run
 
 ROWS = 50
 """Largest number of rows in a table. Of more joints or force elements, those with the largest values are listed; of

@@ -8,14 +8,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
 
-from mbdkit.archive.changed_contents import hash_warnings
-from mbdkit.archive.reader import load
-from mbdkit.base.errors import SpecError
-from mbdkit.base.files import check_output, check_suffix, replacing
-from mbdkit.base.logs import warn_on_stderr
-from mbdkit.base.text import listed
-from mbdkit.registry.feature_items import FileFormat
-from mbdkit.registry.manager import registry
+from mbdkit.plugin import FileFormat, SpecError, listed, load
+from mbdkit.plugin.archives import hash_warnings
+from mbdkit.plugin.files import check_output, check_suffix, replacing
+from mbdkit.plugin.specs import registry
+from mbdkit.plugin.terminal import warn_on_stderr
 from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import run_report

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, cast
 
-from mbdkit.plugin import use
-from mbdkit.registry.catalogue import Registered
-from mbdkit.registry.feature_items import ReportSection
-from mbdkit.registry.manager import registry
+from mbdkit.plugin import ReportSection, use
+from mbdkit.plugin.specs import Registered, registry
 from mbdkit_report.figures.page_model import Figure, Section
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.plugin import Mechanism, Run
 
 
 def _items() -> Iterator[tuple[Registered, ReportSection]]:

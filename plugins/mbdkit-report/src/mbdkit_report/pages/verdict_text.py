@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mbdkit.base.text import markdown
-from mbdkit.base.text import table as aligned
+from mbdkit.plugin import table as aligned
 from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.figures.page_model import Table
 from mbdkit_report.pages.report_page import ReportPage, cell_text

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.spec.formulation_choice import name_of
-from mbdkit.spec.spec_kinds import kind_of
+from mbdkit.plugin.specs import kind_of, name_of
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
 
-from mbdkit.base.errors import UnknownNameError, file_error
+from mbdkit.plugin import UnknownNameError, file_error
 from mbdkit_report.figures.page_model import Figure
 from mbdkit_report.figures.palette import FAINT, GRID, INK, PAPER, color_number, line_styles
 from mbdkit_report.plot.caption import Caption

@@ -11,11 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
-from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.plain_data import Path as SpecPath
-from mbdkit.base.plain_data import path_text
-from mbdkit.base.text import counted, did_you_mean, listed
-from mbdkit.spec import RunSpec
+from mbdkit.plugin import MbdkitError, RunSpec, SpecError, counted, did_you_mean, listed, path_text
+from mbdkit.plugin.files import Path as SpecPath
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.key_words import key_unit, key_words
 from mbdkit_report.plot.caption import method, plain_name
@@ -23,7 +20,7 @@ from mbdkit_report.plot.charts import draw_on
 from mbdkit_report.plot.plot_kinds import plot_module
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
     from mbdkit_report.figures.page_model import Figure, Line
 
 _LINES = 6

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.run_views import Gap, Names
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import listed
+from mbdkit.plugin import SpecError, listed
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.figures.quantity_text import length
 from mbdkit_report.plot.charts import Panel
@@ -23,7 +22,7 @@ from mbdkit_report.plot.element_quantity import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 
 def panels(run: Run) -> list[Panel]:

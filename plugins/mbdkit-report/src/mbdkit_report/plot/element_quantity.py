@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from mbdkit.archive.headlines import plus_minus
-from mbdkit.archive.peak_errors import errors_of_frames, whole_peak_errors
+from mbdkit.archive.peak_errors import whole_peak_errors
 from mbdkit.archive.run_views import Gap, Names
+from mbdkit.plugin import plus_minus
+from mbdkit.plugin.archives import errors_of_frames
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
@@ -21,7 +22,7 @@ from mbdkit_report.plot.charts import Panel, draw_lines, named
 from mbdkit_report.plot.style import legend, powers_of_ten
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 SMALLEST = 1e-18
 """Lowest value of a logarithmic axis; the round-off of a length of 1 m is about a hundred times larger."""

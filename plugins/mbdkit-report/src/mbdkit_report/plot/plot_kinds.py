@@ -8,13 +8,11 @@ from importlib import import_module
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from mbdkit.base.errors import SpecError
-from mbdkit.plugin import use
-from mbdkit.registry.feature_items import PlotKind
-from mbdkit.registry.manager import registry
+from mbdkit.plugin import PlotKind, SpecError, use
+from mbdkit.plugin.specs import registry
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
     from mbdkit_report.figures.page_model import Figure
     from mbdkit_report.plot.charts import Panel
 

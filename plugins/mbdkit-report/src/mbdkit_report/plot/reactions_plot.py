@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.run_views import Components, Names
-from mbdkit.base.errors import SpecError
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.plugin import SpecError, did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
@@ -24,7 +23,7 @@ from mbdkit_report.plot.element_quantity import (
 from mbdkit_report.plot.torques_plot import carried_torque
 
 if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+    from mbdkit.plugin import Run
 
 COMPONENTS: dict[str, tuple[str, ...]] = {
     "magnitude": (),

@@ -18,10 +18,8 @@ expressions of the state have no series here.
 
 from __future__ import annotations
 
-from mbdkit.base import elementary
-from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
-from mbdkit.engine.kernels.tree import turned
-from mbdkit.engine.native.functions import inlined, subkernel
+from mbdkit.kernels import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE, inlined, subkernel, turned
+from mbdkit.plugin.equations import elementary
 from mbdkit_taylor.kernels.power_series import coefficient
 
 OF, PAIR, SIDE, BEFORE, LINK = range(5)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import mbdkit
-from mbdkit.base.errors import SpecError
+from mbdkit.plugin import SpecError
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import load_installed
 from mbdkit.registry.policy import API

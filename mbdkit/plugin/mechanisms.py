@@ -1,0 +1,54 @@
+"""Mechanisms: bodies, joints, forces, beams, states, functions of time, and formulas of force laws."""
+
+from typing import TYPE_CHECKING
+
+from mbdkit.base.lazy_names import door
+
+if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
+    # fmt: off
+    from mbdkit.mechanism.angle_function import Center as Center, expression_of as expression_of
+    from mbdkit.mechanism.beam_shape import places_with_ends as places_with_ends, with_ends as with_ends
+    from mbdkit.mechanism.beams import Beam as Beam, beam_of as beam_of, named_body as named_body, parts_of as parts_of
+    from mbdkit.mechanism.bodies import Attachment as Attachment, Marker as Marker
+    from mbdkit.mechanism.coordinate_function import (
+        CoordinateExpressionError as CoordinateExpressionError, CoordinateTable as CoordinateTable,
+    )
+    from mbdkit.mechanism.element_kinds import element_kinds as element_kinds, lines_of as lines_of
+    from mbdkit.mechanism.force_law import ARGUMENTS as ARGUMENTS
+    from mbdkit.mechanism.forces import (
+        AppliedLoad as AppliedLoad, Force as Force, PointForce as PointForce, SpringDamper as SpringDamper,
+        Torque as Torque, TorsionSpring as TorsionSpring,
+    )
+    from mbdkit.mechanism.joint_friction import PinFriction as PinFriction
+    from mbdkit.mechanism.joints import (
+        Constraint as Constraint, SlidingJoint as SlidingJoint, Weld as Weld,
+        joint_with_friction as joint_with_friction,
+    )
+    from mbdkit.mechanism.law_element import Law as Law
+    from mbdkit.mechanism.mechanism import gravity_text as gravity_text
+    from mbdkit.mechanism.mechanism_data import (
+        Assembly as Assembly, MechanismData as MechanismData, NamedCoordinate as NamedCoordinate,
+    )
+    from mbdkit.mechanism.mechanism_quantities import (
+        AXES as AXES, Affine as Affine, Coordinate as Coordinate, MarkerCoordinate as MarkerCoordinate,
+        Quantity as Quantity, RelativeAngle as RelativeAngle, Travel as Travel,
+    )
+    from mbdkit.mechanism.motion_corners import (
+        corners_of as corners_of, jet_of as jet_of, switching_times as switching_times,
+    )
+    from mbdkit.mechanism.pathways import (
+        AnglePathway as AnglePathway, JointAngles as JointAngles, TwoPoints as TwoPoints, path_ends as path_ends,
+    )
+    from mbdkit.mechanism.size import mechanism_size as mechanism_size, mechanism_sizes as mechanism_sizes
+    from mbdkit.mechanism.state_values import (
+        Controller as Controller, FirstOrderState as FirstOrderState, Value as Value, is_of_state as is_of_state,
+        of_state as of_state, of_time as of_time,
+    )
+    from mbdkit.mechanism.values import (
+        BodyPair as BodyPair, Motion as Motion, Points as Points, curve_of as curve_of,
+        number_or_table as number_or_table, pair as pair, sequence as sequence,
+    )
+    from mbdkit.symbolic.symbolic_law import LENGTH as LENGTH, RATE as RATE, T as T, law_expressions as law_expressions
+    # fmt: on
+else:
+    __getattr__, __dir__ = door(globals())
