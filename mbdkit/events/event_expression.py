@@ -55,11 +55,14 @@ class CompiledExpression(NamedTuple):
     breaks
         Functions at whose zeros the expression has kinks, zeros or poles: arguments of ``abs``, differences of the
         operands of ``min`` and ``max``, and the factors of a product or quotient.
+    is_product
+        Whether the expression is a product or quotient, whose sign changes are those of `breaks`.
     """
 
     value: Function
     phases: tuple[Function, ...]
     breaks: tuple[Function, ...]
+    is_product: bool
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ class RunExpression:
 
         whole = execute(self.program, step)
         breaks += map(_total, factors.get(whole, []))
-        return CompiledExpression(_total(whole), tuple(phases), tuple(breaks))
+        return CompiledExpression(_total(whole), tuple(phases), tuple(breaks), whole in factors)
 
 
 def _applied(function: Callable[..., Any], of: Function, other: Function | None = None) -> Function:

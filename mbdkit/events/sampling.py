@@ -75,6 +75,8 @@ def refined(
     phases: Sequence[Scalar],
     breaks: Sequence[Scalar],
     largest: float,
+    *,
+    is_product: bool = False,
 ) -> list[tuple[float, float]]:
     """Return samples (position in the step, value) of a scalar in order, with samples added where they are needed.
 
@@ -91,6 +93,8 @@ def refined(
         scalar is discontinuous: arguments of its `abs`, and differences of the operands of its `min` and `max`.
     largest
         Largest absolute value of the scalar so far.
+    is_product
+        Whether the scalar changes its sign only where one of `breaks` does.
     """
     known = dict(points)
 
@@ -109,7 +113,7 @@ def refined(
                     (kink, _), _ = bracketed(_composed(argument, values_at), left, right, KINK)
                     kinks.append(kink)
                     at(kink)
-    return _resolved(known, at, scalar, kinks, largest)
+    return _resolved(known, at, scalar, kinks, largest, deepest=0 if is_product else DEEPEST)
 
 
 def _composed(scalar: Scalar, values_at: Callable[[float], Values]) -> Callable[[float], float]:
@@ -117,11 +121,16 @@ def _composed(scalar: Scalar, values_at: Callable[[float], Values]) -> Callable[
 
 
 def _resolved(
-    known: dict[float, Values], at: Callable[[float], Values], scalar: Scalar, kinks: Sequence[float], largest: float
+    known: dict[float, Values],
+    at: Callable[[float], Values],
+    scalar: Scalar,
+    kinks: Sequence[float],
+    largest: float,
+    deepest: int = DEEPEST,
 ) -> list[tuple[float, float]]:
     """Return samples of a scalar that is smooth between its kinks, with samples added where they are needed.
 
-    `known` are the quantities at positions, to which `at` adds.
+    `known` are the quantities at positions, to which `at` adds. The same five samples are refined `deepest` times.
     """
     found = {place: scalar(known[place]) for place in known}
 
@@ -146,7 +155,7 @@ def _resolved(
         if not all(map(math.isfinite, values)) or max(map(abs, values)) <= NOISE * largest:
             continue
         is_clear, more = _roots_are_clear(five, values)
-        if not is_clear and depth < DEEPEST:
+        if not is_clear and depth < deepest:
             nine = sorted({*five, *(0.5 * (a + b) for a, b in pairwise(five))})
             stack += [(nine[:5], depth + 1), (nine[4:], depth + 1)]
         else:

@@ -464,12 +464,11 @@ class Watch:
         self._values, self._ended = rows[-1], self._side(step.v1, step.z1)
         points = list(zip((0.0, *INSIDE, 1.0), rows, strict=True))
         shown = []
-        for number, (value, phases, breaks) in enumerate(self._expressions):
+        for number, (value, phases, breaks, is_product) in enumerate(self._expressions):
             sets = self._fired.get(number, False)
             close = self._close_points() if sets else []
-            samples = refined(
-                sorted([*points, *close]), self._values_inside, value, phases, breaks, self._largest[number]
-            )
+            largest, every = self._largest[number], sorted([*points, *close])
+            samples = refined(every, self._values_inside, value, phases, breaks, largest, is_product=is_product)
             if before:
                 size = median([abs(x) for row in rows if math.isfinite(x := value(row))] or [0.0])
                 samples[0] = 0.0, self._after_jump(number, value(before), samples[0][1], size, sets=sets)

@@ -292,6 +292,9 @@ def _changes(event: DrawnEvent, segment: Segment, sign: int) -> list[tuple[Time,
     """Return the times within a segment at which an expression changes its sign, and whether this is at a pole."""
     zeros = {t: False for factor in event.factors for t in factor.zeros(segment)}
     poles = {t: True for factor in event.factors for t in factor.poles(segment)}
+    jumps = [t for t in (segment.begin, segment.end) if 0.0 < t < END]
+    if any(abs(pole - t) < 1e-6 for pole in poles for t in jumps):
+        raise AmbiguousError  # there is no value before the jump
     ends = segment.begin - 1e-9, segment.end + 1e-9
     times = sorted(t for t in zeros | poles if ends[0] < t < ends[1])
     if times and (times[0] < segment.begin + 1e-6 or END - 1e-6 < times[-1] < END + 1e-6):

@@ -370,6 +370,18 @@ def test_a_dip_below_zero_is_found_in_long_steps(integrator: dict[str, Any]) -> 
         assert len(there.events.time) == 0
 
 
+@pytest.mark.parametrize("integrator", LONG_STEPS, ids=lambda one: one["name"])
+def test_zeros_beside_a_factor_of_another_size_and_between_close_kinks_are_found(integrator: dict[str, Any]) -> None:
+    with thrown("((t - 1.3911)**2 - 1e-5)*(a.y + 3.25)**21/(a.x + 1)", integrator) as there:
+        half, fallen = 1e-5**0.5, (5 + np.sqrt(25 + 2 * 9.81 * 3.25)) / 9.81
+        assert there.check().events.time == pytest.approx([1.3911 - half, 1.3911 + half, fallen], abs=1e-9)
+    top, peak = 5.0**2 / (2 * 9.81), 5 / 9.81
+    with thrown(f"abs(a.y - {top - 1e-3!r}) - 5e-4", integrator) as there:
+        inner, outer = (np.sqrt(2 * depth / 9.81) for depth in (0.5e-3, 1.5e-3))
+        times = [peak - outer, peak - inner, peak + inner, peak + outer]
+        assert there.check().events.time == pytest.approx(times, abs=1e-8)
+
+
 def test_an_expression_whose_period_divides_the_samples_is_not_mistaken_for_zero() -> None:
     with thrown("sin(2*pi*t)", {"name": "dop853", "adaptive": True}, end=64.2) as there:
         assert len(there.events.time) == 128
