@@ -75,9 +75,8 @@ class StateWatchers:
         watched: list[Finding] = []
         for name, watcher in self._watchers.items():
             item, criterion = self._criteria[name]
-            watched += use(
-                item, lambda own=criterion, one=watcher: [*as_findings(own, one.findings(energies, integrals))]
-            )  # type: ignore[misc]
+            found = use(item, lambda own=watcher: [*own.findings(energies, integrals)])  # type: ignore[misc]
+            watched += as_findings(criterion, found)
         return [*watched, *findings("end", self._spec, energies)]
 
     def stored(self) -> dict[str, Any]:

@@ -68,7 +68,7 @@ _REPLACED: Mapping[Any, Callable[..., Any]] = {
     angles.cosine_and_sine: _cosine_and_sine,
     angles._near: _cosine_and_sine,
     equations.load_equations: lambda equations: equations,
-    uneven_ground._segment_at: _segment_at,
+    uneven_ground.segment_at: _segment_at,
 }
 """Functions that compiled code replaces as well, or that need a form for symbols."""
 
