@@ -76,8 +76,8 @@ class StateWatchers:
         watched: list[Finding] = []
         for name, watcher in self._watchers.items():
             item, criterion = self._criteria[name]
-            end = partial(watcher.findings, energies, integrals)
-            watched += use(item, lambda own=criterion, end=end: [*as_findings(own, end())])  # type: ignore[misc]
+            found = use(item, lambda own=watcher: [*own.findings(energies, integrals)])  # type: ignore[misc]
+            watched += as_findings(criterion, found)
         return [*watched, *findings("end", self._spec, energies)]
 
     def stored(self) -> dict[str, Any]:

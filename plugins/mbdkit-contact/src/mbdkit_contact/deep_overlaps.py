@@ -4,6 +4,7 @@ bodies that overlap.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,9 +27,9 @@ OpenSim's examples, of 30 mm radius, overlap the ground by up to about a third o
 """
 
 
-RIGID, BETWEEN = 1e-7, 1e-3
+RIGID, BETWEEN = 1e-5, 1e-3
 """Overlaps of rigid contacts up to this share of the size of the mechanism are the errors of a sound run: in recorded
-states, and at the peaks that checked runs find between them, where coarse steps are interpolated.
+states, which may be interpolated in steps with closed contacts, and at the peaks that checked runs find between them.
 """
 
 
@@ -64,7 +65,7 @@ class DeepOverlaps:
         self._time = np.where(depth > self._depth, states.time[row], self._time)
         self._depth = np.maximum(self._depth, depth)
 
-    def findings(self, _energies: EnergyRecord, _integrals: Integrals) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, Any]) -> tuple[str, ...]:
         """Return a sentence for each circle that overlaps too much."""
         told = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):
@@ -87,7 +88,7 @@ class DeepOverlaps:
 
 
 class RigidOverlaps(DeepOverlaps):
-    """Overlaps of rigid contacts, which only a missed impact explains.
+    """Overlaps of rigid contacts, which have none in a sound run.
 
     Parameters
     ----------
@@ -113,18 +114,17 @@ class RigidOverlaps(DeepOverlaps):
             else cls(compiled, spec.finer, size, locates=chosen.section.treatment == "event-driven")
         )
 
-    def findings(self, _energies: EnergyRecord, integrals: Integrals) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord, integrals: Mapping[str, Any]) -> tuple[str, ...]:
         """Return a sentence for each contact that overlaps beyond its tolerance."""
         sentences = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):
             peak = integrals.get(expression_of_largest("-contacts.gap", pair.name), 0.0) if self._locates else 0.0
-            assert isinstance(peak, float)
             deepest, when = (peak, "between recorded states") if peak > BETWEEN * self._size else (0.0, "")
             if depth > max(RIGID * self._size, deepest):
                 deepest, when = depth, f"at t = {time:.6g} s"
             if deepest > 0.0:
                 sentences.append(
                     f"The shapes of the rigid contact '{pair.name}' overlap by {deepest:.3g} m {when}: an impact was "
-                    f"missed; use {self._finer}."
+                    f"missed, or steps are too long; use {self._finer}."
                 )
         return tuple(sentences)

@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 from tests.rigid.outlines import Outline, overlap
 
 import mbdkit
+from mbdkit_contact.event_step import EventStep
 
 G = 9.81
 EVENT_DRIVEN: tuple[dict[str, Any], ...] = (
@@ -29,6 +30,7 @@ EVENT_DRIVEN: tuple[dict[str, Any], ...] = (
     {"name": "scipy-lsoda"},
 )
 TIME_STEPPING: tuple[dict[str, Any], ...] = ({"name": "moreau-jean"}, {"name": "nonsmooth-generalized-alpha"})
+WITHOUT_DENSE_OUTPUT = ("rk4", "rk-gill", "moreau-jean", "nonsmooth-generalized-alpha")
 STEP = {"event-driven": 0.02, "time-stepping": 0.002}
 """Fixed steps [s]."""
 ROWS = 400
@@ -125,7 +127,7 @@ def drawn_scene(seed: int) -> Scene:
     spec = {
         "mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts}, "integrator": method,
         "time": span, "contact": {"treatment": treatment},
-        "output": {"every": 1} if treatment == "time-stepping" else {"interval": end / ROWS},
+        "output": {"every": 1} if method["name"] in WITHOUT_DENSE_OUTPUT else {"interval": end / ROWS},
     }  # fmt: skip
     return Scene(outlines, spec)
 
@@ -276,3 +278,20 @@ def test_impacts_without_friction_are_those_of_parabolas_and_the_law_of_impact(n
     assert len(times) >= 3
     assert found.impacts.time == pytest.approx(times, abs=1e-8)
     assert [*found["b"].position[-1], found["b"].angle[-1]] == pytest.approx(place, abs=1e-6)
+
+
+@pytest.mark.parametrize("check", [False, True])
+def test_rigid_bodies_that_overlap_make_a_run_bad(monkeypatch: pytest.MonkeyPatch, check: bool) -> None:
+    # a fault of the search is made: no impact is found, and the ball falls 0.21 m into the floor
+    monkeypatch.setattr(EventStep, "first_event", lambda self, there: None)
+    bodies = {"b": {"mass": 1.0, "position": [0.0, 1.0]}}
+    contacts = {"floor": {"bodies": ["ground", "b"], "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"point": [0, 0]}]}}
+    spec = {
+        "mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts},
+        "integrator": {"name": "scipy-dop853"}, "time": {"end": (2.0 * 1.21 / G) ** 0.5},
+        "contact": {"treatment": "event-driven"}, "check": check,
+    }  # fmt: skip
+    run = mbdkit.run(spec)
+    assert run.verdict == "bad"
+    assert run.verdict_reasons[0].startswith("The shapes of the rigid contact 'floor' overlap by 0.21 m at t = 0.4966")
+    assert mbdkit.run(spec, accept=["rigid-overlaps"]).verdict != "bad"

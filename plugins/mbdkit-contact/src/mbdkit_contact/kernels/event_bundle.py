@@ -24,6 +24,8 @@ NORMAL, FRICTION, PLACE = range(3)
 """Kinds of event functions: gap or normal force, slip or how far the friction force is from its limit, and the place on
 an edge of a polygon.
 """
+UNKNOWN = -2
+"""Kind in place of that of an event if the search has given up; the step has to be shorter."""
 PAINLEVE, NO_MODES, NO_IMPULSES, ZENO, OPEN_JOINTS, MORE_ROOM = range(1, 7)
 """Why a step fails: a contact that its own friction presses together, no forces satisfy Coulomb's law, no impulses
 satisfy the law of impact, too many events, no positions in which joints and contacts are closed, or a larger number of
@@ -103,8 +105,8 @@ class Search(NamedTuple):
     bracket: RealVector
     """(7,) share and value at both ends of the bracket and at the point before, and the share to be evaluated."""
     first: RealVector
-    """(1,) share of the first event found, and (2,) its kind and contact; the kind is -1 if the step has to end there
-    without an event."""
+    """(1,) share of the first event found, and (2,) its kind and contact; the kind is -1, or `UNKNOWN`, if the step has
+    to end there without an event."""
     event: IntVector
     step: RealVector
     """(1,) size of the step [s]."""

@@ -18,7 +18,7 @@ from math import sqrt
 import numpy as np
 
 from mbdkit.kernels import copy, cosine_and_sine, separate, subkernel
-from mbdkit_contact.kernels.event_bundle import NORMAL
+from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN
 from mbdkit_contact.kernels.kinematics import (
     CIRCLES,
     LINE,
@@ -46,10 +46,14 @@ CLEAR = 1.1
 """Two shapes do not touch in a step if their distances at its ends exceed this times the way of both. It covers the
 difference between a cubic and the motion of the method.
 """
-NARROW = 1e3
-"""Way within which the first touch is located, in units of the depth that is ignored (``Shapes.exact``)."""
-MOST_PARTS = 1000
-"""Largest number of parts that are examined for one contact; the step ends after these."""
+IGNORED, NARROW = 4.0, 1e3
+"""Overlaps up to this many times ``Shapes.exact`` are ignored: contacts that slide past the end of an edge stay closed
+for twice this distance. The first touch is located within this way, in the same unit.
+"""
+MOST_PARTS, SHORTER = 1000, 0.25
+"""Largest number of parts that are examined for one contact; then, the step is shortened to this share. Its motion may
+be far from any solution, before the error control of the method rejects it.
+"""
 TOUCHES, UNCLEAR, IS_CLEAR = range(3)
 """What is known of a part of a piece: shapes overlap at its end, or may touch within it, or do not touch."""
 
@@ -352,10 +356,9 @@ def _is_examined_elsewhere(m, i):
 
 
 @subkernel
-def _note_touch(m, i, begin, share):
-    """Let the contacts of a pair be examined that overlap at the states in the shapes, at a share of the step.
-
-    If none overlaps, contact `i` is examined.
+def _note_touch(m, i, apart, share):
+    """Let the contacts of a pair be examined that overlap at the states in the shapes, at a share of the step; if none
+    overlaps, contact `i`. Before, at the share `apart` of the piece and of the step, they do not.
     """
     s, x, pair = m.closed.shapes, m.search, m.closed.shapes.contacts[i, 3]
     any_overlaps = False
@@ -365,12 +368,12 @@ def _note_touch(m, i, begin, share):
             x.high[NORMAL, k], any_overlaps = min(x.high[NORMAL, k], share), True
     if not any_overlaps:
         x.high[NORMAL, i] = min(x.high[NORMAL, i], share)
-    _place_both(m, i, begin[0])
+    _place_both(m, i, apart[0])
     choose(s, pair)
     for k in range(s.pairs[pair, 1], s.pairs[pair, 1] + s.pairs[pair, 2]):
         value = gap_of(s, k) - x.level[k]
         if x.high[NORMAL, k] == share and value > 0.0:
-            x.best[NORMAL, k, 0], x.best[NORMAL, k, 1] = begin[1], value
+            x.best[NORMAL, k, 0], x.best[NORMAL, k, 1] = apart[1], value
 
 
 @separate
@@ -381,12 +384,15 @@ def _find_touch(m, i, share, size, until):
     s, x = m.closed.shapes, m.search
     pair, first, second = s.contacts[i, 3], m.touch.bounds[s.contacts[i, 0]], m.touch.bounds[s.contacts[i, 1]]
     way = first[0] + second[0] + (first[3] + second[3]) * m.limits[1]
-    ignored = s.exact[0]
+    ignored = IGNORED * s.exact[0]
     for k in range(s.pairs[pair, 1], s.pairs[pair, 1] + s.pairs[pair, 2]):
-        ignored = max(ignored, s.exact[0] - x.level[k])
-    begin, w, touches = 0.0, until, False
+        ignored = max(ignored, IGNORED * s.exact[0] - x.level[k])
+    apart = begin = 0.0
+    w, least, touches = until, s.exact[0], False
     _place_both(m, i, 0.0)
     _begin_at_states(m, i)
+    if _look(m, i, 0.0, ignored) == TOUCHES:  # inside, but beyond the ends of all features that act
+        return until
     for _ in range(MOST_PARTS):
         end = begin + w if begin + w < until else until
         _place_both(m, i, end)
@@ -395,18 +401,18 @@ def _find_touch(m, i, share, size, until):
             touches, until = True, end
         if touches and (until - begin) * way <= NARROW * s.exact[0]:
             _place_both(m, i, until)
-            _note_touch(m, i, (begin, share + begin * size), share + until * size)
+            _note_touch(m, i, (apart, share + apart * size), share + until * size)
             return until
-        if result == IS_CLEAR or w * way <= s.exact[0]:
-            begin = end
+        if result == IS_CLEAR or w * way <= least:
+            least = s.exact[0] if result == IS_CLEAR else min(2.0 * w * way, NARROW * s.exact[0])
+            apart, begin = begin, end  # the overlap at `begin` may be one that is ignored
             _begin_at_states(m, i)
             if begin >= until:
                 return until
-            w = min(2.0 * w, until - begin)
-        if result != IS_CLEAR or (touches and w >= until - begin):
+            w = min(2.0 * w, 0.5 * (until - begin) if touches else until - begin)
+        else:
             w *= 0.5
-    if share + begin * size > 0.0 and share + begin * size < x.first[0]:
-        x.first[0], x.event[0] = share + begin * size, -1  # the step ends where nothing is known of the rest
+    x.first[0], x.event[0] = SHORTER, UNKNOWN
     return begin
 
 

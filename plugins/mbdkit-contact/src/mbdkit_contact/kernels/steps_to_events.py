@@ -55,7 +55,7 @@ from mbdkit_contact.kernels.contact_modes import (
     switch,
     use_modes,
 )
-from mbdkit_contact.kernels.event_bundle import FRICTION, MORE_ROOM, NORMAL, PAINLEVE, PLACE, ZENO, load_events
+from mbdkit_contact.kernels.event_bundle import FRICTION, MORE_ROOM, NORMAL, PAINLEVE, PLACE, UNKNOWN, ZENO, load_events
 from mbdkit_contact.kernels.event_search import (
     add_sample,
     add_samples,
@@ -583,7 +583,7 @@ def _advance(e, c, m, run, t, h, want_error):
     find_margins(m.closed.shapes, m.values[PLACE])
     if _is_quiet(c, m, h):
         is_apart, status = _is_apart(e, c, m, run, t, h)
-        if status != OK:
+        if status != OK or m.search.event[0] == UNKNOWN:
             return _status(m, status), h, False
         if is_apart:
             return _end_quietly(e, c, m, shows), h, False
@@ -594,7 +594,7 @@ def _advance(e, c, m, run, t, h, want_error):
     known.determined[1] = 1
     if status == OK:
         status = _begin_search(e, c, m, run, t, h)
-    if status != OK:
+    if status != OK or m.search.event[0] == UNKNOWN:
         return status, h, False
     x, is_at_end = m.search, True
     while True:
@@ -640,16 +640,20 @@ def attempt(run, method, t, h, want_error):
             if known.shift_q[d] != 0.0 or known.shift_v[d] != 0.0:
                 c.base_state[0] = MODIFIED
     status = _begin(e, c, m, t, h)
-    size, has_event = h, False
+    longest, size, has_event = h, h, False
     while status == OK:
         for k in range(m.places[1]):
             c.from_z[m.places[0] + k] = 0.0
         status = _begin_values(e, c, m, t)
         if status == OK:
-            size, status = limited(e, m, h)
+            size, status = limited(e, m, longest)
         if status != OK:
             break
+        m.search.event[0] = -1
         status, size, has_event = _advance(e, c, m, run, t, size, want_error)
+        if status == OK and m.search.event[0] == UNKNOWN:
+            longest = size * m.search.first[0]
+            continue
         if status != OK or size > 0.0 or not has_event:
             break
         known.streak[0] += 1  # the event is at the start of the step, which is then taken again
@@ -789,15 +793,17 @@ def begin_search_at(
         return _status(m, status)
     find_limits(e, m, m.search.limits)
     begin_search(m, h)
-    for j in range(len(shares)):
-        copy_rows(samples[j], m.values)
-        add_samples(m, shares[j], rates[j])
+    copy_rows(samples[0], m.values)
+    add_samples(m, 0.0, rates[0])
     for j in range(1, len(shares)):
         part = shares[j] - shares[j - 1]
         set_piece(m, q[j - 1], v[j - 1], q[j], v[j], part * h)
         is_near = find_near(m, samples[j - 1, NORMAL], samples[j, NORMAL])
         if is_near and find_touches(m, shares[j - 1], part):
             break
+    for j in range(1, len(shares)):
+        copy_rows(samples[j], m.values)
+        add_samples(m, shares[j], rates[j])
     return _status(m, release_redundant(e, m))
 
 
