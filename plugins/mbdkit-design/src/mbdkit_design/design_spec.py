@@ -20,10 +20,10 @@ from pydantic import (
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied, path_text, value_text
+from mbdkit.base.strict_model import FormatVersion
 from mbdkit.base.units import Unit, read_quantity
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
-from mbdkit.plugin import FormatVersion
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import parse_key, variable_path
 from mbdkit.spec.run_spec import RunSpec

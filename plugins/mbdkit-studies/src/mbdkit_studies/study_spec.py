@@ -12,8 +12,8 @@ from pydantic_core import PydanticCustomError
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text, quoted
+from mbdkit.base.strict_model import FormatVersion
 from mbdkit.base.text import listed, shortened
-from mbdkit.plugin import FormatVersion
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import Document, parse_key, put
 from mbdkit.spec.sections import Section
