@@ -64,3 +64,11 @@ def test_the_length_of_a_description_beyond_the_file_is_refused(tmp_path: Path) 
     (tmp_path / "walk.c3d").write_bytes(content)
     with pytest.raises(SpecError, match="this is not a C3D file that can be read"):
         read_table(tmp_path / "walk.c3d", "motion.file")
+
+
+def test_a_header_that_announces_too_many_samples_takes_no_memory(tmp_path: Path) -> None:
+    content = bytearray(walk(INTEL, 0.0, has_plate=False))
+    content[2:12] = struct.pack("<5H", 32767, 0, 1, 65535, 10)
+    (tmp_path / "walk.c3d").write_bytes(content)
+    with pytest.raises(SpecError):
+        read_table(tmp_path / "walk.c3d", "motion.file")

@@ -15,7 +15,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
-from mbdkit.plugin import cited, read_data
+from mbdkit.plugin import read_data
 from mbdkit_opensim.osim_defaults import MOST, TooManyError, apply_defaults
 from mbdkit_opensim.osim_format_3 import as_format_4, rename_switches
 
@@ -30,8 +30,8 @@ LARGEST = 50 * 2**20
 KEY = "model.file"
 
 
-LONGEST = 1000
-"""Largest number of characters of a message, which may contain texts of a file."""
+LONGEST, LONGEST_NAME = 1000, 200
+"""Largest numbers of characters of a message, which may contain texts of a file, and of a name in it."""
 
 
 def refused(message: str) -> SpecError:
@@ -143,7 +143,7 @@ def name_of(element: Element) -> str:
 
 def label_of(element: Element) -> str:
     """Return class and name of a component, for error messages."""
-    return cited(f"{element.tag} '{name_of(element)}'")
+    return f"{element.tag[:LONGEST_NAME]} '{name_of(element)[:LONGEST_NAME]}'"
 
 
 def text_of(element: Element, tag: str, default: str = "") -> str:

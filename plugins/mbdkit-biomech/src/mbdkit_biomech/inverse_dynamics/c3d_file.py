@@ -17,7 +17,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -43,6 +43,11 @@ In frames with a larger force, somebody probably stands on the plate, although t
 
 LONGEST = 300.0
 """Time after which the process that reads a file is ended [s]; files of 128 MB take some seconds."""
+
+
+MEMORY = 4 * 2**30, 32
+"""Address space of this process [bytes], and what a byte of the file adds; damaged headers announce any number of
+samples."""
 
 
 LARGEST_PLATE = 20.0
@@ -93,18 +98,18 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
         )
     with TemporaryDirectory() as folder:
         columns = Path(folder) / "columns.npz"
-        path_of_imports = [*map(str, sys.path)]
-        program = (
-            f"import sys; sys.path[:] = {path_of_imports!r}; from {__name__} import write_columns; write_columns()"
-        )
+        places = [*map(str, sys.path)]
+        program = f"import sys; sys.path[:] = {places!r}; from {__name__} import write_columns; write_columns()"
         command = [sys.executable, "-c", program, str(path.absolute()), str(columns), str(most_cells)]
+        alone = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # whose threads take address space
+        quiet: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         try:
-            code = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=LONGEST).returncode
+            code = subprocess.run(command, **quiet, env=alone, timeout=LONGEST).returncode
         except subprocess.TimeoutExpired:
-            code = -signal.SIGTERM
+            raise _unreadable(path, f"its reader does not end in {LONGEST:g} s") from None
         if not columns.exists():
-            why = f"its reader ended with the signal {signal.Signals(-code).name}" if code < 0 else "its reader ended"
-            raise _unreadable(path, f"{why}, as it does for some damaged files")
+            by = f" by the signal {signal.Signals(-code).name}" if code < 0 else ""
+            raise _unreadable(path, f"its reader ended{by}, as it does for some damaged files")
         with np.load(columns) as arrays:
             about, values = json.loads(str(arrays["about"])), arrays["values"]
     if "error" in about:
@@ -117,6 +122,11 @@ def write_columns() -> None:
     the process that reads the file, with the arguments of the command line.
     """
     path, target, most_cells = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    with suppress(ImportError, OSError, ValueError):  # Windows and macOS have no such limit
+        import resource
+
+        most = MEMORY[0] + MEMORY[1] * path.stat().st_size
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
     try:
         columns = _columns_of(path, most_cells)
         about = {} if columns is None else columns._asdict()
