@@ -105,8 +105,9 @@ def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -
         stages.notify(f"{name}: {error}")
         return Comparison(name, None, None, False, f"There is no best point with {name}: {str(error).rstrip('.')}.")
     end = found.end
+    (unit,) = goal_units(evaluator.spec).values()
     stages.notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
-                  f"{with_unit(other.totals(end)[0], next(iter(goal_units(evaluator.spec).values())))}")  # fmt: skip
+                  f"{with_unit(other.totals(end)[0], unit)}")  # fmt: skip
     is_feasible = Problem(evaluator).is_feasible(end)
     reason = "" if found.feasible else f"With {name}, the search found no point that satisfies all limits."
     own = point_of(other, evaluator.first), point_of(other, best)

@@ -231,9 +231,7 @@ class Design:
         for name, limit in self.spec.subject_to.items():
             values, error = [measures[name] for measures in self.best.measures.values()], self.trust.errors[name]
             unit = units[name]
-            for end in (limit.max, limit.min):
-                if end is None:
-                    continue
+            for end in (one for one in (limit.max, limit.min) if one is not None):
                 is_near = min(abs(value - end) for value in values) < error
                 if is_near and error > LEAST_ERROR * abs(end or 1.0) and self.is_feasible:
                     found.append(f"{name} may violate its limit of {with_unit(end, unit)}, because its error is "
