@@ -15,7 +15,6 @@ from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
     from mbdkit.plugin import RunSpec, States
-    from mbdkit.plugin.archives import Integrals
     from mbdkit.plugin.doubts import EnergyRecord
     from mbdkit.plugin.equations import CompiledMechanism
 
