@@ -62,6 +62,8 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.quantities.states import NONE as NONE
     from mbdkit.quantities.table import KINDS as KINDS
+    from mbdkit.archive.run_contents import NotStoredError as NotStoredError
+    from mbdkit.quantities.array import MIXED as MIXED
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.engine.stabilization import NONE as NONE, Stabilization as Stabilization
     from mbdkit.engine.stored_arrays import fill as fill, pattern_of as pattern_of, stored as stored
     from mbdkit.engine.workspace import Workspace as Workspace
+    from mbdkit.engine.linear_systems import symmetric_eigenvectors as symmetric_eigenvectors
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         LONGEST_NAME as LONGEST_NAME, Path as Path, canonical as canonical, canonical_text as canonical_text,
         json_text as json_text,
     )
+    from mbdkit.base.files import check_writable as check_writable
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -49,6 +49,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         number_or_table as number_or_table, pair as pair, sequence as sequence,
     )
     from mbdkit.symbolic.symbolic_law import LENGTH as LENGTH, RATE as RATE, T as T, law_expressions as law_expressions
+    from mbdkit.mechanism.extent import points_of_elements as points_of_elements
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

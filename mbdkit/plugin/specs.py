@@ -43,6 +43,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.spec.varied_specs import VariedSpecs as VariedSpecs
     from mbdkit.spec.yaml_reader import write_yaml as write_yaml
+    from mbdkit.spec.reading import read_text as read_text
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from mbdkit.base.files import check_writable
 from mbdkit.plugin import SpecError, file_error
-from mbdkit.plugin.files import check_folder, rename_new
+from mbdkit.plugin.files import check_folder, check_writable, rename_new
 from mbdkit.plugin.specs import read_file, write_yaml
 from mbdkit_studies import folder_lock
 from mbdkit_studies.folder_lock import LOCK, WHOLE, Shard

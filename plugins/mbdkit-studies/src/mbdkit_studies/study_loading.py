@@ -17,12 +17,13 @@ from mbdkit.plugin.specs import (
     parse_key,
     read_file,
     read_source,
+    read_text,
     refused,
     registry,
     set_value,
 )
 from mbdkit.spec.loading import exists
-from mbdkit.spec.reading import read_assignment, read_stdin, read_text
+from mbdkit.spec.reading import read_assignment, read_stdin
 from mbdkit_studies.sample_section import comparable
 from mbdkit_studies.study_spec import StudySpec
 from mbdkit_studies.value_sets import sets_together

@@ -13,10 +13,9 @@ import numpy as np
 
 import mbdkit
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.archive.run_contents import NotStoredError
 from mbdkit.measures.take import with_error
 from mbdkit.plugin import MbdkitError, Run, SpecError, did_you_mean, listed, load, simulate
-from mbdkit.plugin.archives import COUNTERS, MeasuredValues
+from mbdkit.plugin.archives import COUNTERS, MeasuredValues, NotStoredError
 from mbdkit.plugin.files import FileRead, only_known
 from mbdkit.plugin.measures import Description
 from mbdkit.spec.study_measures import expressions_of

@@ -25,10 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine.linear_systems import symmetric_eigenvectors
 from mbdkit.engine.stacked_matrices import products, pseudoinverses
 from mbdkit.plugin import listed
-from mbdkit.plugin.equations import product
+from mbdkit.plugin.equations import product, symmetric_eigenvectors
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 from mbdkit_biomech.inverse_dynamics.noise import NoisePath

@@ -10,7 +10,6 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from mbdkit.mechanism.extent import points_of_elements
 from mbdkit.mechanism.improbable_bodies import STAND_IN, improbable_radii, place_of
 from mbdkit.plugin import GROUND, Finding, Mechanism, Point
 from mbdkit.plugin.doubts import (
@@ -21,6 +20,7 @@ from mbdkit.plugin.doubts import (
     improbable_lengths,
     improbable_people,
 )
+from mbdkit.plugin.mechanisms import points_of_elements
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec

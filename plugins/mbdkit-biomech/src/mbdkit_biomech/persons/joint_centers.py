@@ -24,9 +24,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine.linear_systems import symmetric_eigenvectors
 from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import elementary, inverse_of, product
+from mbdkit.plugin.equations import elementary, inverse_of, product, symmetric_eigenvectors
 from mbdkit_biomech.persons.landmarks import Side
 from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses
 

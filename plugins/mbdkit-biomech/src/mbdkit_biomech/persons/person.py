@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.linear_systems import symmetric_eigenvectors
 from mbdkit.plugin import Finding, SpecError, listed
-from mbdkit.plugin.equations import product
+from mbdkit.plugin.equations import product, symmetric_eigenvectors
 from mbdkit_biomech.models._measured_segments import MeasuredPerson
 from mbdkit_biomech.persons.calibration import ENDS, LEAST_FRAMES, Segments, angle_of
 from mbdkit_biomech.persons.joint_centers import JointCenter

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine.linear_systems import symmetric_eigenvectors
 from mbdkit.plugin import SpecError, listed, shown
-from mbdkit.plugin.equations import inverse_of, product
+from mbdkit.plugin.equations import inverse_of, product, symmetric_eigenvectors
 
 LEAST_MARKERS = 3
 """Number of markers that determine a pose."""
