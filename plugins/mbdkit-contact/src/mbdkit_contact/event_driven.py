@@ -135,16 +135,18 @@ def _with_forces(events: ContactEvents, begin: Point, end: StepState, dense: Den
         q, v, z = (taken.between if dense is None else dense)(theta)[:3]
         return taken.time(theta), q, v, z
 
-    def inside(theta: float) -> tuple[np.ndarray | float, ...]:
+    def inside(theta: float) -> tuple[np.ndarray, ...]:
         with events.as_in(end.memory):
             if equations.has_power and not powers:  # once for all states within the step
                 with events.acting():
                     powers.extend(power_at(equations, *state(share)) for share in _NODES.tolist())
             t, q, v, z = state(theta)
             held = events.held_at(t, q, v, z)
-        weights = _INTEGRALS @ theta ** np.arange(1, len(_NODES) + 1) * (taken.t1 - taken.t0)
-        work, lost = weights @ np.array(powers) if powers else np.zeros(2)
-        return q, v, held, begin.work + work, begin.dissipated + lost
+        gained = np.array([begin.work, begin.dissipated])
+        if powers:  # sums over rows, since products of matrices round differently on other processors
+            weights = (taken.t1 - taken.t0) * np.sum(_INTEGRALS * np.cumprod(np.full(len(_NODES), theta)), axis=1)
+            gained += np.sum(weights[:, None] * np.array(powers), axis=0)
+        return q, v, held, gained[0], gained[1]
 
     return inside
 
