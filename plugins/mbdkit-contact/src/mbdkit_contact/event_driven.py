@@ -137,9 +137,11 @@ def _with_forces(events: ContactEvents, begin: Point, end: StepState, dense: Den
                     powers.extend(power_at(equations, *state(share)) for share in _NODES.tolist())
             t, q, v, z = state(theta)
             held = events.held_at(t, q, v, z)
-        weights = _INTEGRALS @ theta ** np.arange(1, len(_NODES) + 1) * (taken.t1 - taken.t0)
-        energies = np.array([begin.work, begin.dissipated]) + (weights @ np.array(powers) if powers else 0.0)
-        return q, v, held, *energies
+        gained = np.array([begin.work, begin.dissipated])
+        if powers:  # sums over rows, since products of matrices round differently on other processors
+            weights = (taken.t1 - taken.t0) * np.sum(_INTEGRALS * np.cumprod(np.full(len(_NODES), theta)), axis=1)
+            gained += np.sum(weights[:, None] * np.array(powers), axis=0)
+        return q, v, held, gained[0], gained[1]
 
     return inside
 
