@@ -271,7 +271,8 @@ class Finder:
             after = self.motion.segment(t, END).state(t)
             here = []
             for number, event in enumerate(self.events):
-                sign = event.sign(after) if abs(event.factors[0].value(after)) > 1e-9 else signs[number]
+                is_zero = any(abs(factor.value(after)) <= 1e-9 for factor in event.factors)
+                sign = signs[number] if is_zero else event.sign(after)
                 if sign != signs[number]:
                     if event in setting:
                         signs[number] = sign
