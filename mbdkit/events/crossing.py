@@ -168,7 +168,7 @@ def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float
 
     None if the scalar changes its sign at a pole, through infinity instead of zero.
     """
-    (a, fa), (b, fb) = bracketed(exact, left, right, accuracy)
+    (a, fa), (b, fb) = bracket_root(exact, left, right, accuracy)
     if min(abs(fa), abs(fb)) > POLE * min(abs(left[1]), abs(right[1])):
         # the point on the left or right may itself be close to the pole
         near, far = WIDER * accuracy, WIDER * WIDER * accuracy
@@ -178,7 +178,7 @@ def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float
     return a if abs(fa) <= abs(fb) else b
 
 
-def bracketed(function: Scalar, left: Point, right: Point, accuracy: float) -> tuple[Point, Point]:
+def bracket_root(function: Scalar, left: Point, right: Point, accuracy: float) -> tuple[Point, Point]:
     """Return two points with a distance of at most `accuracy` between which a function changes its sign.
 
     The method is ITP: interpolation, truncation and projection (Oliveira and Takahashi 2020,

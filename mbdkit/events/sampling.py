@@ -29,7 +29,7 @@ from itertools import pairwise
 import numpy as np
 
 from mbdkit.engine.linear_systems import inverse_of, product
-from mbdkit.events.crossing import UndefinedError, bracketed, sign
+from mbdkit.events.crossing import UndefinedError, bracket_root, sign
 
 INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated first."""
@@ -107,20 +107,20 @@ def refined(
         _divide(known, at, phase)
     kinks: list[float] = []
     for argument in breaks:  # in the order of the expression, so that kinks of an argument are known before its own
-        for left, right in pairwise(_resolved(known, at, argument, kinks, 0.0)):
+        for left, right in pairwise(_sample_between_kinks(known, at, argument, kinks, 0.0)):
             if sign(left[1]) * sign(right[1]) < 0:
                 with suppress(UndefinedError):
-                    (kink, _), _ = bracketed(_composed(argument, values_at), left, right, KINK)
+                    (kink, _), _ = bracket_root(_compose(argument, values_at), left, right, KINK)
                     kinks.append(kink)
                     at(kink)
-    return _resolved(known, at, scalar, kinks, largest, deepest=0 if is_product else DEEPEST)
+    return _sample_between_kinks(known, at, scalar, kinks, largest, deepest=0 if is_product else DEEPEST)
 
 
-def _composed(scalar: Scalar, values_at: Callable[[float], Values]) -> Callable[[float], float]:
+def _compose(scalar: Scalar, values_at: Callable[[float], Values]) -> Callable[[float], float]:
     return lambda theta: scalar(values_at(theta))
 
 
-def _resolved(
+def _sample_between_kinks(
     known: dict[float, Values],
     at: Callable[[float], Values],
     scalar: Scalar,

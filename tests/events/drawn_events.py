@@ -271,7 +271,8 @@ class Finder:
             after = self.motion.segment(t, END).state(t)
             here = []
             for number, event in enumerate(self.events):
-                sign = event.sign(after) if abs(event.factors[0].value(after)) > 1e-9 else signs[number]
+                is_zero = any(abs(factor.value(after)) <= 1e-9 for factor in event.factors)
+                sign = signs[number] if is_zero else event.sign(after)
                 if sign != signs[number]:
                     if event in setting:
                         signs[number] = sign
@@ -292,6 +293,9 @@ def _changes(event: DrawnEvent, segment: Segment, sign: int) -> list[tuple[Time,
     """Return the times within a segment at which an expression changes its sign, and whether this is at a pole."""
     zeros = {t: False for factor in event.factors for t in factor.zeros(segment)}
     poles = {t: True for factor in event.factors for t in factor.poles(segment)}
+    every = sorted(t for factor in event.factors for t in (*factor.zeros(segment), *factor.poles(segment)))
+    if any(b - a < 1e-6 for a, b in pairwise(every)):
+        raise AmbiguousError
     jumps = [t for t in (segment.begin, segment.end) if 0.0 < t < END]
     if any(abs(pole - t) < 1e-6 for pole in poles for t in jumps):
         raise AmbiguousError  # there is no value before the jump
