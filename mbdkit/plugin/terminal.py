@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         count_bar as count_bar, in_notebook as in_notebook, progress_bar as progress_bar, tally_bar as tally_bar,
     )
     from mbdkit.base.terminal import STOPPED_EARLY as STOPPED_EARLY, say as say, silence as silence
-    from mbdkit.base.text import cited as cited, csv_cell as csv_cell, shortened as shortened, told_apart as told_apart
+    from mbdkit.base.text import csv_cell as csv_cell, shortened as shortened, told_apart as told_apart
     from mbdkit.cli.common_options import (
         Archive as Archive, Archives as Archives, AsJson as AsJson, Debug as Debug, MotionSet as MotionSet,
         Overwrite as Overwrite, Printing as Printing, Quiet as Quiet, Set as Set, SpecName as SpecName,

@@ -192,7 +192,9 @@ class SidedStepper(DifferentiatedStepper):
         for index, theta in enumerate(PLACES):
             if wrong[index, number] and value(theta) < 0.0:
                 # in a long step, the interpolation from which `begin` follows may be on the wrong side
-                return float(brentq(value, begin if value(begin) > 0.0 else SAME, theta, xtol=1e-15)), number
+                begin = begin if value(begin) > 0.0 else SAME
+                # Brent's method needs at most the square of the steps of bisection, as for multiple zeros
+                return float(brentq(value, begin, theta, xtol=1e-15, maxiter=10_000)), number
             if not wrong[index, number]:
                 begin = theta
         return None

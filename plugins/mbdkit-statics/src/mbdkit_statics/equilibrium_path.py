@@ -415,7 +415,7 @@ class _Follower:
         def at(part: float) -> float:
             return value(here if part == 0 else self._at(here, part)[0])
 
-        return float(brentq(at, low, high, xtol=LOCATED * (high - low)))
+        return float(brentq(at, low, high, xtol=LOCATED * (high - low), maxiter=10_000))
 
     def _described(self, kind: Kind, found: _Point, way: np.ndarray, frequency: float = 0.0) -> CriticalPoint:
         """Return a critical point at which the mechanism leaves the path along `way` (n or more,)."""

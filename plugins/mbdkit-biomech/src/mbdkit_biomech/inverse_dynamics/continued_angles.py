@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.plugin.terminal import cited
+from mbdkit.plugin import cited
 from mbdkit_biomech.inverse_dynamics.measured_table import Table
 
 RATE_SAMPLES = 5

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, Finding, listed, read_unit
+from mbdkit.plugin import GROUND, Finding, cited, listed, read_unit
 from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.glitch_criterion import spans

@@ -11,9 +11,8 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from mbdkit.mechanism.mechanism_quantities import GROUND
-from mbdkit.plugin import QuantityNames, SpecError, quoted
+from mbdkit.plugin import QuantityNames, SpecError, cited, quoted
 from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.interpolating_splines import interpolating_spline
 from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, Load, TimeColumn
 from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec

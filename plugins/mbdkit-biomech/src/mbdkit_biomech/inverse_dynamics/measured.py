@@ -12,9 +12,8 @@ from typing import TypeAlias
 import numpy as np
 
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import QuantityNames, SpecError, Unit, counted, listed, load, quoted, read_unit
+from mbdkit.plugin import QuantityNames, SpecError, Unit, cited, counted, listed, load, quoted, read_unit
 from mbdkit.plugin.mechanisms import Quantity
-from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.continued_angles import continued
 from mbdkit_biomech.inverse_dynamics.fit import Target
 from mbdkit_biomech.inverse_dynamics.interpolating_splines import interpolating_spline

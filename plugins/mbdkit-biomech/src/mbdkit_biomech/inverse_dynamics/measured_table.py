@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, Unit, did_you_mean, listed, read_quantity, read_unit
-from mbdkit.plugin.terminal import cited
+from mbdkit.plugin import SpecError, Unit, cited, did_you_mean, listed, read_quantity, read_unit
 
 GAPS = (
     *("", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "n.a.", "null", "none", "-", "--"),

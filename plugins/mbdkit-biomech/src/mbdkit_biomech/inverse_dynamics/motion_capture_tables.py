@@ -10,8 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from mbdkit.plugin import SpecError, listed
-from mbdkit.plugin.terminal import cited
+from mbdkit.plugin import SpecError, cited, listed
 
 Rows = Sequence[tuple[int, list[str]]]
 """Rows of cells with the numbers of their lines, without empty lines."""

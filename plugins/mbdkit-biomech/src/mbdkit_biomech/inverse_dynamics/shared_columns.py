@@ -7,9 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.plugin import Finding, listed
+from mbdkit.plugin import Finding, cited, listed
 from mbdkit.plugin.equations import product
-from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.inverse_sections import Load

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.base.units import NUMBER
-from mbdkit.plugin import SpecError, read_data, read_unit
+from mbdkit.plugin import SpecError, cited, read_data, read_unit
 from mbdkit.plugin.files import check_readable
-from mbdkit.plugin.terminal import cited
 from mbdkit_biomech.inverse_dynamics.c3d_file import read_c3d
 from mbdkit_biomech.inverse_dynamics.measured_table import DECIMAL_COMMA, Table, begins_like_number
 from mbdkit_biomech.inverse_dynamics.motion_capture_tables import (

@@ -172,7 +172,8 @@ class MuscleForce:
             )
         from scipy.optimize import brentq  # loaded only if a run has such muscles
 
-        return float(brentq(surplus, shortest, longest, xtol=1e-15, rtol=1e-15))
+        # Brent's method needs at most the square of the steps of bisection, more than its default for flat functions
+        return float(brentq(surplus, shortest, longest, xtol=1e-15, rtol=1e-15, maxiter=10_000))
 
 
 def _segment(kind: str, first: PathItem, second: PathItem, constant: float) -> Segment:
