@@ -26,9 +26,10 @@ OpenSim's examples, of 30 mm radius, overlap the ground by up to about a third o
 """
 
 
-RIGID, BETWEEN = 1e-5, 1e-3
-"""Overlaps of rigid contacts up to this share of the size of the mechanism are the errors of a sound run: in recorded
-states, which may be interpolated in steps with closed contacts, and at the peaks that checked runs find between them.
+RIGID, INTERPOLATED = 1e-7, 1e-3
+"""Overlaps of rigid contacts up to this share of the size of the mechanism are the errors of a sound run: of open
+contacts in recorded states; and of closed ones, and at the peaks that checked runs find between recorded states, where
+coarse steps are interpolated.
 """
 
 
@@ -56,12 +57,14 @@ class DeepOverlaps:
 
     def add(self, states: States) -> None:
         """Take note of states."""
-        if not len(states.time):
-            return
-        gap = states.of(contacts_in)["gap"]
+        if len(states.time):
+            self._note(states.time, states.of(contacts_in)["gap"])
+
+    def _note(self, time: np.ndarray, gap: np.ndarray) -> None:
+        """Take note of gaps (T, C) at times (T,)."""
         row = np.argmin(gap, axis=0)
         depth = -gap[row, np.arange(len(row))]
-        self._time = np.where(depth > self._depth, states.time[row], self._time)
+        self._time = np.where(depth > self._depth, time[row], self._time)
         self._depth = np.maximum(self._depth, depth)
 
     def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, Any]) -> tuple[str, ...]:
@@ -107,21 +110,26 @@ class RigidOverlaps(DeepOverlaps):
     def of(cls, spec: RunSpec, compiled: CompiledMechanism, size: float) -> RigidOverlaps | None:
         """Return the `RigidOverlaps` of a mechanism; None if its contacts are compliant."""
         chosen = compiled.reacting
-        return (
-            None
-            if chosen is None
-            else cls(compiled, spec.finer, size, locates=chosen.section.treatment == "event-driven")
-        )
+        if chosen is None:
+            return None
+        return cls(compiled, spec.finer, size, locates=chosen.section.treatment == "event-driven")
+
+    def add(self, states: States) -> None:
+        """See `DeepOverlaps.add`."""
+        if len(states.time):
+            found = states.of(contacts_in)
+            is_sound = (found["mode"] > 0.0) & (found["gap"] > -INTERPOLATED * self._size)
+            self._note(states.time, np.where(is_sound, 0.0, found["gap"]))
 
     def findings(self, _energies: EnergyRecord, integrals: Mapping[str, Any]) -> tuple[str, ...]:
         """Return a sentence for each contact that overlaps beyond its tolerance."""
         sentences = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):
             peak = integrals.get(expression_of_largest("-contacts.gap", pair.name), 0.0) if self._locates else 0.0
-            deepest, when = (peak, "between recorded states") if peak > BETWEEN * self._size else (0.0, "")
-            if depth > max(RIGID * self._size, deepest):
-                deepest, when = depth, f"at t = {time:.6g} s"
-            if deepest > 0.0:
+            deepest, when = depth, f"at t = {time:.6g} s"
+            if depth <= RIGID * self._size:
+                deepest, when = peak, "between recorded states"
+            if deepest > (RIGID if deepest == depth else INTERPOLATED) * self._size:
                 sentences.append(
                     f"The shapes of the rigid contact '{pair.name}' overlap by {deepest:.3g} m {when}: an impact was "
                     f"missed, or steps are too long; use {self._finer}."

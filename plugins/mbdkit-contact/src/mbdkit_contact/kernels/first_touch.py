@@ -54,6 +54,8 @@ MOST_PARTS, SHORTER = 1000, 0.25
 """Largest number of parts that are examined for one contact; then, the step is shortened to this share. Its motion may
 be far from any solution, before the error control of the method rejects it.
 """
+REBOUND = 8
+"""Number of parts of a step in which a rebound is sampled."""
 TOUCHES, UNCLEAR, IS_CLEAR = range(3)
 """What is known of a part of a piece: shapes overlap at its end, or may touch within it, or do not touch."""
 
@@ -426,3 +428,21 @@ def find_touches(m, share, size):
         if m.touch.near[i] != 0 and not _is_examined_elsewhere(m, i):
             until = _find_touch(m, i, share, size, until)
     return until < 1.0
+
+
+@separate
+def find_rebounds(m):
+    """Sample the gaps of near contacts that begin at zero and end below it: those of rebounds, however small.
+
+    Requires `find_near` for the whole step, with the gaps ``m.gaps`` at its end.
+    """
+    s, x = m.closed.shapes, m.search
+    for i in range(len(m.gaps)):
+        if m.touch.near[i] == 0 or x.best[NORMAL, i, 1] > 0.0 or not m.gaps[i] < x.level[i]:
+            continue
+        for k in range(1, REBOUND):
+            _place_both(m, i, k / REBOUND)
+            choose(s, s.contacts[i, 3])
+            value = gap_of(s, i) - x.level[i]
+            if value > x.best[NORMAL, i, 1]:
+                x.best[NORMAL, i, 0], x.best[NORMAL, i, 1] = k / REBOUND, value

@@ -67,7 +67,7 @@ from mbdkit_contact.kernels.event_search import (
     note_value,
     release_sticking,
 )
-from mbdkit_contact.kernels.first_touch import find_near, find_touches, set_piece
+from mbdkit_contact.kernels.first_touch import find_near, find_rebounds, find_touches, set_piece
 from mbdkit_contact.kernels.kinematics import find_margins, place
 from mbdkit_contact.modes import OPEN, STICK
 
@@ -541,6 +541,7 @@ def _begin_search(e, c, m, run, t, h):
     if not stays:
         _sample_features(c, m, h)
     if _may_touch(c, m, h):
+        find_rebounds(m)
         status = _search_touches(e, c, m, run, t, h)[1]
         if status != OK:
             return status
@@ -795,6 +796,11 @@ def begin_search_at(
     begin_search(m, h)
     copy_rows(samples[0], m.values)
     add_samples(m, 0.0, rates[0])
+    last = len(shares) - 1
+    set_piece(m, q[0], v[0], q[last], v[last], h)
+    copy(samples[last, NORMAL], m.gaps)
+    if find_near(m, samples[0, NORMAL], m.gaps):
+        find_rebounds(m)
     for j in range(1, len(shares)):
         part = shares[j] - shares[j - 1]
         set_piece(m, q[j - 1], v[j - 1], q[j], v[j], part * h)
