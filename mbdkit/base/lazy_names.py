@@ -65,7 +65,8 @@ def homes_of(file: str | Path) -> dict[str, str]:
 
 
 def door(package: MutableMapping[str, Any]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return the ``__getattr__`` and ``__dir__`` of a module whose names are those that it imports for type checkers.
+    """Return the ``__getattr__`` and ``__dir__`` of a module whose names are those that it imports for type checkers,
+    and set its ``__all__``.
 
     Each name is thus written once, in the block ``if TYPE_CHECKING`` of the module.
 
@@ -75,4 +76,5 @@ def door(package: MutableMapping[str, Any]) -> tuple[Callable[[str], Any], Calla
         The ``globals()`` of the module.
     """
     homes = homes_of(package["__file__"])
+    package["__all__"] = sorted(homes)
     return lazy(package, homes), lambda: sorted(homes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import importlib
 import inspect
 import json
 import re
@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import mbdkit
 import mbdkit.plugin
 from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.lazy_names import homes_of
 from mbdkit.cli import app
 from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, SpecKind, Target
 from mbdkit.registry.item_options import named_options
@@ -22,6 +23,7 @@ from mbdkit.registry.manager import checked, load_registry, registry
 from mbdkit.registry.policy import Policy
 from mbdkit_testing import item_places
 from tests.installing import install_module, python
+from tests.private_names import FACES
 from tests.registry.conftest import offering_items as offering
 
 NUMERICAL = ("numpy", "scipy", "sympy", "h5py")
@@ -199,18 +201,13 @@ def test_a_clash_of_kinds_of_specs_names_both_also_for_their_schema(installed):
     assert '"anyOf"' in CliRunner().invoke(app, ["schema", "acme:jumps"]).output
 
 
-def test_what_plugins_import_exists_and_is_named_once():
-    names = mbdkit.plugin.__all__
-    assert len(set(names)) == len(names)
-    assert all(hasattr(mbdkit.plugin, name) for name in names)
-    imports = [
-        node for node in ast.walk(ast.parse(inspect.getsource(mbdkit.plugin))) if isinstance(node, ast.ImportFrom)
-    ]
-    exported = {one.asname: node.module for node in imports for one in node.names if one.asname == one.name}
-    assert exported == mbdkit.plugin._HOME  # what type checkers see
-    assert set(mbdkit.plugin._HOME) >= mbdkit.plugin.STABLE
+@pytest.mark.parametrize("name", sorted(FACES))
+def test_every_name_of_a_door_exists(name):
+    door = importlib.import_module(name)
+    assert set(door.__all__) - {"__version__"} == set(homes_of(FACES[name]))
+    assert all(hasattr(door, one) for one in door.__all__)
     with pytest.raises(AttributeError):
-        _ = mbdkit.plugin.nothing
+        _ = door.nothing
 
 
 NOT_FOR_PLUGINS = {"ActingContact", "Any", "Coefficients", "Dense", "None", "Unpack"}
