@@ -376,7 +376,7 @@ def _note_touch(m, i, apart, share):
     choose(s, pair)
     for k in range(s.pairs[pair, 1], s.pairs[pair, 1] + s.pairs[pair, 2]):
         value = gap_of(s, k) - x.level[k]
-        if x.high[NORMAL, k] == share and value > 0.0:
+        if x.high[NORMAL, k] == share and (value > 0.0 or x.best[NORMAL, k, 0] > share):
             x.best[NORMAL, k, 0], x.best[NORMAL, k, 1] = apart[1], value
 
 
