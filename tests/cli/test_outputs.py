@@ -41,7 +41,7 @@ def test_pipes_and_devices_are_not_replaced(mbdkit, in_tmp_path, command, kind):
     "words", [("plot", "run.h5"), ("animate", "run.h5"), ("modes", "pendulum")], ids=lambda w: w[0]
 )
 def test_a_picture_is_replaced_only_with_overwrite(mbdkit, in_tmp_path, words):
-    make(Path("run.h5"))
+    assert mbdkit("run", "pendulum", "-o", "run.h5").exit_code == 0
     old = Path("old.gif" if words[0] == "animate" else "old.png")
     old.write_text("precious")
     result = mbdkit(*words, "-o", old)
