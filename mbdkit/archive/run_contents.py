@@ -28,7 +28,7 @@ from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_kinds import kinds_of_file
-from mbdkit.archive.stored_mechanism import StoredMechanism, read_mechanism
+from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
@@ -313,7 +313,10 @@ class ArchiveContents(RunContents):
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""
         with reading("its mechanism", self.path):
-            return read_mechanism(str(self.file.attrs[layout.MECHANISM]), self.names["trajectory/body"])
+            text = self.file.attrs.get(layout.MECHANISM)  # absent if another program has written the archive
+            if text is not None:
+                return read_mechanism(str(text), self.names["trajectory/body"])
+            return built_mechanism(run_header.spec_of(self.header.attributes["spec"]))
 
     @property
     def files(self) -> Sequence[FileRead]:

@@ -262,7 +262,10 @@ def _origin(entry_point: EntryPoint) -> Origin:
     if isinstance(dist, importlib.metadata.Distribution):
         name, version = name_and_version(dist)
     else:
-        name, version = (str(getattr(dist, key, None) or "unknown") for key in ("name", "version"))
+        try:  # the backport of importlib.metadata reads METADATA only now
+            name, version = (str(getattr(dist, key, None) or "unknown") for key in ("name", "version"))
+        except UnicodeDecodeError:
+            name, version = "unknown", "unknown"
     return Origin(name, version, f"{entry_point.name} = {entry_point.value}")
 
 

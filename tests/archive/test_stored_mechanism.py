@@ -123,9 +123,14 @@ def test_a_run_in_memory_and_its_copy_have_the_mechanism(tmp_path: Path) -> None
             assert copy.files == ()
 
 
-def test_an_archive_without_its_mechanism_is_damaged(tmp_path: Path) -> None:
-    mbdkit.run(swing(), archive=tmp_path / "a.h5", **SHORT).close()
+def test_an_archive_that_lacks_the_mechanism_of_a_plugin_is_drawn_as_points_and_says_so(tmp_path: Path) -> None:
+    with mbdkit.run(swing(), archive=tmp_path / "a.h5", **SHORT) as run:
+        spec = dict(run.spec)
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         del file.attrs["mechanism"]
-    with mbdkit.load(tmp_path / "a.h5") as run, pytest.raises(mbdkit.ArchiveError, match="its mechanism"):
-        assert run.mechanism
+        file.attrs["spec"] = json.dumps(spec | {"model": {"name": "acme:crane", "file": str(tmp_path / "secret")}})
+    with mbdkit.load(tmp_path / "a.h5") as run:
+        assert "the model 'acme:crane' is of a plugin, which may read files" in run.not_drawn
+        assert draw_run(run).pins == ()
+        with pytest.raises(mbdkit.ArchiveError, match="only points of bodies"):
+            assert run.mechanism

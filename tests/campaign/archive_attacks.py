@@ -17,7 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit.archive.archive_check import examine
+from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import OF_SCALES, attributes_sha256, data_sha256, objects
 from mbdkit.archive.reader import load
 from mbdkit_studies.blocks import Block
@@ -168,7 +168,7 @@ def _damaged(content: bytes, what: str, path: Path) -> list[str]:
     before = small_contents(path.name)
 
     def judge() -> tuple[list[str], bool]:
-        found = examine(path).problems
+        found = check(path)
         try:
             return found, contents(path) == before
         except Exception:  # of HDF5, as a rule: what `contents` reads cannot be read

@@ -154,7 +154,7 @@ def test_models_are_drawn_from_the_spec_alone(name):
 def test_a_model_that_cannot_be_built_is_drawn_as_centres_of_mass(model):
     built = built_mechanism({"model": model})
     assert built.mechanism is None
-    assert built.not_drawn.startswith("only points of bodies are drawn: this archive of format 1.1 does not hold")
+    assert built.not_drawn.startswith("only points of bodies are drawn: the mechanism of this run is not stored")
     drawing = draw_centres(["a", "b"])
     assert [trace.label for trace in drawing.traces] == ["a", "b"]
     poses = np.array([[1.0, 2.0, 0.3], [3.0, 4.0, 0.5]])

@@ -12,7 +12,6 @@ import mbdkit
 from mbdkit_report.pages.answer_section import Peaks
 from mbdkit_report.pages.run_report import run_report
 from mbdkit_report.pages.verdict_text import markdown_text
-from tests.first_party import ROOT
 from tests.linkages import driven_wheel
 
 
@@ -79,14 +78,3 @@ def test_largest_values_are_found_beyond_what_is_not_finite():
     peaks = Peaks.of(time, data)
     assert (peaks.value[0], peaks.time[0]) == (3.0, 1.0)
     assert np.isnan([peaks.value[1], peaks.time[1]]).all()
-
-
-def test_an_archive_of_the_first_format_has_a_report():
-    with mbdkit.load(ROOT / "tests" / "archive" / "format-1.0.h5") as run:
-        document = run_report(run)
-        assert [found.name for found in document.sections[1].tables] == ["drivers", "joints"]
-        assert "largest power" not in [column.label for column in table(document, "drivers").columns]
-        names = [figure.name for figure in document.verdict.figures]
-        assert "reactions" in names
-        assert not [name for name in names if name.startswith(("element", "components", "joint-angles"))]
-        assert document.html()

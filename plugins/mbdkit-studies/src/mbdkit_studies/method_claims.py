@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from pydantic import ValidationError
 
-from mbdkit.plugin import Claims, IntegratorPlugin, blaming, plain
+from mbdkit.plugin import Claims, IntegratorPlugin, SpecError, blaming, plain
 from mbdkit.plugin.specs import named_options, registry
 
 METHOD = "integrator"
@@ -32,6 +33,8 @@ def claims_of(integrator: Any) -> Claims:
         If its claims cannot be computed.
     """
     chosen = {"name": integrator} if isinstance(integrator, str) else integrator
+    if not isinstance(chosen, Mapping):
+        raise SpecError("an integrator is a name, or a mapping with `name`", key="integrator")
     item = registry().get("integrator", str(chosen.get("name")))
     plugin, model = item.plugin, named_options(item)
     assert isinstance(plugin, IntegratorPlugin)

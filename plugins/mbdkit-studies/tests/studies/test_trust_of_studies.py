@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
-
 import h5py
 import pytest
 
 import mbdkit
-from mbdkit.archive.fingerprint import data_sha256
 from mbdkit_studies.study_report import study_report
 
 RUN = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 2.0, "step": 0.05}}
@@ -43,15 +39,3 @@ def test_the_report_of_a_study_shows_the_verdicts(study: mbdkit.Study) -> None:
     place = [column.label for column in table.columns].index("verdict")
     assert [row[place] for row in table.rows] == ["unknown", "bad"]
     assert page.settings.endswith("2 complete \u00b7 1 bad")
-
-
-def test_an_index_without_verdicts_is_read_and_renewed_from_the_archives(study: mbdkit.Study, tmp_path: Path) -> None:
-    folder = shutil.copytree(study.folder, tmp_path / "two")
-    with h5py.File(folder / "index.h5", "r+") as file:
-        for group in ("runs", "references"):
-            del file[f"{group}/verdict"], file[f"{group}/verdict_reasons"]
-        file.attrs.modify("data_sha256", data_sha256(file))
-    assert [point.verdict for point in mbdkit.load_study(folder).points] == ["", ""]
-    again = mbdkit.study(STUDY, out=folder)
-    assert again.computed == 0
-    assert [point.verdict for point in again.points] == ["unknown", "bad"]

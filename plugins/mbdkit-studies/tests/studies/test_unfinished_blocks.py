@@ -17,6 +17,7 @@ from mbdkit_studies import unfinished_block
 from mbdkit_studies.compute_block import compute_block
 from mbdkit_studies.folder_lock import Shard
 from mbdkit_studies.study_folder import StudyFolder
+from mbdkit_studies.study_loading import load_study_spec
 from mbdkit_studies.unfinished_block import UnfinishedBlock, pieces_of
 
 from .test_blocks import BASE, GRID
@@ -102,7 +103,7 @@ def test_runs_of_other_versions_and_truncated_files_are_computed_again(
 
 
 def heading(version: str) -> Any:
-    study = mbdkit.spec.load_study_spec(ONE_BLOCK)
+    study = load_study_spec(ONE_BLOCK)
     now = compute_block_module.surroundings()
     return compute_block_module.BlockHeading(study.sha256(), "all", now | ({"mbdkit": version} if version else {}), {})
 
