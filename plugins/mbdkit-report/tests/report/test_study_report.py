@@ -230,7 +230,7 @@ def test_a_study_answers_with_mean_spread_causes_and_extreme_runs(tmp_path):
     assert f"smallest {9.81 * mass.min():.4g} N in run {mass.argmin() + 1} (" in told
     page = study_report(study)
     assert page.headline[0] == (name, told.replace("+-", "±"))
-    assert [label for label, _ in page.headline[1:]] == ["intervals", "errors"]
+    assert [label for label, _ in page.remarks] == ["intervals", "errors"]
     titles = [figure.title for figure in page.verdict.figures]
     assert titles[0] == "Weight_N: histogram of the runs"
     assert not any("isalignment" in title for title in titles)  # rounding errors
