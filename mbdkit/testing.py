@@ -7,6 +7,6 @@ if TYPE_CHECKING:
 else:
     import sys
 
-    import mbdkit_testing
+    from mbdkit.base.lazy_names import import_part
 
-    sys.modules[__name__] = mbdkit_testing
+    sys.modules[__name__] = import_part("mbdkit_testing", "mbdkit.testing")
