@@ -89,13 +89,16 @@ class Watched:
 
 @dataclass(frozen=True)
 class Found:
-    """One crossing: name of the event, time [s], direction (1 or -1), and positions and velocities (3 (B + 1),)."""
+    """One crossing: name of the event, time [s], direction (1 or -1), positions and velocities (3 (B + 1),), and
+    whether the expression jumps there from one sign to the other.
+    """
 
     name: str
     time: float
     direction: int
     q: np.ndarray
     v: np.ndarray
+    at_jump: bool = False
 
     def __str__(self) -> str:
         way = "upwards" if self.direction > 0 else "downwards"
@@ -357,7 +360,7 @@ class Watch:
         if step is None or not self.events:
             return stretch
         crossed: list[tuple[Crossing, int]] = []
-        samples = self._shown(step)
+        samples, is_after_jump = self._shown(step)
         signs = [*self._signs]
         self._fired.clear()
         accuracy = ACCURACY * max(1.0, abs(step.t1)) / (step.t1 - step.t0)
@@ -379,7 +382,8 @@ class Watch:
                 continue
             self._latest = max(self._latest, step.time(min(crossing.theta, acting)))
             state = self.stepper.within(min(crossing.theta, acting))
-            record = Found(self.events[number].name, self._latest, crossing.direction, *state[:2])
+            at_jump = is_after_jump and crossing.theta == 0.0 and samples[number][0][1] != 0.0
+            record = Found(self.events[number].name, self._latest, crossing.direction, *state[:2], at_jump)
             self._found.append(record)
             if self._stops(number):
                 self.stopped = record
@@ -448,8 +452,10 @@ class Watch:
         """Return values that differ at the two sides of a jump: velocities, first-order states, limits of motions."""
         return np.concatenate([v, z, self._sides])
 
-    def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
-        """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
+    def _shown(self, step: StepTaken) -> tuple[list[list[tuple[float, float]]], bool]:
+        """Return, for each event, samples (position, value) of its scalar from the start to the end of a step, and
+        whether the step begins after a jump.
+        """
         # Jumps: an impulse, a sample of a controller, an event that sets states, a discontinuity of a motion or load.
         before: list[float] = []  # quantities before a jump at the start of the step
         ended = self._ended
@@ -474,7 +480,7 @@ class Watch:
                 samples[0] = 0.0, self._after_jump(number, value(before), samples[0][1], size, sets=sets)
             self._largest[number] = max(self._largest[number], *(abs(x) for _, x in samples if math.isfinite(x)), 0.0)
             shown.append(samples)
-        return shown
+        return shown, bool(before)
 
     def _close_points(self) -> list[tuple[float, list[float]]]:
         """Return quantities at positions that approach the start of the last step."""

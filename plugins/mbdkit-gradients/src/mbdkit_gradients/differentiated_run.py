@@ -33,11 +33,6 @@ from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.sided_stepper import SidedStepper
 
-NEAR = 1e-4
-"""Largest time between an event and the zero of its tangent, relative to the larger of the time of the event and 1 s;
-otherwise, the expression jumps at the event. Interpolation within a step of 5 ms of `limit-stop` leaves 2e-5 s.
-"""
-
 
 class NoDerivativeError(MbdkitError, ValueError):
     """The steps of a method, formulation or stabilization cannot be differentiated."""
@@ -45,12 +40,15 @@ class NoDerivativeError(MbdkitError, ValueError):
 
 @dataclass(frozen=True)
 class Event:
-    """A crossing of an event: name and expression of the event, time [s], and whether the event ends the run."""
+    """A crossing of an event: name and expression of the event, time [s], whether the event ends the run, and whether
+    its expression jumps there from one sign to the other.
+    """
 
     name: str
     time: float
     expression: RunExpression
     stops: bool
+    at_jump: bool
 
 
 @dataclass(frozen=True)
@@ -436,6 +434,11 @@ class _Pass:
         They are ``-g_p / g_t``, where the expression g crosses zero, g_p are its derivatives with respect to the
         parameters, and g_t is its rate.
         """
+        if event.at_jump:
+            raise SpecError(
+                "the time of this event has no derivative: its expression jumps there from one sign to the other",
+                key=path_text(("events", event.name, "when")),
+            )
         self._use(at.sides)
         here = self._evaluator.states(np.array([event.time]), *(x[None] for x in at.state))
         slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name))
@@ -445,13 +448,7 @@ class _Pass:
             message = f"the time of this event has no derivative: {error.message}"
             raise SpecError(message, key=path_text(("events", event.name, "when"))) from None
         around, distance = self._evaluator.around(here, self.spec.time.step or 1e-3)
-        size = float(value.value[0])
-        rate = rate_of(series_of(event.expression, around, slopes).value, size, distance)
-        if abs(size) > abs(rate) * NEAR * max(1.0, abs(event.time)):
-            raise SpecError(
-                "the time of this event has no derivative: its expression jumps there from one sign to the other",
-                key=path_text(("events", event.name, "when")),
-            )
+        rate = rate_of(series_of(event.expression, around, slopes).value, float(value.value[0]), distance)
         with np.errstate(all="ignore"):
             return Crossing(event.name, event.time, -value.slope[:, 0] / rate)
 
@@ -485,4 +482,7 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
         raise RunError(f"a run that stops early has no gradient: {watch.failure.code}: {watch.failure.sentence}")
     expressions = spec.watched()
     stops = [crossing is crossings[-1] and watch.stopped is not None for crossing in crossings]
-    return [Event(one.name, one.time, expressions[one.name], end) for one, end in zip(crossings, stops, strict=True)]
+    return [
+        Event(one.name, one.time, expressions[one.name], end, one.at_jump)
+        for one, end in zip(crossings, stops, strict=True)
+    ]
