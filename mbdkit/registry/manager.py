@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.metadata
 import logging
 import sys
 import time
@@ -258,14 +257,11 @@ def _classes(hook: str) -> str:
 
 
 def _origin(entry_point: EntryPoint) -> Origin:
-    dist = entry_point.dist
-    if isinstance(dist, importlib.metadata.Distribution):
+    dist = entry_point.dist  # the backport `importlib_metadata`, where it is imported, has a class of its own
+    if hasattr(type(dist), "metadata"):
         name, version = name_and_version(dist)
     else:
-        try:  # the backport of importlib.metadata reads METADATA only now
-            name, version = (str(getattr(dist, key, None) or "unknown") for key in ("name", "version"))
-        except UnicodeDecodeError:
-            name, version = "unknown", "unknown"
+        name, version = (str(getattr(dist, key, None) or "unknown") for key in ("name", "version"))
     return Origin(name, version, f"{entry_point.name} = {entry_point.value}")
 
 
