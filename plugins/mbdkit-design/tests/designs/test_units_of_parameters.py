@@ -59,6 +59,7 @@ def test_designs_show_the_units_of_parameters(tmp_path: Path, capsys: pytest.Cap
         "variables": {"soft": {"bounds": [100.0, 200.0]}, "parameters.mass": {"bounds": ["1 kg", "3000 g"]}},
         "minimize": "max(abs(forces.spring.value))",
         "subject_to": {"speed": {"value": "max(abs(bodies.block.vx))", "max": 0.5}},
+        "optimizer": {"name": "slsqp", "max_iterations": 2},  # units are shown wherever the search ends
     }
     design = mbdkit.design(given, out=tmp_path / "design")
     rows = [line.split() for line in design.summary().splitlines()]

@@ -152,7 +152,9 @@ def test_without_its_mechanism_a_run_shows_what_its_archive_holds(make_run):
     document = run_report(make_run(model={"name": "acme:crane"}))
     section = document.sections[0]
     (sentence,) = section.sentences
-    assert sentence.startswith("Only points of bodies are drawn: this archive of format 1.2 does not hold its mechan")
+    assert sentence.startswith(
+        "Only points of bodies are drawn: the mechanism of this run is not stored, and the model "
+    )
     assert [table.name for table in section.tables] == ["bodies"]
     assert [len(row) for row in section.tables[0].rows] == [4, 4]
     assert {"rod1", "rod2"} <= set(texts(section.drawing.wide))
