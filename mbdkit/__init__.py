@@ -38,10 +38,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.runs.resuming import resume as resume
     from mbdkit.runs.simulation import run as run
     from mbdkit.spec import RunSpec as RunSpec
-    from mbdkit_biomech.inverse_dynamics.inverse_gradient import inverse_gradient as inverse_gradient
-    from mbdkit_biomech.inverse_dynamics.inverse_run import inverse as inverse
-    from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec as InverseSpec
-    from mbdkit_biomech.inverse_dynamics.workload import Workload as Workload, workload as workload
+    from mbdkit_biomech.inverse_dynamics.gradient.inverse_gradient import inverse_gradient as inverse_gradient
+    from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse as inverse
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec as InverseSpec
+    from mbdkit_biomech.inverse_dynamics.results.workload import Workload as Workload, workload as workload
     from mbdkit_design.design import Design as Design
     from mbdkit_design.design_spec import DesignSpec as DesignSpec
     from mbdkit_design.solve_design import design as design, load_design as load_design
@@ -55,10 +55,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_statics.modes import (
         Linearization as Linearization, Modes as Modes, linearize as linearize, modes as modes,
     )
-    from mbdkit_studies.carry_out import ensemble as ensemble, load_study as load_study, study as study
-    from mbdkit_studies.prepared_run import PreparedRun as PreparedRun, prepare as prepare
+    from mbdkit_studies.compute.carry_out import ensemble as ensemble, load_study as load_study, study as study
+    from mbdkit_studies.lanes.prepared_run import PreparedRun as PreparedRun, prepare as prepare
     from mbdkit_studies.study import Study as Study
-    from mbdkit_studies.study_spec import StudySpec as StudySpec
+    from mbdkit_studies.spec.study_spec import StudySpec as StudySpec
     # fmt: on
 
     __version__: str
@@ -104,5 +104,5 @@ higher_layers.gradients_json = _of_higher_layer("mbdkit_gradients.gradient", "gr
 higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")
 higher_layers.run_frame = _of_higher_layer("mbdkit_report.group_table", "to_frame", "Run.to_frame")
 higher_layers.run_datatree = _of_higher_layer("mbdkit_report.xarray_tree", "to_datatree", "Run.to_xarray")
-higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.measures", "built_in_measures")
+higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.spec.measures", "built_in_measures")
 higher_layers.html_of = _of_higher_layer("mbdkit_report.notebook.result_views", "html_of")

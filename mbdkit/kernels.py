@@ -87,25 +87,25 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         ComplexDuals as ComplexDuals, ComplexLanes as ComplexLanes, Duals as Duals, ITEM as ITEM, Lanes as Lanes,
         new_duals as new_duals, new_lanes as new_lanes,
     )
-    from mbdkit.integrators.collocation_stages import load_stages as load_stages
-    from mbdkit.integrators.lane_collocation import (
+    from mbdkit.integrators.stages.collocation_stages import load_stages as load_stages
+    from mbdkit.integrators.lanes.lane_collocation import (
         StagePivoting as StagePivoting, StagePivots as StagePivots, load_stage_pivots as load_stage_pivots,
     )
-    from mbdkit.integrators.lane_control import (
+    from mbdkit.integrators.lanes.lane_control import (
         ENDED as ENDED, accelerate as accelerate, new_lane_control as new_lane_control,
     )
-    from mbdkit.integrators.lane_run import BY_LANE as BY_LANE, new_lane_run as new_lane_run
-    from mbdkit.integrators.relative import (
+    from mbdkit.integrators.lanes.lane_run import BY_LANE as BY_LANE, new_lane_run as new_lane_run
+    from mbdkit.integrators.stages.relative import (
         BASE as BASE, BASE_RATES as BASE_RATES, Relative as Relative, V_STAGE as V_STAGE, Y as Y,
         end_of_step as end_of_step, new_relative as new_relative,
     )
-    from mbdkit.integrators.run_state import (
+    from mbdkit.integrators.run.run_state import (
         AT_END_OF_LAST as AT_END_OF_LAST, AT_START_OF_LAST as AT_START_OF_LAST, FACTORIZATIONS as FACTORIZATIONS,
         ITERATIONS as ITERATIONS, JACOBIANS as JACOBIANS, MODIFIED as MODIFIED, PROJECTIONS as PROJECTIONS, RHS as RHS,
         RunState as RunState, keep_node as keep_node, load_run_state as load_run_state,
     )
-    from mbdkit.integrators.step_guards import begin_energy as begin_energy, new_guard_state as new_guard_state
-    from mbdkit.integrators.step_loop import PAUSED as PAUSED, REFUSED as REFUSED
+    from mbdkit.integrators.run.step_guards import begin_energy as begin_energy, new_guard_state as new_guard_state
+    from mbdkit.integrators.loop.step_loop import PAUSED as PAUSED, REFUSED as REFUSED
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -92,7 +92,7 @@ class LocalJobs:
         """Yield an executor that divides tasks into few jobs."""
         import submitit
 
-        from mbdkit_studies.executors import SubmititExecutor
+        from mbdkit_studies.compute.executors import SubmititExecutor
 
         executor = submitit.AutoExecutor(folder=self.folder / "logs", cluster="local")
         executor.update_parameters(timeout_min=60)

@@ -11,8 +11,8 @@ import pytest
 from mbdkit_report.figures.page_model import Figure
 from mbdkit_report.pages import report
 from mbdkit_report.plot.charts import image_files, write_chart_images
-from mbdkit_studies import executor_pool, pool
-from mbdkit_studies.pool import Pool
+from mbdkit_studies.compute import executor_pool, pool
+from mbdkit_studies.compute.pool import Pool
 from tests.forked_worker import ForkedWorker
 from tests.pool_in_this_process import PoolInThisProcess
 

@@ -11,7 +11,7 @@ from typing import IO
 
 
 class ForkedWorker:
-    """What `mbdkit_studies.pool` uses of ``subprocess.Popen``, for a worker that is a fork of this process.
+    """What `mbdkit_studies.compute.pool` uses of ``subprocess.Popen``, for a worker that is a fork of this process.
 
     Parameters
     ----------

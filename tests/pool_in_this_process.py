@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 
 import mbdkit
-from mbdkit_studies.pool import Pool
-from mbdkit_studies.tasks import Outcome, Task
+from mbdkit_studies.compute.pool import Pool
+from mbdkit_studies.compute.tasks import Outcome, Task
 
 
 class PoolInThisProcess(Pool):

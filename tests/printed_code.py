@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from mbdkit.cli import app
 from mbdkit.runs import simulated_run
 from mbdkit.trust.criteria import Judgement, judge
-from mbdkit_studies import lane_runs
+from mbdkit_studies.lanes import lane_runs
 
 
 class Block(NamedTuple):

@@ -14,7 +14,7 @@ MODULES = [f"mbdkit.archive.{name}" for name in ("reader", "recorded_data", "run
 MODULES += [f"mbdkit.mechanism.{name}" for name in ("element_methods", "mechanism", "named_elements")]
 MODULES += ["mbdkit.methods.tableau", "mbdkit.runs.simulation", "mbdkit_report.plot.comparison"]
 MODULES += [f"mbdkit_statics.{name}" for name in ("equilibrium", "kinematics", "modes")]
-MODULES += [f"mbdkit_studies.{name}" for name in ("carry_out", "prepared_run", "study")]
+MODULES += [f"mbdkit_studies.{name}" for name in ("compute.carry_out", "lanes.prepared_run", "study")]
 
 
 def examples(module: str) -> list[doctest.DocTest]:

@@ -11,7 +11,7 @@ import pytest
 
 import mbdkit
 from mbdkit.registry.manager import registry
-from mbdkit_biomech.inverse_dynamics.model_criteria import mechanism_doubts
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import mechanism_doubts
 
 from .installing import install_module, install_project, python
 

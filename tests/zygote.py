@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-IMPORTED = ("mbdkit.cli", "mbdkit.runs.simulation", "mbdkit.archive.run", "mbdkit_studies.carry_out")
+IMPORTED = ("mbdkit.cli", "mbdkit.runs.simulation", "mbdkit.archive.run", "mbdkit_studies.compute.carry_out")
 """Modules that import what most commands need."""
 
 PATIENCE = 600

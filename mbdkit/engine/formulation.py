@@ -65,7 +65,7 @@ FORMULATIONS: dict[str, Formulation] = {
         *(Formulation(formulation_name("joint-coordinates", name), holds, "joint") for name, holds in _HOLDS.items()),
     )
 }
-"""All formulations by name. The stage equations of each are those of `mbdkit.integrators.collocation`."""
+"""All formulations by name. The stage equations of each are those of `mbdkit.integrators.stages.collocation`."""
 
 ORDINARY = tuple(name for name, one in FORMULATIONS.items() if not one.solves_multipliers)
 """Formulations whose equations are ordinary differential equations."""

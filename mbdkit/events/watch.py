@@ -31,9 +31,9 @@ from mbdkit.integrators.interface import (
     Stretch,
     joined,
 )
-from mbdkit.integrators.sampled_control import states_at_start
-from mbdkit.integrators.splitting import Splitting
-from mbdkit.integrators.steps_ahead import StepsAhead
+from mbdkit.integrators.loop.steps_ahead import StepsAhead
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.run.splitting import Splitting
 from mbdkit.quantities.quantity import Quantity
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
@@ -188,7 +188,7 @@ class Watch:
     ----------
     stepper
         The stepper, started with ``Timetable.single``; if events set states, it must be a
-        `mbdkit.integrators.splitting.Splitting`.
+        `mbdkit.integrators.run.splitting.Splitting`.
 
     Attributes
     ----------

@@ -9,11 +9,11 @@ from typing import Any
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.compiled_method import CompiledMethod
-from mbdkit.integrators.compiled_stepper import CompiledStepper
+from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.interface import Stepper, Timetable
-from mbdkit.integrators.step_control import Control, unit_of_length
-from mbdkit.integrators.step_host import StepHost
+from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
+from mbdkit.integrators.run.step_control import Control, unit_of_length
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.methods.step_methods import ExternalMethod, StepMethod
 

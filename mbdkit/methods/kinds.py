@@ -33,7 +33,7 @@ class Tolerances:
         Largest step [s]; None for no limit.
     by_size
         Whether `atol` has its default value. For lengths and velocities, the default is multiplied by the mechanism's
-        characteristic length if that is below 1 m; see `mbdkit.integrators.step_control.unit_of_length`.
+        characteristic length if that is below 1 m; see `mbdkit.integrators.run.step_control.unit_of_length`.
     """
 
     rtol: float
@@ -44,7 +44,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class LocalError:
-    """How a compiled method estimates the error of a step; see `mbdkit.integrators.step_control.Control`."""
+    """How a compiled method estimates the error of a step; see `mbdkit.integrators.run.step_control.Control`."""
 
     order: int
     estimate_order: int
@@ -59,8 +59,8 @@ class Traits:
     Parameters
     ----------
     compiled
-        Class of the method in machine code (`mbdkit.integrators.compiled_method`), which is called with the method, a
-        workspace, and the control of the step size or None; None for steps in Python.
+        Class of the method in machine code (`mbdkit.integrators.stages.compiled_method`), which is called with the
+        method, a workspace, and the control of the step size or None; None for steps in Python.
     steps
         Function that returns the `StepMethod` or `ExternalMethod` from the description; None if it is one itself.
     tableau
@@ -80,7 +80,7 @@ class Traits:
         In which runs the method computes multipliers itself: in runs with any formulation, only in runs with a
         formulation whose stages solve for multipliers, or never.
     lanes
-        The form that advances runs in SIMD lanes (`mbdkit.integrators.lane_run.InLanes`); None if there is none.
+        The form that advances runs in SIMD lanes (`mbdkit.integrators.lanes.lane_run.InLanes`); None if there is none.
     has_derivatives
         Whether steps can be differentiated with respect to parameters.
     is_time_stepping
@@ -157,12 +157,12 @@ class ExplicitRungeKutta(Method):
         if self.tolerances is not None and self.pair is not None:
             local_error = LocalError(self.tableau.order, self.pair.estimate_order, len(self.pair.error), memory=0.2)
         return Traits(
-            Target("mbdkit.integrators.explicit:CompiledExplicit"),
+            Target("mbdkit.integrators.stages.explicit:CompiledExplicit"),
             tableau=self.tableau,
             tolerances=self.tolerances,
             local_error=local_error,
             is_explicit=True,
-            lanes=Target("mbdkit.integrators.lane_control:EXPLICIT_IN_LANES"),
+            lanes=Target("mbdkit.integrators.lanes.lane_control:EXPLICIT_IN_LANES"),
             has_derivatives=True,
         )
 
@@ -210,15 +210,15 @@ class ImplicitRungeKutta(Method):
         tableau, is_controlled = self.tableau, self.tolerances is not None
         is_together = tableau.is_diagonalisable
         return Traits(
-            Target("mbdkit.integrators.collocation:CompiledCollocation") if is_together else None,
-            None if is_together else Target("mbdkit.integrators.diagonally_implicit:DiagonallyImplicit"),
+            Target("mbdkit.integrators.stages.collocation:CompiledCollocation") if is_together else None,
+            None if is_together else Target("mbdkit.integrators.stages.diagonally_implicit:DiagonallyImplicit"),
             tableau=tableau,
             tolerances=self.tolerances,
             local_error=LocalError(tableau.order, tableau.stages + 1) if is_controlled else None,
             suits_stiff=True,
             iterates_without_tangents=self.stage_solver == "fixed-point",
             own_multipliers="where solved for",
-            lanes=Target("mbdkit.integrators.lane_collocation:COLLOCATION_IN_LANES") if is_together else None,
+            lanes=Target("mbdkit.integrators.lanes.lane_collocation:COLLOCATION_IN_LANES") if is_together else None,
             has_derivatives=is_together,
             integrates_states=is_together,
         )
@@ -264,5 +264,5 @@ class LobattoPair(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        compiled = Target[Any]("mbdkit.integrators.lobatto_iiia_iiib:CompiledLobattoPair")
+        compiled = Target[Any]("mbdkit.integrators.stages.lobatto_iiia_iiib:CompiledLobattoPair")
         return Traits(compiled, suits_stiff=True, own_multipliers="always")

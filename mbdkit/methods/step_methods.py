@@ -1,6 +1,6 @@
 """Methods written in Python: one step at a time (`StepMethod`), or by a library that steps itself (`ExternalMethod`).
 
-`mbdkit.integrators.step_host.StepHost` runs both.
+`mbdkit.integrators.host.step_host.StepHost` runs both.
 """
 
 from __future__ import annotations

@@ -430,8 +430,8 @@ class Treatment(Feature):
     method
         Function that takes the method of a run and the section of its spec, and returns the `mbdkit.StepMethod` or
         `mbdkit.ExternalMethod` that takes the steps, or a function that returns this from the
-        `mbdkit.integrators.compiled_method.CompiledMethod` of the method. Its memory has the attributes of
-        `mbdkit.integrators.impulse.ReactingMemory`. By default, the method itself takes the steps.
+        `mbdkit.integrators.stages.compiled_method.CompiledMethod` of the method. Its memory has the attributes of
+        `mbdkit.integrators.run.impulse.ReactingMemory`. By default, the method itself takes the steps.
     guards
         Function that takes the method of a run, and returns names of fixed-step methods for comparison runs, with the
         factors by which their steps are smaller.

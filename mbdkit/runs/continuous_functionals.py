@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.integrators.interface import SAME_TIME, ConsecutiveSteps, Timetable
-from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.measures.reductions import EventTimes, Functional
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity

@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.integrators.interface import SAME_TIME
-from mbdkit.integrators.sampled_control import sample_times
+from mbdkit.integrators.run.sampled_control import sample_times
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.trust.finding import Finding

@@ -30,7 +30,7 @@ from mbdkit.trust.finding import Finding
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.events.watch import Found
-    from mbdkit.integrators.impulse import DriverImpulse, ElementImpact
+    from mbdkit.integrators.run.impulse import DriverImpulse, ElementImpact
 
 APART = 1e-6
 """Residuals of redundant constraint rows up to this size are attributed to round-off.

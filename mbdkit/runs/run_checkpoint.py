@@ -19,8 +19,8 @@ from mbdkit.base.logs import logger_of
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
 from mbdkit.engine.stored_arrays import fill, restore, solver_of, stored_solver
-from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.step_host import StepHost
+from mbdkit.integrators.host.step_host import StepHost
+from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.methods.kinds import Method
 from mbdkit.runs import stored_python_steps
 from mbdkit.runs.integrals import RunIntegrals

@@ -29,12 +29,12 @@ from mbdkit.base.text import listed, shown
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.compiled_stepper import CompiledStepper
-from mbdkit.integrators.impulse import DriverImpulse, ReactingMemory, reacting_memory
+from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.interface import Advancing, Failure, Stretch
-from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
+from mbdkit.integrators.run.impulse import DriverImpulse, ReactingMemory, reacting_memory
+from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
-from mbdkit.integrators.step_host import StepHost
 from mbdkit.measures.reductions import Functional
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names

@@ -9,10 +9,10 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.stored_arrays import restore, stored
-from mbdkit.integrators.impulse import DriverImpulse
-from mbdkit.integrators.kept_state import kept
-from mbdkit.integrators.reached import Interval, Reached
-from mbdkit.integrators.step_host import StepHost
+from mbdkit.integrators.host.step_host import StepHost
+from mbdkit.integrators.run.impulse import DriverImpulse
+from mbdkit.integrators.run.kept_state import kept
+from mbdkit.integrators.run.reached import Interval, Reached
 from mbdkit.methods.step_methods import ExternalMethod, StepState
 
 _REACHED = (

@@ -18,7 +18,7 @@ from mbdkit.archive.stored_mechanism import mechanism_json, read_mechanism
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 from mbdkit.spec.loading import example_names
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_report.figures.drawing_geometry import Drawing, draw_mechanism, draw_run
 
 SHORT = {"integrator": {"name": "rk4"}, "time": {"end": 0.02, "step": 0.01}}

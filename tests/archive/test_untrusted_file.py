@@ -15,7 +15,7 @@ import pytest
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
-from mbdkit_studies import study_index
+from mbdkit_studies.store import study_index
 
 Change = Callable[[h5py.File], None]
 

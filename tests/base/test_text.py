@@ -17,7 +17,7 @@ from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.terminal import PlainStream
 from mbdkit.base.text import csv_cell, markdown, shown, table
 from mbdkit.spec import load_spec
-from mbdkit_studies.study_summary import summary
+from mbdkit_studies.report.study_summary import summary
 
 
 @pytest.mark.parametrize(

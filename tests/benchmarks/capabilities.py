@@ -32,10 +32,10 @@ from mbdkit.integrators import interface
 from mbdkit.registry.manager import forget, registry
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
-from mbdkit_studies.added_methods import with_methods
-from mbdkit_studies.lane_runs import LaneRuns, why_alone
-from mbdkit_studies.planned_points import PlannedPoints
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.compute.added_methods import with_methods
+from mbdkit_studies.lanes.lane_runs import LaneRuns, why_alone
+from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.benchmarks.state_orders import MODEL as MOTOR
 from tests.installing import install_templates
 from tests.runs.test_events_set_states import FIRES, rotor

@@ -27,7 +27,7 @@ import mbdkit
 from mbdkit import InverseSpec
 from mbdkit.base.errors import MbdkitError
 from mbdkit.spec.loading import read_source
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
 

@@ -28,12 +28,12 @@ from mbdkit.engine.native.levels import WIDTH, is_able, this_platform
 from mbdkit.quantities.array import TEXT
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
-from mbdkit_studies import member_table
-from mbdkit_studies.carry_out import load_study
-from mbdkit_studies.compute_block import compute_block
-from mbdkit_studies.measures import MEASURES
-from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.compute.carry_out import load_study
+from mbdkit_studies.compute.compute_block import compute_block
+from mbdkit_studies.folder import member_table
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.spec.measures import MEASURES
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 from .bits import VARIANTS
 

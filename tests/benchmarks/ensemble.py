@@ -33,8 +33,8 @@ from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.runs.preparation import build, make_method
 from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
-from mbdkit_studies.batch import simulate_batch
-from mbdkit_studies.lane_stepper import LaneStepper, PivotsAtStart
+from mbdkit_studies.compute.batch import simulate_batch
+from mbdkit_studies.lanes.lane_stepper import LaneStepper, PivotsAtStart
 from tests.witness.double_pendulum import HORIZONTAL
 
 from .contenders import END, MUJOCO, G, end_of

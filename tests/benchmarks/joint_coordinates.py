@@ -29,8 +29,8 @@ from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.formulation import LoopsName
 from mbdkit.engine.spanning_tree import cut_joints
-from mbdkit.integrators.compiled_stepper import CompiledStepper
 from mbdkit.integrators.interface import Timetable
+from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism

@@ -24,7 +24,7 @@ import mbdkit
 from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine import consistent_start
-from mbdkit.integrators.compiled_stepper import CompiledStepper
+from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.runs import preparation, run_in_memory, simulated_run, simulation
 from mbdkit.runs.recorder import Recorder
 from mbdkit.spec.model_spec import ModelSpec

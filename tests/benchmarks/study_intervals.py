@@ -11,10 +11,10 @@ import numpy as np
 import scipy.stats
 from tests.analysis.test_sobol_indices import FIRST, TAIL_SHARES, TOTAL, ishigami, tail
 
-from mbdkit_studies import sample_statistics
-from mbdkit_studies.sample_section import Sample
-from mbdkit_studies.sampled_values import sampled_values
-from mbdkit_studies.sobol_indices import sobol_indices
+from mbdkit_studies.points.sampled_values import sampled_values
+from mbdkit_studies.spec.sample_section import Sample
+from mbdkit_studies.statistics import sample_statistics
+from mbdkit_studies.statistics.sobol_indices import sobol_indices
 
 SEEDS = 400
 SIZES = (8, 16, 32, 64, 128, 512)

@@ -27,7 +27,7 @@ from rich.table import Table
 import mbdkit
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
 from mbdkit.spec import RunSpec
-from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.compute.batch import simulate_batch
 
 from .contenders import MUJOCO, G
 

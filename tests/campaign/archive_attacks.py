@@ -20,7 +20,7 @@ import numpy as np
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import OF_SCALES, attributes_sha256, data_sha256, objects
 from mbdkit.archive.reader import load
-from mbdkit_studies.blocks import Block
+from mbdkit_studies.store.blocks import Block
 
 from .attack import Attack, Ending, in_child
 from .specs import pendulum

@@ -20,7 +20,7 @@ import numpy as np
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit_studies import executor_pool
+from mbdkit_studies.compute import executor_pool
 from tests.pool_in_this_process import PoolInThisProcess
 
 from .archive_attacks import command_in_child, small_archive
@@ -108,7 +108,7 @@ def whole() -> Path:
     mbdkit.design(DESIGN, out=folder / "design")
     for module in (
         "mbdkit_report.pages.report",
-        "mbdkit_studies.study_report",
+        "mbdkit_studies.report.study_report",
         "mbdkit_design.design_report",
         "mbdkit_report.export",
         "mbdkit_statics.commands",

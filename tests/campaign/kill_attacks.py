@@ -26,16 +26,16 @@ import numpy as np
 import mbdkit
 import mbdkit.archive.writer
 import mbdkit.runs.run_checkpoint
-import mbdkit_studies.pool
-import mbdkit_studies.unfinished_block
+import mbdkit_studies.compute.pool
+import mbdkit_studies.compute.unfinished_block
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.layout import every_array, is_timing
 from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.cli import main
-from mbdkit_studies.blocks import Block
-from mbdkit_studies.compute_block import compute_block
+from mbdkit_studies.compute.compute_block import compute_block
+from mbdkit_studies.store.blocks import Block
 from tests.forked_worker import ForkedWorker
 
 from .archive_attacks import command_in_child
@@ -115,7 +115,7 @@ def start_forking(folder: Path, *arguments: str) -> int:
     """Start a command as `start_command` does, whose workers are forks."""
 
     def forked_workers() -> None:
-        mbdkit_studies.pool.subprocess = SimpleNamespace(Popen=ForkedWorker, PIPE=None)  # type: ignore[assignment]
+        mbdkit_studies.compute.pool.subprocess = SimpleNamespace(Popen=ForkedWorker, PIPE=None)  # type: ignore[assignment]
 
     return start_command(folder, *arguments, prepare=forked_workers)
 
@@ -143,7 +143,10 @@ def start_command(folder: Path, *arguments: str, prepare: Callable[[], None] = l
 
         mbdkit.archive.writer.ArchiveWriter._write_more = noted  # type: ignore[method-assign]
         mbdkit.runs.run_checkpoint.INTERVAL, mbdkit.runs.run_checkpoint.SHARE = CHECKPOINT, 1.0
-        mbdkit_studies.unfinished_block.INTERVAL, mbdkit_studies.unfinished_block.LARGEST_RATE = 0.0, np.inf
+        mbdkit_studies.compute.unfinished_block.INTERVAL, mbdkit_studies.compute.unfinished_block.LARGEST_RATE = (
+            0.0,
+            np.inf,
+        )
         keep_checkpoint = mbdkit.archive.writer.ArchiveWriter.keep_checkpoint
 
         def kept(writer: Any, state: Any) -> None:

@@ -18,8 +18,8 @@ from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.loading import example_text
 from mbdkit.spec.yaml_reader import read_yaml, write_yaml
 from mbdkit_design.design_loading import load_design_spec
-from mbdkit_studies.planned_points import plan_points
-from mbdkit_studies.study_loading import load_study_spec, study_names
+from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.spec.study_loading import load_study_spec, study_names
 
 from .attack import LONGEST_MESSAGE, Attack, in_child
 

@@ -13,9 +13,9 @@ import numpy as np
 from tests.inverse_dynamics.c3d_files import DEC, INTEL, MIPS, Convention, Plate, c3d_bytes
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit_biomech.inverse_dynamics.inverse_sections import ObservedColumn, TimeColumn
-from mbdkit_biomech.inverse_dynamics.measured import si_values, times_of
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.motion.measured import si_values, times_of
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ObservedColumn, TimeColumn
 
 from .attack import LONGEST_MESSAGE, Attack, in_child
 from .opensim_attacks import is_missing

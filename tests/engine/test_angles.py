@@ -13,7 +13,7 @@ from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.kernels.angles import FAR
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.spec import load_spec
-from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.compute.batch import simulate_batch
 
 BODIES = 100
 

@@ -10,7 +10,7 @@ import pytest
 from mbdkit.engine import consistent_start
 from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts, mechanism_at_start
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_studies.lane_starts import at_starts
+from mbdkit_studies.lanes.lane_starts import at_starts
 
 from .random_mechanisms import chain, driven_frame, ladder, slides
 

@@ -11,9 +11,9 @@ import mbdkit
 from mbdkit.events import screening, watch
 from mbdkit.events.crossing import crossings
 from mbdkit.events.sampling import INSIDE, refined
-from mbdkit.integrators.compiled_stepper import CompiledStepper
+from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
+from mbdkit.integrators.loop.steps_ahead import StepsAhead
 from mbdkit.integrators.start import start_method
-from mbdkit.integrators.steps_ahead import StepsAhead
 from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import load_spec
 

@@ -13,7 +13,7 @@ from typing import Any
 import mbdkit
 from mbdkit.engine.kernels import accelerations
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators import collocation_index1, collocation_step, explicit, simplified_newton
+from mbdkit.integrators.stages import collocation_index1, collocation_step, explicit, simplified_newton
 
 
 def main(stages: int, solver: str) -> None:

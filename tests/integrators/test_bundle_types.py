@@ -20,7 +20,7 @@ from mbdkit.engine.native.bundle import LOADERS, PinnedBundle
 from mbdkit.expressions import operations
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
-from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.compute.batch import simulate_batch
 
 COMPILED = {"subkernel", "inlined", "kernel", "entry", "law_function"}
 """Decorators of functions that are compiled."""

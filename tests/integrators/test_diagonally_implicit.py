@@ -11,9 +11,9 @@ from tests.testing import corpus
 
 import mbdkit
 from mbdkit import ButcherTableau, ImplicitRungeKutta
+from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.start import start_method
-from mbdkit.integrators.step_host import StepHost
 from mbdkit.methods import gauss
 from mbdkit.methods.tableau import TableauError
 from mbdkit.runs.preparation import build

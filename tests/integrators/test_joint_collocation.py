@@ -13,7 +13,7 @@ import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
-from mbdkit_studies.lane_runs import why_alone
+from mbdkit_studies.lanes.lane_runs import why_alone
 from tests.engine.random_mechanisms import flexible
 
 from .running import EPS, assert_same_end

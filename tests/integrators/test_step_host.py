@@ -15,8 +15,8 @@ from mbdkit import EquationsOfMotion, ExternalMethod, Step, StepMethod, StepStat
 from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.stabilization import Stabilization
+from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.interface import Stretch, Timetable, joined
-from mbdkit.integrators.step_host import StepHost
 from mbdkit.runs.simulation import simulate
 from mbdkit.runs.stored_python_steps import MemoryNotStoredError, restore_stepper, stored_stepper
 from mbdkit.spec import load_spec

@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 import mbdkit
 from mbdkit import Mechanism, Run
 from mbdkit.spec import load_spec
-from mbdkit_studies.batch import simulate_batch
-from mbdkit_studies.lane_runs import why_alone
+from mbdkit_studies.compute.batch import simulate_batch
+from mbdkit_studies.lanes.lane_runs import why_alone
 
 GAUSS = {"name": "gauss", "stages": 3}
 RK4 = {"name": "rk4"}

@@ -12,8 +12,8 @@ from mbdkit.base.errors import RunError
 from mbdkit.mechanism.law_parameters import law_range
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
-from mbdkit_studies.batch import simulate_batch
-from mbdkit_studies.lane_runs import why_alone
+from mbdkit_studies.compute.batch import simulate_batch
+from mbdkit_studies.lanes.lane_runs import why_alone
 
 G = 9.81
 FREE = {"table": [[-3.0, 0.45], [0.0, 0.0]], "law": "table"}

@@ -15,7 +15,7 @@ from mbdkit import SpecError
 from mbdkit.spec import load_spec
 from mbdkit_statics.equilibrium import equilibrium_of, spec_at
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
-from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.compute.batch import simulate_batch
 from tests.runs.resuming.killed_runs import killed
 
 INERTIA, OPTIONS = 0.02, {"voltage": 12.0, "resistance": 1.5, "inductance": 0.3, "constant": 0.4, "current": 2.0}

@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit.spec import load_spec
-from mbdkit_studies.batch import simulate_batch
-from mbdkit_studies.lane_runs import why_alone
+from mbdkit_studies.compute.batch import simulate_batch
+from mbdkit_studies.lanes.lane_runs import why_alone
 
 G, K, SPEED = 9.81, 40.0, 6.0
 

@@ -14,8 +14,8 @@ import pytest
 import mbdkit
 from mbdkit.spec import RunSpec
 from mbdkit_gradients.derived_values import Value, of_operands
-from mbdkit_studies.batch import simulate_batch
-from mbdkit_studies.lane_runs import why_alone
+from mbdkit_studies.compute.batch import simulate_batch
+from mbdkit_studies.lanes.lane_runs import why_alone
 
 END, A, W = 4.0, 1.0, 2.0
 

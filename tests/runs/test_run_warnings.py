@@ -25,7 +25,7 @@ from mbdkit.runs.preparation import build, caution
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import example_names
 from mbdkit.spec.reading import parse_key, put
-from mbdkit_biomech.inverse_dynamics.model_criteria import inertias_about_joints
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints
 from mbdkit_contact.contact_criteria import rolling_point_masses
 
 SPEC: dict[str, Any] = {

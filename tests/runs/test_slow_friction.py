@@ -9,7 +9,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.spec import load_spec
-from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.compute.batch import simulate_batch
 
 
 def pin(transition: float, step: float = 0.005) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.matrix_terms import RATE
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
-from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.compute.batch import simulate_batch
 from tests.runs.resuming.killed_runs import killed
 
 INERTIA, STIFFNESS, DAMPING, LAG = 0.17, 40.0, 3.0, 0.05

@@ -9,8 +9,8 @@ import pytest
 import scipy.stats
 
 from mbdkit import SpecError
-from mbdkit_studies.sample_section import frozen
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.spec.sample_section import frozen
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 PROBABILITIES = np.linspace(0.01, 0.99, 25)
 

@@ -16,7 +16,7 @@ import pytest
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.plain_data import DEEPEST, parse_path
 from mbdkit.spec import load_spec
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 TOML = """
 mbdkit = 1

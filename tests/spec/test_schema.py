@@ -12,10 +12,10 @@ import pytest
 from mbdkit.spec import example_names, example_text, load_spec
 from mbdkit.spec.schema import HOME, builtin_schema_text, run_schema
 from mbdkit.spec.spec_kinds import spec_kinds
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_design.design_loading import load_design_spec
-from mbdkit_studies.study_loading import load_study_spec, study_names
-from mbdkit_studies.study_schema import study_schema
+from mbdkit_studies.spec.study_loading import load_study_spec, study_names
+from mbdkit_studies.spec.study_schema import study_schema
 
 FOLDER = Path(__file__).parents[2] / "schemas"
 

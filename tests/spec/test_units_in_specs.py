@@ -16,10 +16,10 @@ from mbdkit.base.strict_model import description
 from mbdkit.base.units import described_units, read_quantity
 from mbdkit.spec.loading import load_spec
 from mbdkit.spec.schema import run_schema
-from mbdkit_biomech.inverse_dynamics.inverse_sections import Butterworth
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Butterworth
 from mbdkit_design.design_loading import load_design_spec
-from mbdkit_studies.planned_points import PlannedPoints
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 SPEC: dict[str, Any] = {
     "mbdkit": 1,

@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.integrators.coupled_newton import CoupledNewton
+from mbdkit.integrators.stages.coupled_newton import CoupledNewton
 from mbdkit.methods import gauss
 from mbdkit.models import n_four_bar
 

@@ -15,8 +15,8 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.base.text import listed
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.impulse import ReactingMemory
 from mbdkit.integrators.interface import Failure, Stepper
+from mbdkit.integrators.run.impulse import ReactingMemory
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.chosen_method import Candidate, Choice

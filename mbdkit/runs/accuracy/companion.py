@@ -14,9 +14,9 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.impulse import ReactingMemory, reacting_memory
 from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable
-from mbdkit.integrators.sampled_control import states_at_start
+from mbdkit.integrators.run.impulse import ReactingMemory, reacting_memory
+from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.methods.kinds import Method

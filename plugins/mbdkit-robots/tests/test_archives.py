@@ -14,7 +14,7 @@ import pytest
 
 import mbdkit
 from mbdkit_report.figures.drawing_geometry import draw_run
-from mbdkit_studies.blocks import Block
+from mbdkit_studies.store.blocks import Block
 
 pytest.importorskip("defusedxml")
 

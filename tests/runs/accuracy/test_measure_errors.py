@@ -17,8 +17,8 @@ from mbdkit.runs.accuracy.compared_measures import other_methods
 from mbdkit.runs.preparation import build, make_method
 from mbdkit.spec import load_spec
 from mbdkit.trust.measure_error import measure_error
-from mbdkit_studies.sensitivity import sensitivity
-from mbdkit_studies.study_headlines import headlines
+from mbdkit_studies.report.study_headlines import headlines
+from mbdkit_studies.statistics.sensitivity import sensitivity
 from tests.runs.test_continuous_measures import EXACT, TEXTS, oscillator
 
 STOP = {"stop": {"when": "slider.x + 0.5", "action": "stop"}}

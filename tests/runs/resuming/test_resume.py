@@ -29,7 +29,7 @@ from mbdkit.cli import app
 from mbdkit.integrators import interface
 from mbdkit.runs import provenance
 from mbdkit.runs.run_checkpoint import Parts
-from mbdkit_studies import worker as study_worker
+from mbdkit_studies.compute import worker as study_worker
 
 from .killed_runs import killed, make_frequent
 

@@ -45,12 +45,12 @@ def inverse(
     actuators and the reactions. See `mbdkit guide inverse`, and `mbdkit guide persons` for
     the markers of a person.
     """
-    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
     checked = load_inverse_spec(spec, assignments or ())
     path = output if output is not None else Path(f"{stem(spec)}.h5")
     check_new(path, spec, overwrite)
-    from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
+    from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 
     tell(compute_run(checked, path=path, overwrite=overwrite), printing)
 
@@ -74,7 +74,7 @@ def workload(
     """
     from mbdkit.plugin import load as opened
     from mbdkit.plugin.archives import blaming_damage
-    from mbdkit_biomech.inverse_dynamics.workload import workload as of
+    from mbdkit_biomech.inverse_dynamics.results.workload import workload as of
 
     with blaming_damage(archive), opened(archive) as run:
         found = of(run, load=load, threshold=threshold)
@@ -97,8 +97,8 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     """
     from mbdkit.plugin import SpecError, shown
     from mbdkit.plugin.specs import Document
-    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
-    from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
+    from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
     folder, motion = archive.parent.resolve(), before.spec["motion"]
     loads = before.spec.get("loads", {}).values()
@@ -119,11 +119,11 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     from mbdkit.plugin.measures import check_measures
     from mbdkit.plugin.mechanisms import gravity_text
     from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, check
-    from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
-    from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
-    from mbdkit_biomech.inverse_dynamics.inverse_run import causes_named
-    from mbdkit_biomech.inverse_dynamics.inverse_summary import UNUSED_DATA
-    from mbdkit_biomech.inverse_dynamics.named_actuators import free_roots
+    from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
+    from mbdkit_biomech.inverse_dynamics.results.inverse_run import causes_named
+    from mbdkit_biomech.inverse_dynamics.results.inverse_summary import UNUSED_DATA
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
 
     spec = load_inverse_spec(source, assignments)
     problem = InverseProblem.of(spec)

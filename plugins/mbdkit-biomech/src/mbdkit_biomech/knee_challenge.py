@@ -22,9 +22,9 @@ import mbdkit
 from mbdkit.plugin import MbdkitError, SpecError, show
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.specs import read_source
-from mbdkit_biomech.inverse_dynamics.chi_square import quantile
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.person import Person
 from mbdkit_biomech.persons.plate_contacts import later

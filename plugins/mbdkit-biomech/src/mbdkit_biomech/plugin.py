@@ -25,10 +25,6 @@ from mbdkit.plugin import (
 )
 
 _HERE = Path(__file__).parent
-_ROOM = "mbdkit_biomech.inverse_dynamics"
-_MUSCLES = "mbdkit_biomech.muscles.acting_muscles"
-_MODELS = "mbdkit_biomech.models.leg"
-_KNEE = "mbdkit_biomech.models.four_bar_knee"
 _CRITERIA = {
     "columns": "Columns of the motion and their smoothing.",
     "loads": "Measured loads.",
@@ -52,26 +48,26 @@ def mbdkit_models() -> list[ModelPlugin]:
         ModelPlugin(
             "four-bar-knee",
             "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers.",
-            Target(f"{_KNEE}:FourBarKneeOptions", type),
-            Target(f"{_KNEE}:build"),
-            Target(f"{_KNEE}:REFERENCES", tuple),
+            Target("mbdkit_biomech.models.four_bar_knee:FourBarKneeOptions", type),
+            Target("mbdkit_biomech.models.four_bar_knee:build"),
+            Target("mbdkit_biomech.models.four_bar_knee:REFERENCES", tuple),
             order=50,
         ),
         ModelPlugin(
             "leg",
             "One or two legs of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free "
             "trunk.",
-            Target(f"{_MODELS}:LegOptions", type),
-            Target(f"{_MODELS}:build"),
-            Target(f"{_MODELS}:REFERENCES"),
+            Target("mbdkit_biomech.models.leg:LegOptions", type),
+            Target("mbdkit_biomech.models.leg:build"),
+            Target("mbdkit_biomech.models.leg:REFERENCES"),
             order=60,
         ),
         ModelPlugin(
             "leg-four-bar",
             "The same leg with a knee that is a crossed four-bar linkage.",
-            Target(f"{_MODELS}:LegFourBarOptions", type),
-            Target(f"{_MODELS}:build_four_bar"),
-            Target(f"{_MODELS}:FOUR_BAR_REFERENCES"),
+            Target("mbdkit_biomech.models.leg:LegFourBarOptions", type),
+            Target("mbdkit_biomech.models.leg:build_four_bar"),
+            Target("mbdkit_biomech.models.leg:FOUR_BAR_REFERENCES"),
             order=70,
         ),
     ]
@@ -93,11 +89,11 @@ def mbdkit_items() -> Iterable[Item]:
             run_instead="this is a run spec: run it with `mbdkit run`; a spec of inverse dynamics has a section "
             "`motion`, and neither `integrator` nor a step",
             heading="INVERSE DYNAMICS",
-            load=Target(f"{_ROOM}.inverse_loading:load_inverse_spec"),
+            load=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_loading:load_inverse_spec"),
             validate=Target("mbdkit_biomech.commands:validate_inverse"),
-            schema=Target(f"{_ROOM}.inverse_schema:inverse_schema"),
+            schema=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_schema:inverse_schema"),
             run_kind="inverse",
-            model=Target(f"{_ROOM}.inverse_spec:InverseSpec"),
+            model=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_spec:InverseSpec"),
             repeat=Target("mbdkit_biomech.commands:repeated_inverse"),
         ),
         ElementKind(
@@ -112,13 +108,13 @@ def mbdkit_items() -> Iterable[Item]:
             only_in_runs=True,
             in_expressions={"length": "length", "rate": "rate", "force": "tension"},
             check_elements=Target("mbdkit_biomech.muscles.muscle:check_moving_points"),
-            check_run=Target(f"{_MUSCLES}:check_acting"),
-            forces=Target(f"{_MUSCLES}:forces_of"),
-            lower=Target(f"{_MUSCLES}:lower"),
-            lower_expressions=Target(f"{_MUSCLES}:lower_excitations"),
-            at_start=Target(f"{_MUSCLES}:fibers_at_start"),
-            obstacle=Target(f"{_MUSCLES}:torn_path"),
-            stiffest=Target(f"{_MUSCLES}:stiffest"),
+            check_run=Target("mbdkit_biomech.muscles.acting_muscles:check_acting"),
+            forces=Target("mbdkit_biomech.muscles.acting_muscles:forces_of"),
+            lower=Target("mbdkit_biomech.muscles.acting_muscles:lower"),
+            lower_expressions=Target("mbdkit_biomech.muscles.acting_muscles:lower_excitations"),
+            at_start=Target("mbdkit_biomech.muscles.acting_muscles:fibers_at_start"),
+            obstacle=Target("mbdkit_biomech.muscles.acting_muscles:torn_path"),
+            stiffest=Target("mbdkit_biomech.muscles.acting_muscles:stiffest"),
             draw=Target("mbdkit_biomech.muscles.muscle_lines:muscle_lines"),
             example="elbow-curl",
             supports={
@@ -142,7 +138,7 @@ def mbdkit_items() -> Iterable[Item]:
             name="moment_arms",
             summary="Moment arms of a muscle.",
             of="Run",
-            target=Target(f"{_ROOM}.moment_arms:arms_of"),
+            target=Target("mbdkit_biomech.inverse_dynamics.motion.moment_arms:arms_of"),
         ),
         Accessor(
             name="contributions",
@@ -160,7 +156,7 @@ def mbdkit_items() -> Iterable[Item]:
         SummaryLine(
             name="inverse",
             summary="Fit, gaps, actuators, residuals and reserves.",
-            text=Target(f"{_ROOM}.inverse_summary:inverse_lines"),
+            text=Target("mbdkit_biomech.inverse_dynamics.results.inverse_summary:inverse_lines"),
             of=frozenset({"inverse"}),
         ),
         SummaryLine(
@@ -181,7 +177,7 @@ def mbdkit_items() -> Iterable[Item]:
             name="actuators",
             summary="Largest values of actuators.",
             order=20,
-            take=Target(f"{_ROOM}.inverse_summary:largest_actuators"),
+            take=Target("mbdkit_biomech.inverse_dynamics.results.inverse_summary:largest_actuators"),
             group="actuators",
             excluded=Target("mbdkit_biomech.uncertainty.contributions:excluded_error"),
         ),
@@ -200,9 +196,9 @@ def mbdkit_items() -> Iterable[Item]:
             name="loads",
             summary="Loads over the motion, workload, and disagreement of model and data.",
             order=100,
-            make=Target(f"{_ROOM}.load_sections:inverse_sections"),
-            charts=Target(f"{_ROOM}.load_sections:inverse_charts"),
-            film=Target(f"{_ROOM}.load_frames:film_with_arrows"),
+            make=Target("mbdkit_biomech.inverse_dynamics.results.load_sections:inverse_sections"),
+            charts=Target("mbdkit_biomech.inverse_dynamics.results.load_sections:inverse_charts"),
+            film=Target("mbdkit_biomech.inverse_dynamics.loads.load_frames:film_with_arrows"),
         ),
         ReportSection(
             name="uncertainty",
@@ -214,15 +210,15 @@ def mbdkit_items() -> Iterable[Item]:
         ViewItem(
             name="workload",
             summary="Peaks and impulses of the loads.",
-            of=f"{_ROOM}.workload:Workload",
-            make=Target(f"{_ROOM}.views:workload_view"),
+            of="mbdkit_biomech.inverse_dynamics.results.workload:Workload",
+            make=Target("mbdkit_biomech.inverse_dynamics.results.views:workload_view"),
         ),
         CriterionItem(
             name="excitations",
             summary="Excitations of muscles below 0 or above 1.",
             order=105,
             stage="spec",
-            find=Target(f"{_MUSCLES}:excitations"),
+            find=Target("mbdkit_biomech.muscles.acting_muscles:excitations"),
             of=frozenset({"run"}),
             criteria=("excitations",),
             elements="muscles",
@@ -233,7 +229,7 @@ def mbdkit_items() -> Iterable[Item]:
                 summary=summary,
                 order=10 * number,
                 stage="data",
-                find=Target(f"{_ROOM}.data_verdict:doubts_of_{part}"),
+                find=Target(f"mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_{part}"),
                 of=frozenset({"inverse"}),
             )
             for number, (part, summary) in enumerate(_CRITERIA.items())

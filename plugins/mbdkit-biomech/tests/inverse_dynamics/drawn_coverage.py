@@ -9,13 +9,13 @@ import numpy as np
 from tests.inverse_dynamics.drawn_mechanisms import COLUMNS, KINDS, RATE, Drawn, draw
 
 from mbdkit.base.errors import RunError
-from mbdkit_biomech.inverse_dynamics import reduced_motion
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, fit, forces_of, recorded_states
-from mbdkit_biomech.inverse_dynamics.error_bars import error_bars
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, motion_of_series
-from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
-from mbdkit_biomech.inverse_dynamics.smoothing import smoothed
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
+from mbdkit_biomech.inverse_dynamics.motion import reduced_motion
+from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, motion_of_series
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
+from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 TRIES = 200
 """Number of random sets of coordinates that are tried for one that determines the motion well."""

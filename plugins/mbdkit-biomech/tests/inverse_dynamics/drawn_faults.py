@@ -14,9 +14,9 @@ from tests.inverse_dynamics.drawn_plate_faults import glitch, lost_point
 from mbdkit import MbdkitError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_about_data
-from mbdkit_biomech.inverse_dynamics.error_bars import error_bars
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 SETS = (
     ("chain", "exact"),

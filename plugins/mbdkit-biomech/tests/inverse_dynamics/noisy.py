@@ -11,8 +11,8 @@ import mbdkit
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import load_spec
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute, recorded_states
-from mbdkit_biomech.inverse_dynamics.error_bars import error_bars
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 OBSERVED = {
     "knee": ("shank.angle",),

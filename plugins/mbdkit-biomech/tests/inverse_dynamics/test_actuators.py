@@ -9,7 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.named_actuators import light_roots
+from mbdkit_biomech.inverse_dynamics.spec.named_actuators import light_roots
 
 T = np.linspace(0.0, 1.0, 201)
 

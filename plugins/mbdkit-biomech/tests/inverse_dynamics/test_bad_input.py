@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
-from mbdkit_biomech.inverse_dynamics import table_files
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.files import table_files
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 AXES = ("x", "y", "angle")
 ROWS = ["time,hip,text", *(f"{0.01 * i:.2f},{0.1 * i:.3f},a" for i in range(20))]

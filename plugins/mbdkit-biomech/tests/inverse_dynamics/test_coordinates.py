@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 T = np.linspace(0.0, 1.0, 201)
 ANGLES = {

@@ -10,7 +10,7 @@ import pytest
 
 from inverse_dynamics.c3d_files import DEC, INTEL, MIPS, Convention, Plate, c3d_bytes
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 
 pytest.importorskip("ezc3d", reason="ezc3d is not installed: pip install mbdkit[c3d]")
 

@@ -13,10 +13,10 @@ from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, no
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
-from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import suspicious_columns
+from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 PARTS = {"x": "real", "y": "imag"}
 

@@ -6,8 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL, quantile
-from mbdkit_biomech.inverse_dynamics.digital_filters import (
+from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
+from mbdkit_biomech.inverse_dynamics.signals.digital_filters import (
     butterworth_coefficients,
     filtered,
     filtered_both_ways,

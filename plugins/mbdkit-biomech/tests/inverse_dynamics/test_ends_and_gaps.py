@@ -15,7 +15,7 @@ from tests.inverse_dynamics.drawn_mechanisms import Drawn, draw
 from tests.inverse_dynamics.test_error_bars import pendulum
 
 import mbdkit
-from mbdkit_biomech.inverse_dynamics import measure_samples
+from mbdkit_biomech.inverse_dynamics.results import measure_samples
 
 TIME = np.linspace(0.0, 2.0, 201)
 FILTER = {"name": "butterworth", "cutoff": 6.0}

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import mbdkit
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 SPECS = {"walking-muscles": ["time={start: 0.5, end: 0.6}"], "person-walking": []}
 """Examples with changes of their specs: nine frames have all terms of the error bars of muscles."""

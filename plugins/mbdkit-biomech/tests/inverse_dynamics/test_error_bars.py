@@ -17,12 +17,12 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit.archive import archive_check
 from mbdkit.spec import load_spec
-from mbdkit_biomech.inverse_dynamics import measure_samples
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.error_bars import _norm_bound
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.measure_samples import SAMPLES, SampledMeasures
-from mbdkit_biomech.inverse_dynamics.workload import workload
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import _norm_bound
+from mbdkit_biomech.inverse_dynamics.results import measure_samples
+from mbdkit_biomech.inverse_dynamics.results.measure_samples import SAMPLES, SampledMeasures
+from mbdkit_biomech.inverse_dynamics.results.workload import workload
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_report.pages.run_report import run_report
 
 T = np.linspace(0.0, 1.0, 101)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbdkit_biomech.inverse_dynamics.interpolating_splines import interpolating_spline
+from mbdkit_biomech.inverse_dynamics.signals.interpolating_splines import interpolating_spline
 
 X = np.cumsum(np.random.default_rng(0).uniform(0.05, 0.2, 14))
 FINE = np.linspace(X[0], X[-1], 301)

@@ -13,9 +13,9 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit.spec.loading import example_table
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_about_data, doubts_before_computation
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.load_point_criterion import forces_at_centres, missing_points
+from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data, doubts_before_computation
+from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 
 def test_a_unit_of_a_load_that_contradicts_the_file_is_named(tmp_path: Path) -> None:

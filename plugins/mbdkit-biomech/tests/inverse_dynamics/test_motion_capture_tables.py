@@ -14,8 +14,8 @@ from tests.inverse_dynamics.test_error_bars import pendulum
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.measured_table import Table
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 
 VICON = """
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_smoothing_spline
 
-from mbdkit_biomech.inverse_dynamics.inverse_sections import SmoothingSpline
-from mbdkit_biomech.inverse_dynamics.smoothing import fixed, smoothed
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import fixed, smoothed
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import SmoothingSpline
 
 RANDOM = np.random.default_rng(0)
 EVEN = np.linspace(2.0, 5.0, 151)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.inverse_sections import TimeColumn
-from mbdkit_biomech.inverse_dynamics.measured import times_of
-from mbdkit_biomech.inverse_dynamics.measured_table import Table
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.motion.measured import times_of
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
 
 HIP = [1.5, -2.25, 1000.0]
 ROWS = ["0.0,1.5,7", "0.5,-2.25,7", "1.0,1e3,7"]

@@ -7,7 +7,7 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.cycles import crossings, normalized
+from mbdkit_biomech.inverse_dynamics.signals.cycles import crossings, normalized
 
 T = np.linspace(0.0, 2.0, 2001)
 

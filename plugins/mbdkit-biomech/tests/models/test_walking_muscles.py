@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from tests.benchmarks.walking_data import PHASES, STRIDE
 
 

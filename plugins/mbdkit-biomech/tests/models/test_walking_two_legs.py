@@ -11,7 +11,7 @@ from tests.inverse_dynamics.running import table_of
 import mbdkit
 from mbdkit import Run
 from mbdkit.spec.loading import example_table, read_source
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from tests.benchmarks.walking_both_legs import LEFT, residuals
 from tests.benchmarks.walking_data import ANGLES, GRAVITY, GRID, PERSON_MASS, PHASES, SPEED, STRIDE, series_in
 

@@ -9,12 +9,12 @@ from tests.muscles.test_shared_loads import FRAMES, MUSCLES, problems
 
 import mbdkit
 from mbdkit import RunError, SpecError
-from mbdkit_biomech.inverse_dynamics.loads_over_time import (
+from mbdkit_biomech.inverse_dynamics.muscles.loads_over_time import (
     ActivationDynamics,
     share_over_time,
     smallest_supplement_over_time,
 )
-from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, share_loads
 
 TIME = np.linspace(0.0, 0.3, FRAMES)
 FALL, RISE = 0.04, 0.01

@@ -6,8 +6,8 @@ from tests.muscles.test_recruitment import forearm
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics import measure_samples
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.results import measure_samples
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 FORCE = 1.5 * 9.81 * 0.15 / 0.04
 

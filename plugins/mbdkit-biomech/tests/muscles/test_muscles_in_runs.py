@@ -21,7 +21,7 @@ from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.muscle_path import MusclePath
-from mbdkit_studies.batch import simulate_batch
+from mbdkit_studies.compute.batch import simulate_batch
 from tests.runs.resuming.killed_runs import killed
 
 FORCE, FIBER, PENNATION, SPEED, DAMPING = 600.0, 0.12, 0.1, 10.0, 0.1

@@ -10,8 +10,8 @@ from tests.muscles.test_shared_loads import FRAMES, by_casadi, problems
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.shared_loads import share_loads
-from mbdkit_biomech.inverse_dynamics.shared_loads_derivative import ProgrammeChange, change_of_shares
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads_derivative import ProgrammeChange, change_of_shares
 
 
 @pytest.mark.parametrize("reserves", [0.0, 20.0])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, share_loads, smallest_supplement
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, share_loads, smallest_supplement
 
 FRAMES, EQUATIONS, MUSCLES = 12, 3, 9
 

@@ -7,7 +7,7 @@ from tests.muscles.test_recruitment import forearm
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.sources import change_of, sources_of
 from mbdkit_biomech.uncertainty.uncertain_result import drawn, uncertain_result

@@ -12,7 +12,7 @@ from tests.persons.walkers import FUNCTIONAL, builder_of, data_of, loaded, marke
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.joint_centers import IN_STEP, LANDMARKS, REGRESSION
 from mbdkit_biomech.persons.landmarks import Side, landmark

@@ -7,7 +7,7 @@ from tests.persons.walkers import loaded, person_spec
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
 

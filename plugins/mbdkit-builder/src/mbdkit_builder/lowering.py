@@ -28,8 +28,8 @@ def symbols(package: str = CORE) -> dict[str, Callable[[], Any]]:
     """
     rooms = ["mbdkit.engine.kernels", "mbdkit.integrators"]
     for room in rooms if package == CORE else [*rooms, f"{package}.kernels"]:
-        for module in pkgutil.iter_modules(importlib.import_module(room).__path__):
-            importlib.import_module(f"{room}.{module.name}")
+        for module in pkgutil.walk_packages(importlib.import_module(room).__path__, f"{room}."):
+            importlib.import_module(module.name)
     found: dict[str, Callable[[], Any]] = {}
     found |= {name: partial(object_code.kernel_module, one) for name, one in KERNELS.items()}
     found |= {name: partial(object_code.entry_module, name, one.function) for name, one in ENTRIES.items()}

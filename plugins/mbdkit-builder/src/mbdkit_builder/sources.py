@@ -34,8 +34,9 @@ def module_of(symbol: str) -> str:
         return _ALWAYS[0]
     package, name = package_of(symbol), symbol.rpartition("___")[2].partition("__")[0]
     for room in ("integrators/", "engine/kernels/") if package == CORE else (f"{package}:kernels/",):
-        if source_file(f"{room}{name}.py").is_file():
-            return f"{room}{name}.py"
+        folder = source_file(room)
+        for path in sorted(folder.rglob(f"{name}.py")):
+            return f"{room}{path.relative_to(folder).as_posix()}"
     raise MbdkitError(f"there is no kernel '{symbol}'")
 
 

@@ -38,7 +38,7 @@ import mbdkit
 from mbdkit.engine import force_laws
 from mbdkit.engine.native import bundle, functions, kernel
 from mbdkit.spec import load_spec
-from mbdkit_studies.compute_block import compute_block
+from mbdkit_studies.compute.compute_block import compute_block
 
 JOINTS, INDEX_3 = {"formulation": "joint-coordinates"}, {"formulation": "index-3"}
 RUNS: list[tuple[str, float, dict[str, Any]]] = [

@@ -42,7 +42,7 @@ def test_the_stored_code_is_that_of_this_builder_and_of_the_sources(target: Plat
     [
         (None, ""),
         ("builder", "lane_types.py"),
-        ("files", "integrators/step_loop.py"),
+        ("files", "integrators/loop/step_loop.py"),
         ("files", "engine/native/kernel.py"),
     ],
 )

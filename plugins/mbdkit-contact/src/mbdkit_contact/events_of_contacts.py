@@ -194,12 +194,12 @@ class ContactEvents:
         return found
 
     def serve(self) -> None:
-        """See `mbdkit.integrators.compiled_method.CompiledMethod.serve`."""
+        """See `mbdkit.integrators.stages.compiled_method.CompiledMethod.serve`."""
         if np.any(self.bundle.known.number):  # an impact without impulses has a place, but no row
             self.impacts += self.take_impacts()
 
     def resume(self) -> None:
-        """See `mbdkit.integrators.compiled_method.CompiledMethod.resume`."""
+        """See `mbdkit.integrators.stages.compiled_method.CompiledMethod.resume`."""
         if self.bundle.reason[0] == MORE_ROOM:
             if np.any(self.bundle.known.number):
                 self.serve()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import mbdkit
-from mbdkit.integrators.steps_ahead import StepsAhead
+from mbdkit.integrators.loop.steps_ahead import StepsAhead
 
 
 @pytest.mark.parametrize("method", ["moreau-jean", "nonsmooth-generalized-alpha"])

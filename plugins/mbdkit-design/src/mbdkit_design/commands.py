@@ -77,8 +77,8 @@ def design(
     from mbdkit_design.solve_design import WORKER, evaluating, solved_in
     from mbdkit_design.stages import Stages
     from mbdkit_design.store import DesignFolder
-    from mbdkit_studies.executor_pool import Engine
-    from mbdkit_studies.executors import opened
+    from mbdkit_studies.compute.executor_pool import Engine
+    from mbdkit_studies.compute.executors import opened
 
     folder = output if output is not None else Path(stem(spec))
     notify = silence if printing.quiet or printing.as_json else say
@@ -146,7 +146,7 @@ def _cautions(spec: RunSpec | InverseSpec) -> Iterable[str]:
     from mbdkit.plugin import RunSpec
     from mbdkit.plugin.runs import caution
     from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
-    from mbdkit_biomech.inverse_dynamics.data_verdict import doubts_before_computation
+    from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
 
     if isinstance(spec, RunSpec):
         return map(str, caution(spec))

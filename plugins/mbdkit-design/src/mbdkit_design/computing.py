@@ -15,9 +15,9 @@ from mbdkit.kernels import WIDTH
 from mbdkit.plugin import ResourceError, RunError
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
-from mbdkit_studies.batch import CHUNK
-from mbdkit_studies.executor_pool import Engine
-from mbdkit_studies.tasks import PASSING, Task
+from mbdkit_studies.compute.batch import CHUNK
+from mbdkit_studies.compute.executor_pool import Engine
+from mbdkit_studies.compute.tasks import PASSING, Task
 
 PATIENCE = 5.0
 """Computing time in this process [s] after which worker processes are started; starting one takes about two seconds."""

@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.plugin import MbdkitError, RunSpec, counted, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.terminal import told_apart
-from mbdkit_biomech.inverse_dynamics.inverse_gradient import gradient_of_inverse
+from mbdkit_biomech.inverse_dynamics.gradient.inverse_gradient import gradient_of_inverse
 from mbdkit_gradients.differentiated_expressions import definitions_of
 from mbdkit_gradients.gradient import Gradient, gradient_of_run_spec
 from mbdkit_gradients.gradient_check import GradientCheck, inaccurate_entries

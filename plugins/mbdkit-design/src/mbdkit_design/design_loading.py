@@ -10,11 +10,11 @@ from typing import Any
 from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, parse_path, path_text
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.specs import Document, example_names, parse_key, put, read_source, set_value, variable_path
-from mbdkit_biomech.inverse_dynamics.inverse_loading import is_inverse
-from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import is_inverse
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_report.key_words import stated_units
-from mbdkit_studies.study_loading import base_source, document_of
+from mbdkit_studies.spec.study_loading import base_source, document_of
 
 
 def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:

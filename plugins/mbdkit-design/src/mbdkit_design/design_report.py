@@ -14,7 +14,7 @@ import numpy as np
 
 from mbdkit.plugin.specs import write_yaml
 from mbdkit.plugin.terminal import say
-from mbdkit_biomech.inverse_dynamics.load_frames import load_drawing
+from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
 from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
@@ -35,7 +35,7 @@ from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.model_section import drawing
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import TONES, environment, film_of
-from mbdkit_studies.executor_pool import Engine
+from mbdkit_studies.compute.executor_pool import Engine
 
 if TYPE_CHECKING:
     from mbdkit_design.design import Design

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mbdkit.plugin.specs import DRAFT, Registry, allow_units, described, run_schema
-from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
+from mbdkit_biomech.inverse_dynamics.spec.inverse_schema import inverse_schema
 from mbdkit_design.design_spec import DesignSpec
 
 

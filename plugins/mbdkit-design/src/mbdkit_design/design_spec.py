@@ -42,8 +42,8 @@ from mbdkit.plugin.specs import (
     parse_key,
     variable_path,
 )
-from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
-from mbdkit_studies.study_spec import Base, Overrides
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_studies.spec.study_spec import Base, Overrides
 
 GOAL = "goal"
 """Name of the only goal if `minimize` is an expression."""

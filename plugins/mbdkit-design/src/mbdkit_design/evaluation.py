@@ -18,12 +18,12 @@ from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra, produc
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.measures import describe, error_of, take
 from mbdkit.plugin.specs import VariedSpecs, parse_key, variable_path
-from mbdkit_biomech.inverse_dynamics.inverse_loading import varied_inverse
-from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
-from mbdkit_biomech.inverse_dynamics.measure_samples import SampledMeasures, sampled_measures
+from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures, sampled_measures
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import varied_inverse
 from mbdkit_design.design_spec import DesignSpec
-from mbdkit_studies.batch import simulate_batch
-from mbdkit_studies.lane_runs import LaneRuns
+from mbdkit_studies.compute.batch import simulate_batch
+from mbdkit_studies.lanes.lane_runs import LaneRuns
 
 Settings = Sequence[tuple[Path, Any]]
 """Key paths and their values."""

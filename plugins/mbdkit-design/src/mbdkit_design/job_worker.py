@@ -13,7 +13,7 @@ from mbdkit.plugin import RunSpec
 from mbdkit.plugin.specs import Document
 from mbdkit_design.computing import plain_outcome
 from mbdkit_design.evaluation import ScenarioRuns
-from mbdkit_studies import worker
+from mbdkit_studies.compute import worker
 
 
 def main() -> None:
@@ -22,7 +22,7 @@ def main() -> None:
 
 
 def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, Any]]:
-    """Carry out tasks in a process that an executor has started; see `mbdkit_studies.worker.compute`."""
+    """Carry out tasks in a process that an executor has started; see `mbdkit_studies.compute.worker.compute`."""
     return worker.compute(tasks, of_version, _carry)
 
 

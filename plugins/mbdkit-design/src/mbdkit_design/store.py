@@ -21,7 +21,7 @@ from mbdkit.archive.part_file import remove_checkpoint
 from mbdkit.plugin import RunSpec, SpecError, load, simulate
 from mbdkit.plugin.files import canonical_text, replacing
 from mbdkit.plugin.specs import read_file, variable_path
-from mbdkit_biomech.inverse_dynamics.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 from mbdkit_design.design import Design
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import DesignSpec
@@ -29,7 +29,7 @@ from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_design.known_points import NOT_READ, read_versioned
 from mbdkit_design.point import DesignPoint
 from mbdkit_design.trust import check_of
-from mbdkit_studies.owned_folder import OwnedFolder
+from mbdkit_studies.folder.owned_folder import OwnedFolder
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

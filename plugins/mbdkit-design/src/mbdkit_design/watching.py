@@ -14,11 +14,11 @@ from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import Limit
 from mbdkit_design.problem import FEASIBLE
 from mbdkit_design.store import DesignFolder
-from mbdkit_studies.folder_lock import LOCK, Owner
-from mbdkit_studies.planned_points import PlannedPoints
-from mbdkit_studies.study_blocks import StudyBlocks
-from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.folder.folder_lock import LOCK, Owner
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.store.study_blocks import StudyBlocks
 
 _RUN = re.compile(r"[0-9a-f]{16}\.h5")
 _BLOCK = re.compile(r"block-[0-9]{6,}\.h5")

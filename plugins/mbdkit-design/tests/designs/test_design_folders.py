@@ -27,8 +27,8 @@ from mbdkit_design.evaluation import Job
 from mbdkit_design.known_points import KnownPoints, PointFile
 from mbdkit_design.solve_design import WORKER
 from mbdkit_design.store import DesignFolder
-from mbdkit_studies import pool
-from mbdkit_studies.executor_pool import Engine
+from mbdkit_studies.compute import pool
+from mbdkit_studies.compute.executor_pool import Engine
 
 
 def command(*arguments: str) -> Result:

@@ -12,7 +12,7 @@ from mbdkit.cli import app
 from mbdkit.spec import load_spec
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 TEXT = """mbdkit_design: 1
 base:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_biomech.inverse_dynamics import measure_samples
-from mbdkit_biomech.inverse_dynamics.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.results import measure_samples
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_design.derivatives import derivatives, differences
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator

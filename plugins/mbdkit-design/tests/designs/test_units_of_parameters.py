@@ -11,10 +11,10 @@ import mbdkit
 from mbdkit_design.commands import validate_design
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_report import design_report
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_plan import plan_study
-from mbdkit_studies.study_report import study_report
-from mbdkit_studies.study_summary import plan_summary, summary
+from mbdkit_studies.compute.study_plan import plan_study
+from mbdkit_studies.report.study_report import study_report
+from mbdkit_studies.report.study_summary import plan_summary, summary
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 
 def _base() -> dict[str, Any]:

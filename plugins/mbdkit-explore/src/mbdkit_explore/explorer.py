@@ -10,12 +10,12 @@ import numpy as np
 from mbdkit.archive.headlines import MOST
 from mbdkit.plugin import MbdkitError, copied, headline_texts, plain, shown
 from mbdkit.plugin.specs import load_spec, put, read_source
-from mbdkit_biomech.inverse_dynamics.inverse_loading import is_inverse, load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.inverse_run import inverse
-from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import is_inverse, load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_explore.sliders import sliders
 from mbdkit_report.pages.run_report import TONES, film_of, yaml_text
-from mbdkit_studies.prepared_run import PreparedRun
+from mbdkit_studies.lanes.prepared_run import PreparedRun
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run, RunSpec

@@ -14,7 +14,7 @@ import mbdkit
 from mbdkit_paper.contact import verdict as of
 from mbdkit_paper.contact.verdict import CLOSED, FINEST, Touched
 from mbdkit_report.analysis.verdict import Answer
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 RIGID = [
     Touched(case, method, step, error * step if method == "time-stepping" else 1e-12, 0.0, 0.0, 100.0, 1.0, "")

@@ -17,8 +17,8 @@ from mbdkit_paper.drift.verdict import COLUMNS, order_meets
 from mbdkit_paper.drift.verdict import verdict as judge_drift
 from mbdkit_report.analysis.verdict import UNDECIDED, Answer
 from mbdkit_report.pages.verdict_text import json_values, terminal_text
-from mbdkit_studies.judge import judge
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.results.judge import judge
+from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.first_party import PARTS
 
 STEPS = (0.1, 0.05, 0.025, 0.0125)

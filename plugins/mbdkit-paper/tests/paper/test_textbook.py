@@ -14,8 +14,8 @@ import mbdkit
 from mbdkit_paper.textbook_four_bar.textbook_equations import GRAVITY, LENGTHS, gap, integrate, rates, start
 from mbdkit_paper.textbook_four_bar.verdict import loop_residual
 from mbdkit_report.analysis.verdict import Answer
-from mbdkit_studies.judge import judge
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.results.judge import judge
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 
 def test_start_is_closed_at_rest_and_the_one_that_the_textbook_finds() -> None:

@@ -22,8 +22,8 @@ from mbdkit_paper.paper.computation_time import SPEED_UP
 from mbdkit_paper.paper.paper_predictions import joints, knee, steps_within
 from mbdkit_paper.paper.published_results import magnitudes, ranking
 from mbdkit_report.analysis.verdict import UNDECIDED, Answer, Range, exceeds
-from mbdkit_studies.judge import judge
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.results.judge import judge
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
 METHODS = ("RK-Gill", "Gauss 2", "Gauss 3")

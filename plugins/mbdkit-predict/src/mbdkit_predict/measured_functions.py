@@ -11,7 +11,7 @@ from mbdkit.mechanism.values import Columns, Ends, Interpolation
 from mbdkit.plugin import SpecError, Table, read_unit
 from mbdkit.plugin.mechanisms import number_or_table
 from mbdkit.plugin.specs import Section
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 
 
 class MeasuredFunction(Section):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_biomech.inverse_dynamics.load_sections import inverse_sections
+from mbdkit_biomech.inverse_dynamics.results.load_sections import inverse_sections
 from mbdkit_report.figures.page_model import Section, Table
 from mbdkit_report.pages.run_report import mechanism_of, run_report
 

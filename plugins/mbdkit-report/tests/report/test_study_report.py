@@ -14,14 +14,14 @@ from mbdkit_report.figures.page_model import Axis, Figure, Line
 from mbdkit_report.key_words import key_words
 from mbdkit_report.pages.report import report
 from mbdkit_report.pages.report_page import cell_text
-from mbdkit_studies.carry_out import load_study
-from mbdkit_studies.carry_out import study as run_study
-from mbdkit_studies.folder_lock import Shard
-from mbdkit_studies.study_figures import with_slope_guides
-from mbdkit_studies.study_headlines import headlines
-from mbdkit_studies.study_point import point_words
-from mbdkit_studies.study_report import study_report
-from mbdkit_studies.study_summary import summary
+from mbdkit_studies.compute.carry_out import load_study
+from mbdkit_studies.compute.carry_out import study as run_study
+from mbdkit_studies.folder.folder_lock import Shard
+from mbdkit_studies.report.study_figures import with_slope_guides
+from mbdkit_studies.report.study_headlines import headlines
+from mbdkit_studies.report.study_report import study_report
+from mbdkit_studies.report.study_summary import summary
+from mbdkit_studies.store.study_point import point_words
 
 
 @pytest.fixture

@@ -58,7 +58,9 @@ Slurm = Annotated[
 
 @dataclass
 class Cluster:
-    """Options of a command whose runs may be computed on other machines, see `mbdkit_studies.executors.opened`."""
+    """Options of a command whose runs may be computed on other machines, see
+    `mbdkit_studies.compute.executors.opened`.
+    """
 
     executor: ExecutorName = "local"
     scheduler: Scheduler = None

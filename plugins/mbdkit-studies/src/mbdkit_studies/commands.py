@@ -25,7 +25,7 @@ class StudyCommand(TyperCommand):
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write the names of the packaged studies."""
-        from mbdkit_studies.study_loading import study_names
+        from mbdkit_studies.spec.study_loading import study_names
 
         formatter.write_paragraph()
         formatter.write_text(f"Packaged studies: {', '.join(study_names())}.")
@@ -127,10 +127,10 @@ def study(
     Exit status 3 if runs are missing, for example because the disk is full or a process
     died; a second call tries again.
     """
-    from mbdkit_studies.carry_out import study as carry_out
-    from mbdkit_studies.executors import opened
-    from mbdkit_studies.folder_lock import Shard
-    from mbdkit_studies.study_summary import outcome, summary
+    from mbdkit_studies.compute.carry_out import study as carry_out
+    from mbdkit_studies.compute.executors import opened
+    from mbdkit_studies.folder.folder_lock import Shard
+    from mbdkit_studies.report.study_summary import outcome, summary
 
     part = None if shard is None else Shard.parse(shard)
     path = output if output is not None else Path(stem(spec))
@@ -177,10 +177,10 @@ def study(
 
 def validate_study(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a study spec, the expressions of its measures and the specs of its runs, and print what it defines."""
-    from mbdkit_studies.study_blocks import is_for_blocks
-    from mbdkit_studies.study_loading import load_study_spec
-    from mbdkit_studies.study_plan import plan_study
-    from mbdkit_studies.study_summary import plan_summary
+    from mbdkit_studies.compute.study_plan import plan_study
+    from mbdkit_studies.report.study_summary import plan_summary
+    from mbdkit_studies.spec.study_loading import load_study_spec
+    from mbdkit_studies.store.study_blocks import is_for_blocks
 
     study = load_study_spec(source, assignments)
     plan = plan_study(study.stored_as(study.store or "all") if is_for_blocks(study) else study)

@@ -11,20 +11,20 @@ import numpy as np
 from mbdkit.plugin import MbdkitError, SpecError
 from mbdkit.plugin.terminal import HtmlView
 from mbdkit_report.group_table import data_frame
-from mbdkit_studies import study_index
-from mbdkit_studies.measure_statistics import MeasureStatistics, statistics
-from mbdkit_studies.planned_points import Grid, Label, PlannedPoints
-from mbdkit_studies.quantile_bands import QUANTILES, QuantileBands, quantiles
-from mbdkit_studies.sample_statistics import CONFIDENCE
-from mbdkit_studies.selection import select_rows
-from mbdkit_studies.sensitivity import Sensitivity, sensitivity
-from mbdkit_studies.sobol_indices import RESAMPLES
-from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_index import NUMBERS, TEXTS
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_point import Points, StudyPoint, archive_of
-from mbdkit_studies.study_runs import StudyRuns
-from mbdkit_studies.study_spec import StudySpec
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.planned_points import Grid, Label, PlannedPoints
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.statistics.measure_statistics import MeasureStatistics, statistics
+from mbdkit_studies.statistics.quantile_bands import QUANTILES, QuantileBands, quantiles
+from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
+from mbdkit_studies.statistics.selection import select_rows
+from mbdkit_studies.statistics.sensitivity import Sensitivity, sensitivity
+from mbdkit_studies.statistics.sobol_indices import RESAMPLES
+from mbdkit_studies.store import study_index
+from mbdkit_studies.store.study_index import NUMBERS, TEXTS
+from mbdkit_studies.store.study_point import Points, StudyPoint, archive_of
+from mbdkit_studies.store.study_runs import StudyRuns
 
 if TYPE_CHECKING:
     import pandas

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_studies.cost import at_equal_work, work_for
+from mbdkit_studies.results.cost import at_equal_work, work_for
 
 WORK = np.array([100.0, 200.0, 400.0, 800.0])
 ERROR = 1e6 * WORK**-4.0

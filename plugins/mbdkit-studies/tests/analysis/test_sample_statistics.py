@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from mbdkit_studies.sample_section import Sample
-from mbdkit_studies.sample_statistics import Estimate, mean, quantile, squared_correlation, standard_deviation
-from mbdkit_studies.sampled_values import sampled_values
+from mbdkit_studies.points.sampled_values import sampled_values
+from mbdkit_studies.spec.sample_section import Sample
+from mbdkit_studies.statistics.sample_statistics import (
+    Estimate,
+    mean,
+    quantile,
+    squared_correlation,
+    standard_deviation,
+)
 
 ASKED: tuple[Callable[[np.ndarray], Estimate], ...] = (
     mean,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from mbdkit_studies.sample_section import Sample
-from mbdkit_studies.sampled_values import sampled_values
-from mbdkit_studies.sobol_indices import SobolIndices, sobol_indices
+from mbdkit_studies.points.sampled_values import sampled_values
+from mbdkit_studies.spec.sample_section import Sample
+from mbdkit_studies.statistics.sobol_indices import SobolIndices, sobol_indices
 
 # T. Ishigami and T. Homma, 1990; with a = 7, b = 0.1 the variance is a^2/8 + b pi^4/5 + b^2 pi^8/18 + 1/2.
 _A, _B = 7.0, 0.1

@@ -9,13 +9,13 @@ import pytest
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_report.figures.palette import line_styles
-from mbdkit_studies.added_methods import with_methods
-from mbdkit_studies.judge import judge
-from mbdkit_studies.planned_points import PlannedPoints
-from mbdkit_studies.point_selection import IN_TOLERANCES, Points
-from mbdkit_studies.study_figures import study_figures
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_report import study_report
+from mbdkit_studies.compute.added_methods import with_methods
+from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.report.study_figures import study_figures
+from mbdkit_studies.report.study_report import study_report
+from mbdkit_studies.results.judge import judge
+from mbdkit_studies.results.point_selection import IN_TOLERANCES, Points
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 METHODS: dict[str, Any] = {
     "mbdkit_study": 1,

@@ -25,17 +25,17 @@ from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.plugin.archives import COUNTERS
 from mbdkit.spec import RunSpec
-from mbdkit_studies import batch, pool, run_blocks
-from mbdkit_studies import compute_block as compute_block_module
-from mbdkit_studies.blocks import Block
-from mbdkit_studies.compute_block import compute_block
-from mbdkit_studies.folder_lock import Shard
-from mbdkit_studies.planned_points import PlannedPoints
-from mbdkit_studies.runs_table import export_runs
-from mbdkit_studies.study_blocks import StudyBlocks
-from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.tasks import mark_of, run_at_work
+from mbdkit_studies.compute import batch, pool, run_blocks
+from mbdkit_studies.compute import compute_block as compute_block_module
+from mbdkit_studies.compute.compute_block import compute_block
+from mbdkit_studies.compute.tasks import mark_of, run_at_work
+from mbdkit_studies.folder.folder_lock import Shard
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.report.runs_table import export_runs
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.store.blocks import Block
+from mbdkit_studies.store.study_blocks import StudyBlocks
 
 BASE: dict[str, Any] = {
     "mbdkit": 1,
@@ -514,7 +514,7 @@ def test_conditions_of_strangers_are_refused(grid: mbdkit.Study, condition: str)
 
 
 def test_hundred_thousand_rows_are_selected_in_a_second() -> None:
-    from mbdkit_studies.selection import select_rows
+    from mbdkit_studies.statistics.selection import select_rows
 
     rng = np.random.default_rng(1)
     columns = {f"c{number}": rng.random(100_000) for number in range(30)}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import mbdkit
-from mbdkit_studies.cost_at_error import cost_at_error, error_headlines
-from mbdkit_studies.study_summary import summary
+from mbdkit_studies.report.study_summary import summary
+from mbdkit_studies.results.cost_at_error import cost_at_error, error_headlines
 
 
 def test_the_cost_at_an_error_lies_between_the_runs_that_miss_and_reach_it(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbdkit_studies import measures
-from mbdkit_studies.measures import RunGroup
+from mbdkit_studies.spec import measures
+from mbdkit_studies.spec.measures import RunGroup
 from tests.benchmarks import drawn_runs
 from tests.benchmarks.drawn_runs import compare, remade
 
@@ -35,7 +35,7 @@ def test_a_difference_in_the_last_bit_is_found(tmp_path: Path, monkeypatch: pyte
         return np.nextafter(exact(group), np.inf) if len(group) > 1 else exact(group)
 
     wrong = dict(measures.MEASURES) | {"energy_scale": measures.Measure("J", "largest kinetic energy", rounded)}
-    monkeypatch.setattr("mbdkit_studies.compute_block.MEASURES", wrong)
+    monkeypatch.setattr("mbdkit_studies.compute.compute_block.MEASURES", wrong)
     _, _, found = compare(["rk4"], 1, tmp_path)
     assert found
     assert all("energy_scale" in one for one in found)

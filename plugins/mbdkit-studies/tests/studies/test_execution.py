@@ -13,9 +13,10 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.base.errors import SpecError
-from mbdkit_studies import pool, study_index
-from mbdkit_studies.batch import refusal
-from mbdkit_studies.folder_lock import Shard
+from mbdkit_studies.compute import pool
+from mbdkit_studies.compute.batch import refusal
+from mbdkit_studies.folder.folder_lock import Shard
+from mbdkit_studies.store import study_index
 
 from .test_blocks import index_hash
 

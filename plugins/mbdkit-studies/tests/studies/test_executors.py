@@ -19,12 +19,12 @@ import mbdkit
 from mbdkit.base.command_words import command_line, executing
 from mbdkit.base.errors import SpecError
 from mbdkit.cli import app
-from mbdkit_studies import executor_pool, executors, worker
 from mbdkit_studies.command_options import Cluster
-from mbdkit_studies.executor_pool import ExecutorPool
-from mbdkit_studies.executors import SubmititExecutor
-from mbdkit_studies.owned_folder import JOBS
-from mbdkit_studies.tasks import Task
+from mbdkit_studies.compute import executor_pool, executors, worker
+from mbdkit_studies.compute.executor_pool import ExecutorPool
+from mbdkit_studies.compute.executors import SubmititExecutor
+from mbdkit_studies.compute.tasks import Task
+from mbdkit_studies.folder.owned_folder import JOBS
 
 from .test_execution import index_hash
 

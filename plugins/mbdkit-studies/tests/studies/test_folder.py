@@ -24,10 +24,10 @@ from matplotlib.figure import Figure
 import mbdkit
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit_report.pages.report import report
-from mbdkit_studies import folder_lock
-from mbdkit_studies.folder_lock import WHOLE, Owner, Shard
-from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.folder import folder_lock
+from mbdkit_studies.folder.folder_lock import WHOLE, Owner, Shard
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.windows_rules import obey_windows
 
 
@@ -224,7 +224,7 @@ def test_a_folder_is_locked_by_the_rules_of_windows(copied: Path, monkeypatch: p
 
 def test_the_lock_of_a_living_process_in_another_container_is_kept(copied: Path) -> None:
     """In another PID namespace on one machine, processes have other numbers, so that each seems to be dead."""
-    hold = "import sys; from mbdkit_studies.study_folder import StudyFolder; from pathlib import Path\n"
+    hold = "import sys; from mbdkit_studies.folder.study_folder import StudyFolder; from pathlib import Path\n"
     hold += "with StudyFolder(Path(sys.argv[1])).locked(): print('held', flush=True); sys.stdin.read()"
     command = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "--mount-proc", sys.executable, "-c", hold]
     other = subprocess.Popen([*command, str(copied)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbdkit.base.errors import SpecError
-from mbdkit_studies.planned_points import plan_points
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 STUDY = {
     "mbdkit_study": 1,

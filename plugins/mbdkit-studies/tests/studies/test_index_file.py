@@ -9,9 +9,9 @@ import pytest
 
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit_studies import study_index
-from mbdkit_studies.study_index import Index, Row
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.store import study_index
+from mbdkit_studies.store.study_index import Index, Row
 from tests.tiny_disk import tiny_disk
 
 SPEC = load_study_spec({"mbdkit_study": 1, "base": "pendulum", "axes": [{"time.step": [0.01]}]})

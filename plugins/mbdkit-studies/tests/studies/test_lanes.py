@@ -20,7 +20,7 @@ from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
 from mbdkit.runs.preparation import build
 from mbdkit.spec import RunSpec
-from mbdkit_studies.lane_stepper import (
+from mbdkit_studies.lanes.lane_stepper import (
     ControlledLaneStepper,
     LaneResults,
     LaneStepper,

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_studies.study_report import study_report
-from mbdkit_studies.study_summary import outcome, summary
+from mbdkit_studies.report.study_report import study_report
+from mbdkit_studies.report.study_summary import outcome, summary
 from tests.first_party import ROOT
 from tests.installing import install_project, python
 
@@ -83,7 +83,7 @@ def test_runs_are_made_there_and_back_once(done: mbdkit.Study, tmp_path: Path, m
     folder = shutil.copytree(done.folder, tmp_path / "study")
     before = [point.values["reversibility_defect"] for point in done.points]
     assert [point.row.second_run for point in done.points] == ["complete", "complete", "", ""]
-    monkeypatch.setattr("mbdkit_studies.run_files.Task", None)  # nothing is to be done
+    monkeypatch.setattr("mbdkit_studies.compute.run_files.Task", None)  # nothing is to be done
     again = mbdkit.study(STUDY, out=folder)
     np.testing.assert_equal([point.values["reversibility_defect"] for point in again.points], before)
 

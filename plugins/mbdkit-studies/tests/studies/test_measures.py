@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit_report.analysis.reference import interpolated
-from mbdkit_studies.measures import MEASURES
+from mbdkit_studies.spec.measures import MEASURES
 from tests.linkages import driven_wheel
 
 

@@ -13,8 +13,8 @@ from mbdkit.measures.measured_quantities import ATTRIBUTES
 from mbdkit.measures.take import describe
 from mbdkit.spec import load_spec
 from mbdkit.spec.reading import read_text
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_plan import plan_study
+from mbdkit_studies.compute.study_plan import plan_study
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 GUIDE = (Path(mbdkit.__file__).parent / "guide" / "measures.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", GUIDE, flags=re.MULTILINE | re.DOTALL)

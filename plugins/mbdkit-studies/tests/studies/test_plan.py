@@ -9,9 +9,9 @@ import pytest
 
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import load_spec
-from mbdkit_studies.planned_points import plan_points
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_plan import plan_study
+from mbdkit_studies.compute.study_plan import plan_study
+from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 
 def points(study):

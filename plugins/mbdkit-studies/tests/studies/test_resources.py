@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.cli import app
-from mbdkit_studies import pool, worker
-from mbdkit_studies.tasks import Outcome
+from mbdkit_studies.compute import pool, worker
+from mbdkit_studies.compute.tasks import Outcome
 
 from .test_execution import index_hash
 
@@ -45,8 +45,8 @@ def replaced_by_a_folder(path: Path) -> Iterator[None]:
 @pytest.fixture
 def begun(small: dict[str, Any], tmp_path: Path) -> Path:
     """The folder of a study that has only its study.yaml."""
-    from mbdkit_studies.study_folder import StudyFolder
-    from mbdkit_studies.study_loading import load_study_spec
+    from mbdkit_studies.folder.study_folder import StudyFolder
+    from mbdkit_studies.spec.study_loading import load_study_spec
 
     folder = StudyFolder(tmp_path / "out")
     folder.prepare(load_study_spec(small))

@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit.spec import load_spec
-from mbdkit_studies.second_run_measures import Reversal, reverse, second_run
+from mbdkit_studies.spec.second_run_measures import Reversal, reverse, second_run
 
 WHEEL = {
     "name": "mechanism",

@@ -15,14 +15,14 @@ from tests.analysis.test_sobol_indices import values as ishigami_values
 
 import mbdkit
 from mbdkit import MbdkitError, SpecError
-from mbdkit_studies import sampled_values as module
-from mbdkit_studies.folder_lock import Shard
-from mbdkit_studies.sample_section import Sample
-from mbdkit_studies.sampled_values import sampled_values
-from mbdkit_studies.sensitivity import Sensitivity
-from mbdkit_studies.sobol_indices import SobolIndices, sobol_indices
-from mbdkit_studies.study_headlines import _sobol_words, headlines
-from mbdkit_studies.study_notes import notes
+from mbdkit_studies.folder.folder_lock import Shard
+from mbdkit_studies.points import sampled_values as module
+from mbdkit_studies.points.sampled_values import sampled_values
+from mbdkit_studies.report.study_headlines import _sobol_words, headlines
+from mbdkit_studies.results.study_notes import notes
+from mbdkit_studies.spec.sample_section import Sample
+from mbdkit_studies.statistics.sensitivity import Sensitivity
+from mbdkit_studies.statistics.sobol_indices import SobolIndices, sobol_indices
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
 SPEED, MASS = "model.bodies.ball.velocity.0", "model.bodies.ball.mass"
@@ -248,7 +248,7 @@ def test_a_run_is_opened_by_the_number_that_answers_give(of_ishigami: mbdkit.Stu
 
 
 def test_the_report_shows_the_sample(of_ishigami: mbdkit.Study) -> None:
-    from mbdkit_studies.study_report import study_report
+    from mbdkit_studies.report.study_report import study_report
 
     verdict = study_report(of_ishigami).verdict
     counts = verdict.figure("histogram-y").lines[0].y

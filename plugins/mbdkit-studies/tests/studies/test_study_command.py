@@ -18,9 +18,9 @@ from mbdkit import load, load_study
 from mbdkit import study as study_in_this_process
 from mbdkit.archive.archive_check import check
 from mbdkit.base import progress_bars
-from mbdkit_studies.planned_points import plan_points
-from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_loading import load_study_spec
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 from .test_blocks import index_hash
 

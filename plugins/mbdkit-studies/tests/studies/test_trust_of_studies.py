@@ -6,7 +6,7 @@ import h5py
 import pytest
 
 import mbdkit
-from mbdkit_studies.study_report import study_report
+from mbdkit_studies.report.study_report import study_report
 
 RUN = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 2.0, "step": 0.05}}
 STUDY = {

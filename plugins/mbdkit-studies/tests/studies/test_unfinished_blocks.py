@@ -12,13 +12,13 @@ import pytest
 import mbdkit
 from mbdkit.archive.fingerprint import datasets
 from mbdkit.archive.layout import TIMINGS
-from mbdkit_studies import compute_block as compute_block_module
-from mbdkit_studies import unfinished_block
-from mbdkit_studies.compute_block import compute_block
-from mbdkit_studies.folder_lock import Shard
-from mbdkit_studies.study_folder import StudyFolder
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.unfinished_block import UnfinishedBlock, pieces_of
+from mbdkit_studies.compute import compute_block as compute_block_module
+from mbdkit_studies.compute import unfinished_block
+from mbdkit_studies.compute.compute_block import compute_block
+from mbdkit_studies.compute.unfinished_block import UnfinishedBlock, pieces_of
+from mbdkit_studies.folder.folder_lock import Shard
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.spec.study_loading import load_study_spec
 
 from .test_blocks import BASE, GRID
 

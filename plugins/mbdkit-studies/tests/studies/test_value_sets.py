@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbdkit.base.errors import SpecError
-from mbdkit_studies.value_sets import check_values, expand
+from mbdkit_studies.spec.value_sets import check_values, expand
 
 
 def values(given):

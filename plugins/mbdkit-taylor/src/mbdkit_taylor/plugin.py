@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from mbdkit.plugin import IntegratorPlugin, Target, hookimpl
 
-_HOME = "mbdkit_taylor.taylor"
-
 
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
@@ -14,10 +12,10 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
         IntegratorPlugin(
             name="taylor",
             summary="Taylor series of any order: explicit, fixed or adaptive steps, for trees of revolute joints.",
-            options=Target(f"{_HOME}:TaylorOptions", type),
-            create=Target(f"{_HOME}:create"),
-            claims=Target(f"{_HOME}:claims"),
-            references=Target(f"{_HOME}:REFERENCES", tuple),
+            options=Target("mbdkit_taylor.taylor:TaylorOptions", type),
+            create=Target("mbdkit_taylor.taylor:create"),
+            claims=Target("mbdkit_taylor.taylor:claims"),
+            references=Target("mbdkit_taylor.taylor:REFERENCES", tuple),
             dense_output=True,
             order=50,
         )

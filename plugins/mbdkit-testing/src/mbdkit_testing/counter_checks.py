@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.integrate
 
-from mbdkit.integrators.step_host import StepHost
+from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.plugin import EquationsOfMotion, IterationMatrix, Rates, SciPySolver, StepMethod, listed
 from mbdkit.plugin.equations import FORMULATIONS
 from mbdkit_testing.check import check

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.checkpoint import Checkpoint
-from mbdkit.integrators.step_host import StepHost
+from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.plugin import EquationsOfMotion, ExternalMethod, StepError, StepMethod, StepState, Why, counted
 from mbdkit.plugin.methods import Stretch, joined
 from mbdkit.runs.stored_python_steps import MemoryNotStoredError, restore_stepper, stored_stepper

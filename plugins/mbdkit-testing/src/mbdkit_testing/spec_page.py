@@ -31,11 +31,11 @@ from mbdkit.plugin.mechanisms import (
 )
 from mbdkit.plugin.specs import Registered, Registry, registry, run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
-from mbdkit_biomech.inverse_dynamics.inverse_schema import inverse_schema
+from mbdkit_biomech.inverse_dynamics.spec.inverse_schema import inverse_schema
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_contact.contact import Compliance, Contact, Friction, Shape
 from mbdkit_design.design_spec import DesignSpec
-from mbdkit_studies.study_spec import StudySpec
+from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_testing.describe import claim_texts, options_in
 
 WIDTH = 120

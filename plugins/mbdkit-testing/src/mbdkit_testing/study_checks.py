@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.plugin.specs import Registered, Registry
-from mbdkit_studies.carry_out import study
-from mbdkit_studies.folder_lock import Shard
-from mbdkit_studies.judge import judge
-from mbdkit_studies.planned_points import plan_points
-from mbdkit_studies.study_loading import load_study_spec
-from mbdkit_studies.study_spec import StudySpec
+from mbdkit_studies.compute.carry_out import study
+from mbdkit_studies.folder.folder_lock import Shard
+from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.results.judge import judge
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_testing.check import check
 from mbdkit_testing.check_result import Result, failed, passed
 

@@ -13,25 +13,25 @@ from mbdkit.plugin.doubts import LawRanges
 from mbdkit.plugin.equations import GivenForces, StateObserver
 from mbdkit.plugin.methods import Nodes
 from mbdkit.plugin.runs import AssembledMechanism
-from mbdkit_biomech.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
-from mbdkit_biomech.inverse_dynamics.fit import Fitter
-from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
-from mbdkit_biomech.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
-from mbdkit_biomech.inverse_dynamics.manifold import Manifold
-from mbdkit_biomech.inverse_dynamics.measured import Measured, read_motion
-from mbdkit_biomech.inverse_dynamics.named_actuators import NamedActuator, actuators_of, light_roots
-from mbdkit_biomech.inverse_dynamics.placed_gaps import PlacedGaps, place_gaps
-from mbdkit_biomech.inverse_dynamics.recruited import Recruited
-from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
-from mbdkit_biomech.inverse_dynamics.reduced_motion import (
+from mbdkit_biomech.inverse_dynamics.loads.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
+from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, LoadSeries, loads_on, read_loads
+from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
+from mbdkit_biomech.inverse_dynamics.motion.measured import Measured, read_motion
+from mbdkit_biomech.inverse_dynamics.motion.placed_gaps import PlacedGaps, place_gaps
+from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import (
     Independent,
     Motion,
     independent_coordinates,
     motion_of_derivatives,
     motion_of_series,
 )
-from mbdkit_biomech.inverse_dynamics.smoothing import smoothed
-from mbdkit_biomech.inverse_dynamics.unused_data import UnusedData
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
+from mbdkit_biomech.inverse_dynamics.motion.unused_data import UnusedData
+from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
+from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.named_actuators import NamedActuator, actuators_of, light_roots
 from mbdkit_biomech.muscles.muscle_values import Muscles
 from mbdkit_biomech.uncertainty.sources import sources_of
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.plugin import SpecError, did_you_mean, listed, shown
-from mbdkit_biomech.inverse_dynamics.inverse_sections import ColumnOfTable, TimeColumn
-from mbdkit_biomech.inverse_dynamics.measured import si_values, times_of
-from mbdkit_biomech.inverse_dynamics.measured_table import HEADINGS_SHOWN, Table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import HEADINGS_SHOWN, Table
+from mbdkit_biomech.inverse_dynamics.motion.measured import si_values, times_of
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ColumnOfTable, TimeColumn
 
 LARGEST_LABORATORY = 1e4
 """Largest coordinate of a marker [m]."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit_biomech.inverse_dynamics.measured import source_table
-from mbdkit_biomech.inverse_dynamics.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.motion.measured import source_table
 from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.person import Builder, Person
@@ -18,7 +18,7 @@ from mbdkit_biomech.persons.plate_contacts import PlateResult, plate_numbers, pl
 from mbdkit_biomech.persons.scaled_model import leg_options, scaled_model
 
 if TYPE_CHECKING:
-    from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 LOADS = {"foot": "ground", "foot_left": "ground_left"}
 """Names of the loads of feet if a spec has no loads, but the file has force plates."""

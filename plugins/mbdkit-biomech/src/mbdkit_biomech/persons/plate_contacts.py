@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.plugin import Finding, SpecError, listed
-from mbdkit_biomech.inverse_dynamics.c3d_file import UNLOADED
-from mbdkit_biomech.inverse_dynamics.inverse_sections import Smoothing
-from mbdkit_biomech.inverse_dynamics.smoothing import low_passed
+from mbdkit_biomech.inverse_dynamics.files.c3d_file import UNLOADED
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import low_passed
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Smoothing
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 

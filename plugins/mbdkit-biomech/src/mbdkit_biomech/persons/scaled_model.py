@@ -22,7 +22,7 @@ from mbdkit_biomech.muscles.muscle_path import MusclePath
 from mbdkit_biomech.persons.person_sections import Subject
 
 if TYPE_CHECKING:
-    from mbdkit_biomech.inverse_dynamics.inverse_spec import InverseSpec
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 POSE = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "trunk_angle", "left")
 """Options with the pose of a leg, which are left out for the upright pose."""

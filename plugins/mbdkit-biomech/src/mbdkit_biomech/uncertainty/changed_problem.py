@@ -19,14 +19,14 @@ from mbdkit.plugin import Mechanism, QuantityNames
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.runs import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.compute import Fitted, Inverse, InverseProblem, forces_of
-from mbdkit_biomech.inverse_dynamics.fit import Fitter
-from mbdkit_biomech.inverse_dynamics.loads import LoadSeries
-from mbdkit_biomech.inverse_dynamics.manifold import GivenMechanism, Manifold
-from mbdkit_biomech.inverse_dynamics.named_actuators import actuators_of
-from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
-from mbdkit_biomech.inverse_dynamics.reduced_motion import Independent, Motion, motion_of_series
-from mbdkit_biomech.inverse_dynamics.several_quantities import Quantities
-from mbdkit_biomech.inverse_dynamics.smoothing import fixed, smoothed_each
+from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries
+from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
+from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Manifold
+from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, Motion, motion_of_series
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import fixed, smoothed_each
+from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
+from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
+from mbdkit_biomech.inverse_dynamics.spec.named_actuators import actuators_of
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_biomech.persons.calibration import ENDS, joints_of
 from mbdkit_biomech.persons.landmarks import LEFT

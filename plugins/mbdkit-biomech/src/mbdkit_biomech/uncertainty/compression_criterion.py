@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.plugin import Finding
 from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
-from mbdkit_biomech.inverse_dynamics.doubt import doubt
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.persons.landmarks import LEFT
 
 STANCE = 0.5

@@ -20,11 +20,11 @@ from mbdkit.engine.stacked_matrices import products
 from mbdkit.plugin import MbdkitError, RunError
 from mbdkit.plugin.equations import JointSums, elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.dynamics import solve_dynamics
-from mbdkit_biomech.inverse_dynamics.fibers import fibers_of_length
-from mbdkit_biomech.inverse_dynamics.loads import loads_on
-from mbdkit_biomech.inverse_dynamics.recruitment import Recruiter
-from mbdkit_biomech.inverse_dynamics.shared_loads import Programme, share_loads
+from mbdkit_biomech.inverse_dynamics.loads.dynamics import solve_dynamics
+from mbdkit_biomech.inverse_dynamics.loads.loads import loads_on
+from mbdkit_biomech.inverse_dynamics.muscles.fibers import fibers_of_length
+from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, share_loads
 from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
 from mbdkit_biomech.uncertainty.changed_problem import (
     OF_DYNAMICS,

@@ -25,8 +25,8 @@ import numpy as np
 
 from mbdkit.plugin import counted
 from mbdkit.plugin.equations import product
-from mbdkit_biomech.inverse_dynamics.chi_square import LEVEL, quantile
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, Source, asked_uncertainty, sources_of
 from mbdkit_biomech.uncertainty.stacked_outcomes import Outcomes, StackedOutcomes
 

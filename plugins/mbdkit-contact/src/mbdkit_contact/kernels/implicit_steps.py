@@ -1,6 +1,6 @@
 """Closed contacts in the iteration of implicit steps.
 
-The matrices of `mbdkit.integrators.simplified_newton` contain the bodies, their forces and joints. Without the
+The matrices of `mbdkit.integrators.stages.simplified_newton` contain the bodies, their forces and joints. Without the
 constraints of closed contacts, the iteration would converge slowly where stiff forces act against them. With the matrix
 S of an eigenvalue, the directions D of the forces of contacts, and the derivatives G of their constraints, the change x
 for a residual r satisfies
@@ -12,7 +12,7 @@ so that x is the solution without contacts, less the part of ``S^-1 D`` with ``G
 
 from __future__ import annotations
 
-from mbdkit.integrators.simplified_newton import one_of
+from mbdkit.integrators.stages.simplified_newton import one_of
 from mbdkit.kernels import JACOBIANS, OK, entry, load_run_state, load_stages, separate, subkernel, substitute
 from mbdkit_contact.kernels.contact_forces import find_directions
 from mbdkit_contact.kernels.contact_modes import collect_closed

@@ -280,7 +280,7 @@ def _take(e, c, m, run, t, h, want_error):
         return _status(m, status)
     c.base_state[0] = AT_START_OF_LAST
     m.t[0] = t + h
-    for d in range(len(m.q)):  # as `mbdkit.integrators.run_state.add_increments` does
+    for d in range(len(m.q)):  # as `mbdkit.integrators.run.run_state.add_increments` does
         m.q[d] = c.from_q[d] + (c.dq[d] + c.q_low[d])
         m.v[d] = c.from_v[d] + (c.dv[d] + c.v_low[d])
     for d in range(len(m.z)):
@@ -631,7 +631,9 @@ def _advance(e, c, m, run, t, h, want_error):
 
 @entry
 def attempt(run, method, t, h, want_error):
-    """Compute a step from the base state, or the part of it before an event; see `mbdkit.integrators.step_loop`."""
+    """Compute a step from the base state, or the part of it before an event; see
+    `mbdkit.integrators.loop.step_loop`.
+    """
     c, m = load_run_state(run), load_events(method)
     e = load_engine(m.engine[0])
     e.w.reacting[5] = run
@@ -688,7 +690,7 @@ def attempt(run, method, t, h, want_error):
 
 @entry
 def dense(run, method, t, h, theta):
-    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.step_loop`.
+    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.loop.step_loop`.
 
     Forces of contacts follow from the motion there.
     """
@@ -702,7 +704,7 @@ def dense(run, method, t, h, theta):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Store the stages of the last attempt as quadrature nodes; see `mbdkit.integrators.step_loop`."""
+    """Store the stages of the last attempt as quadrature nodes; see `mbdkit.integrators.loop.step_loop`."""
     m = load_events(method)
     return call_entry(m.inner[3], run, m.inner[0], t, h, 0.0)
 

@@ -229,7 +229,7 @@ def _hold_nothing(c, m):
 
 @entry
 def attempt(run, method, t, h, want_error):
-    """Compute a step from the base state; see `mbdkit.integrators.step_loop`.
+    """Compute a step from the base state; see `mbdkit.integrators.loop.step_loop`.
 
     If an iteration in the step does not converge, it is taken as two half steps, which may be halved again.
     """
@@ -287,7 +287,7 @@ def _hold_forces(c, m):
 
 @entry
 def dense(run, method, t, h, theta):
-    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.step_loop`.
+    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.loop.step_loop`.
 
     Positions and velocities are on the cubic through both ends; forces of contacts are means over the step.
     """
@@ -308,7 +308,7 @@ def dense(run, method, t, h, theta):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Store the middle of the last attempt as a quadrature node; see `mbdkit.integrators.step_loop`."""
+    """Store the middle of the last attempt as a quadrature node; see `mbdkit.integrators.loop.step_loop`."""
     c, m = load_run_state(run), load_stepping(method)
     for d in range(len(c.q)):
         m.point[d], m.x[d] = c.from_q[d] + 0.5 * c.dq[d], c.from_v[d] + 0.5 * c.dv[d]

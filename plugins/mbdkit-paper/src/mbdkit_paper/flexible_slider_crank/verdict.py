@@ -27,7 +27,7 @@ from mbdkit_report.analysis.verdict import (
     exceeds,
     told,
 )
-from mbdkit_studies.point_selection import METHOD, STEP, value
+from mbdkit_studies.results.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

@@ -12,7 +12,7 @@ from mbdkit_paper.paper.published_results import GILL, METHODS, methods_of
 from mbdkit_paper.paper.substitution_timing import Substitution, measured
 from mbdkit_report.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, columns_of, exceeds
 from mbdkit_report.figures.quantity_text import two_digits
-from mbdkit_studies.point_selection import METHOD, family, value
+from mbdkit_studies.results.point_selection import METHOD, family, value
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study

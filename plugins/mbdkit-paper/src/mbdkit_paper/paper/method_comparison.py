@@ -12,8 +12,8 @@ from mbdkit_report.analysis.growth import growth_law, worst_history
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import MARGIN, Answer, Axis, Cell, Claim, Figure, Line, Table, columns_of, together
 from mbdkit_report.figures.quantity_text import least_most
-from mbdkit_studies.cost import at_equal_work, work_for
-from mbdkit_studies.point_selection import METHOD, MODEL, STEP, Points, family, value
+from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study

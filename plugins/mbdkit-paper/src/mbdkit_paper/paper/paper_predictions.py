@@ -23,7 +23,7 @@ from mbdkit_report.analysis.verdict import (
     together,
 )
 from mbdkit_report.figures.quantity_text import least_most
-from mbdkit_studies.point_selection import METHOD, STEP, family
+from mbdkit_studies.results.point_selection import METHOD, STEP, family
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

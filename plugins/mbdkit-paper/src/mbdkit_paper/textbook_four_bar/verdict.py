@@ -32,8 +32,8 @@ from mbdkit_report.analysis.verdict import (
     told,
 )
 from mbdkit_report.figures.quantity_text import least_most, two_digits
-from mbdkit_studies.cost import at_equal_work, work_for
-from mbdkit_studies.point_selection import METHOD, STEP, family, value
+from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies.results.point_selection import METHOD, STEP, family, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

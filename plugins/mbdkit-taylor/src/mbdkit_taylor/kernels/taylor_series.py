@@ -259,7 +259,7 @@ def _estimate(m, v, h, error_q, error_v):
 
 @entry
 def attempt(run, method, t, h, want_error):
-    """Compute a step from the base state; see `mbdkit.integrators.step_loop`."""
+    """Compute a step from the base state; see `mbdkit.integrators.loop.step_loop`."""
     c, m = load_run_state(run), load_taylor(method)
     if m.is_expanded[0] == 0 or c.base_state[0] != AT_START_OF_LAST:
         _expand(c, m, t)
@@ -276,7 +276,7 @@ def attempt(run, method, t, h, want_error):
 
 @entry
 def dense(run, method, t, h, theta):
-    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.step_loop`."""
+    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.loop.step_loop`."""
     c, m = load_run_state(run), load_taylor(method)
     _integrate_power(c, m, t, theta * h, c.point_gain)
     _state_inside(c, m, t, theta * h)
@@ -287,7 +287,7 @@ def dense(run, method, t, h, theta):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Store Gauss nodes of the last attempt as quadrature nodes; see `mbdkit.integrators.step_loop`."""
+    """Store Gauss nodes of the last attempt as quadrature nodes; see `mbdkit.integrators.loop.step_loop`."""
     c, m = load_run_state(run), load_taylor(method)
     for i in range(len(m.nodes)):
         _state_inside(c, m, t, h * m.nodes[i])

@@ -1,0 +1,1 @@
+"""Steps with derivatives: runs in dual numbers."""

@@ -1,0 +1,1 @@
+"""The loop of a compiled run: steps, their control, projections, failures."""

@@ -1,0 +1,491 @@
+"""Runs compiled methods: calls the step loop, collects recorded states, chooses new pivots, and handles failures."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from mbdkit.base.errors import StepError
+from mbdkit.engine.counters import Counters
+from mbdkit.engine.kernels.bundle_types import STATE, kept
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import (
+    SAME_TIME,
+    Failure,
+    Moment,
+    Nodes,
+    Pace,
+    StepEvidence,
+    StepTaken,
+    Stretch,
+    Timetable,
+    joined,
+)
+from mbdkit.integrators.loop import step_loop
+from mbdkit.integrators.loop.failed_steps import FailedSteps
+from mbdkit.integrators.loop.step_watch import guard_evidence
+from mbdkit.integrators.run.impulse import DriverImpulse, impulse
+from mbdkit.integrators.run.run_plan import (
+    SYMMETRIC,
+    guard_limits,
+    new_plan,
+    projection_mode,
+    single_step,
+)
+from mbdkit.integrators.run.run_state import (
+    FACTORIZATIONS,
+    INTERVAL_FIELDS,
+    ITERATIONS,
+    JACOBIANS,
+    MODIFIED,
+    PROJECTIONS,
+    RHS,
+    new_run_state,
+)
+from mbdkit.integrators.run.sampled_control import Sampler
+from mbdkit.integrators.run.splitting import Change, margin_of_stops
+from mbdkit.integrators.run.step_control import Control, first_step
+
+if TYPE_CHECKING:
+    from mbdkit.integrators.run.run_plan import RunPlan
+    from mbdkit.integrators.stages.compiled_method import CompiledMethod
+
+
+MAX_ROWS = 4096
+MAX_ROW_BYTES = 1 << 24
+"""Limits of the buffers of recorded states and of quadrature nodes: rows, and bytes."""
+
+WORK = ("steps", "last_size", "iterations", "iterations_max", "rejected")
+WORK_COLUMNS = [INTERVAL_FIELDS.index(name) for name in WORK]
+"""Columns of the intervals of the step loop that form ``Stretch.intervals``, after its first column, the time."""
+
+CORRECTIONS = ("projections", "position_correction", "velocity_correction", "baumgarte_term")
+CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
+"""Columns of the intervals of the step loop that form ``Stretch.corrections``."""
+
+
+class CompiledStepper(FailedSteps):
+    """Runs a compiled method over a timetable; implements `mbdkit.integrators.interface.Stepper`.
+
+    Parameters
+    ----------
+    method
+        The method.
+    workspace
+        The mechanism and its start, with formulation and stabilization.
+    timetable
+        Times of the run, and which states are recorded.
+    control
+        Step-size control; None: fixed steps.
+
+    Attributes
+    ----------
+    inserted
+        Stops that `stop_at` has added to those of the timetable [s].
+    can_take_back
+        Whether steps can be taken back by restoring the arrays of the run and of the method.
+    """
+
+    can_take_back: ClassVar[bool] = True
+
+    def __init__(
+        self, method: CompiledMethod, workspace: Workspace, timetable: Timetable, control: Control | None = None
+    ):
+        self.method, self.workspace, self.timetable = method, workspace, timetable
+        self.controlled, self._control = control is not None, control
+        self.counters = Counters()
+        self.finished = False
+        self.failure: Failure | None = None
+        self.time = timetable.start
+        rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
+        stages = method.stages if timetable.nodes else 0
+        nodes = stages * -(-rows // max(1, stages))
+        self.run_state = new_run_state(
+            workspace, rows, own_multipliers=method.carries_multipliers, stages=stages, nodes=nodes
+        )
+        self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
+        self._pinned_state = PinnedBundle(self.run_state)
+        self._state = *kept(self.run_state, STATE).values(), *method.kept(STATE).values()
+        self._first_node = 0  # index of the first node of the last step
+        self._new_plan()
+        self.worst_pairs = self.run_state.worst
+        self._renewed: set[tuple[int, int]] = set()
+        workspace.clamp_motions(*timetable.sides(0))
+        size = timetable.step
+        if control is not None:
+            span = timetable.end - timetable.start
+            size = min(span, size if size is not None else first_step(workspace, span, control))
+        assert size is not None
+        progress = self.run_state.progress
+        progress.time[0], progress.next_row[0], progress.next_size[0] = timetable.start, 1.0, size
+        method.start(self.run_state, size)
+        self._take_up_pivots()
+        self._dense = method.dense.address if method.dense is not None else 0
+        self.mode = projection_mode(workspace.stabilization, controlled=control is not None)
+        iterates = method.carries_stages or self.mode == SYMMETRIC
+        self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
+        self.impacts: list[DriverImpulse] = []
+        self.inserted: list[float] = []
+        self.sampler = Sampler(workspace)
+        self._samples = frozenset(timetable.samples)
+        # The initial states include the first sample already; this call stores its outputs, which may be delayed.
+        if workspace.mechanism.controllers:
+            self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
+        self.last_step: StepTaken | None = None
+        self._before: list[np.ndarray] = []
+        self._row_times = np.zeros(0)
+        self._last_rows = self._collect(0)
+        self._drive(self._plan, 0)  # compiles or loads the step loop before the first step is timed
+
+    def _drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
+        """Attempt up to `budget` steps of a plan in compiled code; return the status and the number of rows written.
+
+        `path` is the address of the `StepPath` that receives the steps, if any.
+        """
+        method = self.method
+        status, rows = step_loop.drive(
+            self._pinned_state.address,
+            method.pinned.address,
+            method.attempt.address,
+            self._dense,
+            plan.address,
+            budget,
+            path,
+        )
+        return int(status), int(rows)
+
+    def _drive_extended(self) -> tuple[int, int]:
+        """Attempt one step with an increased limit of iterations; restore the limit if the step is accepted."""
+        accepted = self._accepted
+        status, rows = self._drive(self._plan, 1)
+        if self._accepted > accepted or self._is_pending:
+            self.method.restore_iterations()
+        return status, rows
+
+    @property
+    def _is_pending(self) -> bool:
+        """Whether rows of an accepted step have not been written yet."""
+        return bool(self.run_state.progress.pending[0])
+
+    @property
+    def _allowed(self) -> int:
+        """Number of steps left before ``limits.max_steps``."""
+        return self.timetable.max_steps - self._accepted
+
+    def advance(self) -> Stretch:
+        """See `Stepper.advance`."""
+        if not self.timetable.single:
+            return self._advance(self.pace.steps)
+        accepted, t0 = self._accepted, self.time
+        self._begin_after_stop()
+        self.method.serve()
+        self._first_node = int(self.run_state.nodes[1])
+        self.last_step, self._before = None, [x.copy() for x in self._memory()]
+        stretches = [self._advance(1)]
+        while self._is_pending and self.failure is None:
+            stretches.append(self._advance(0))
+        stretch = joined(stretches)
+        if self._accepted > accepted:
+            c = self.run_state
+            self._row_times, self._last_rows = stretch.time, stretch
+            self.last_step = StepTaken(
+                t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy(), c.before_z.copy(),
+                c.z.copy(),
+            )  # fmt: skip
+        return stretch
+
+    def _advance(self, budget: int) -> Stretch:
+        begin = time.perf_counter()
+        before = self._attempts()
+        stretches: list[Stretch] = []
+        is_paused = False
+        while True:
+            left = min(budget - self._attempts() + before, self._allowed)
+            if left <= 0 and not self._is_pending and stretches:
+                status = OK
+                break
+            if not is_paused:
+                self._begin_after_stop()  # not earlier: the recorded state at a stop is that before its impulse
+            status, rows = OK, 0
+            if self.failure is None and (self._allowed > 0 or self._is_pending):
+                status, rows = (
+                    self._drive_extended() if self.method.is_extended else self._drive(self._plan, max(left, 0))
+                )
+            stretches.append(self._collect(rows))
+            is_paused = status == step_loop.PAUSED
+            if is_paused:
+                self.method.resume()
+                if self.timetable.single:  # the step begins with the state after the event
+                    self._before = [x.copy() for x in self._memory()]
+            elif status != step_loop.AT_STOP:
+                break
+            status = OK
+        if not self.timetable.single:
+            self.pace.timed(self._attempts() - before, begin)
+        self._conclude(status)
+        return joined(stretches)
+
+    def _conclude(self, status: int) -> None:
+        """React to the status of the step loop after its last call: count, and handle a failed step or the end."""
+        self._count()
+        if status != OK:
+            self._handle(status)
+        elif self.failure is not None or self._is_pending:
+            pass
+        elif self.time >= self.timetable.end:
+            self.finished, self.time = True, self.timetable.end
+        elif self._allowed <= 0:
+            self.failure = Failure("max-steps", f"stopped after limits.max_steps = {self.timetable.max_steps} steps.")
+
+    def _begin_after_stop(self) -> None:
+        """At a stop, discard the values that the method stores for the next step, and apply an impulse if there is one.
+
+        The call is repeated before another attempt at the first step after the stop; it then has no effect.
+        """
+        c, table = self.run_state, self.timetable
+        progress = c.progress
+        if not progress.after_stop[0] or progress.pending[0] or progress.retrying[0]:
+            return
+        c.base_state[0] = MODIFIED
+        self.method.forget()
+        passed = int(progress.passed[0])
+        self.workspace.clamp_motions(*table.sides(passed))
+        stop = table.stops[passed - 1]
+        if stop in self._samples:
+            c.z[:] = self.sampler.passed(stop, c.q, c.v, c.z)
+            c.z_low[self.workspace.mechanism.topology.states[:, 2] < 0] = 0.0
+        if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
+            try:
+                impact, v = impulse(self.workspace, float(progress.restart[0]), c.q, c.v, stop)
+            except StepError as error:
+                self.failure = Failure(error.code, f"{error} at the impulse of a driver at t = {stop:.6g} s.")
+                return
+            self._take_up_pivots()
+            c = self.run_state
+            c.v[:], c.v_low[:] = v, 0.0
+            c.energy[0] += impact.energy
+            c.guards.energy[0] = np.nan
+            self.impacts.append(impact)
+
+    @property
+    def evidence(self) -> StepEvidence:
+        """See `Stepper.evidence`."""
+        return guard_evidence(self.run_state.guards, self.impacts)
+
+    @property
+    def has_dense_output(self) -> bool:
+        """Whether states within a step are computed by the method; otherwise, they are interpolated."""
+        return self._dense != 0 and self.method.has_dense_output and self.mode != SYMMETRIC
+
+    def _attempts(self) -> int:
+        """Return the number of steps accepted and rejected so far."""
+        return self._accepted + int(self.run_state.progress.rejected[0])
+
+    def _memory(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays of the previous step that the next step reads, and the quadrature nodes stored so far."""
+        return *self._state, *self._node_arrays()
+
+    def _recall(self, memory: list[np.ndarray]) -> None:
+        """Restore the arrays returned by `_memory` from copies."""
+        for now, then in zip(self._memory(), memory, strict=True):
+            now[...] = then
+
+    def inside(self, theta: float) -> Moment:
+        """See `Stepper.inside`."""
+        step, c = self.last_step, self.run_state
+        assert step is not None
+        if not self.has_dense_output:
+            return self._between(step, theta)
+        t, h = float(c.progress.tried_begin[0]), float(c.progress.last_size[0])
+        run, method = self._pinned_state.address, self.method.pinned.address
+        if step_loop.look_inside(run, method, self._dense, t, h, theta, self.mode) != OK:
+            return step.between(theta)
+        return c.point_q.copy(), c.point_v.copy(), c.point_z.copy()
+
+    def _between(self, step: StepTaken, theta: float) -> Moment:
+        """Return the state at the share `theta` of a step by interpolation.
+
+        First-order states z are interpolated by a parabola, if z' at the start of the step is known.
+        """
+        q, v, z = step.between(theta)
+        rates = getattr(self.method.pinned.bundle, "z_rates", None)
+        if rates is not None and len(z):
+            z = z + theta * (1.0 - theta) * ((step.t1 - step.t0) * rates[0] + step.z0 - step.z1)
+        return q, v, z
+
+    def within(self, theta: float) -> Moment:
+        """See `Stepper.within`."""
+        step = self.last_step
+        assert step is not None
+        if theta in (0.0, 1.0):
+            return step.between(theta)
+        after = [x.copy() for x in self._memory()]
+        done = self._retake(step, theta)
+        c = self.run_state
+        q, v, z = c.q.copy(), c.v.copy(), c.z.copy()
+        self._recall(after)
+        self._count()
+        return (q, v, z) if done else self.inside(theta)
+
+    def _retake(self, step: StepTaken, theta: float) -> bool:
+        """Return to the start of the last step and take the share `theta` of it; return whether that succeeded.
+
+        The progress of the run is reset to that before the step, except for the time; `worst` is unchanged.
+        """
+        c, progress = self.run_state, self.run_state.progress
+        begin, size = float(progress.tried_begin[0]), theta * float(progress.last_size[0])
+        self._recall(self._before)
+        c.base_state[0] = MODIFIED
+        due = (self._accepted + 1) % self.workspace.stabilization.every == 0
+        plan: RunPlan = single_step(self.plan, begin, size, projected=due)
+        counts = progress.counts
+        worst, before = c.worst.copy(), [x.copy() for x in counts]
+        for x in counts:
+            x[0] = 0
+        single = PinnedBundle(plan)
+        status, _ = self._drive(single, 1)
+        if status == step_loop.PAUSED:  # after an event at the start
+            status, _ = self._drive(single, 1)
+        done = status == OK and self._accepted == 1
+        for x, value in zip(counts, before, strict=True):
+            x[:] = value
+        c.worst[:] = worst
+        return done
+
+    def cut(self, theta: float) -> Stretch:
+        """See `Stepper.cut`."""
+        step, c = self.last_step, self.run_state
+        progress, interval = c.progress, c.interval
+        assert step is not None
+        size, ends = float(progress.last_size[0]), c.energy.copy()
+        inner, whole = self.inside(theta), [x.copy() for x in self._node_arrays()]
+        if theta > 0.0:
+            if not self._retake(step, theta):  # use dense output instead
+                self._recall(self._before)
+                c.q[:], c.v[:], c.z[:] = inner
+                c.energy[:] += theta * (ends - c.energy)
+                for now, then in zip(self._node_arrays(), whole, strict=True):
+                    now[...] = then
+                self._node_arrays()[2][...] *= theta
+            progress.accepted[0] += 1
+        else:
+            self._recall(self._before)
+        before = zip(self._memory(), self._before, strict=True)
+        interval.values[:] = next(then for now, then in before if now is interval.values)
+        progress.pending[0] = 0
+        progress.time[0] = step.time(theta)
+        # A row recorded earlier in the step contains all counts so far, so that a new interval begins.
+        if np.any(self._row_times < step.time(theta)):
+            interval.values[:] = 0.0
+        if theta > 0.0:
+            interval.steps[0] += 1
+            interval.last_size[0] = theta * size
+        self._count()
+        self.finished, self.failure = True, None
+        return self.last_state()
+
+    def stop_at(self, t: float) -> None:
+        """Let a step end at time `t` [s], which must be later than the last stop that the run has passed."""
+        table, margin = self.timetable, margin_of_stops(self.timetable)
+        place = bisect(table.stops, t)
+        self.inserted.append(t)
+        self.timetable = replace(
+            table,
+            stops=(*table.stops[:place], t, *table.stops[place:]),
+            stop_margins=(*table.stop_margins[:place], margin, *table.stop_margins[place:]),
+        )
+        self._new_plan()
+
+    def _new_plan(self) -> None:
+        """Make the plan of the timetable for the compiled code."""
+        limits = guard_limits(self.workspace.mechanism, self.timetable.guards)
+        self.plan = new_plan(self.timetable, self._control, self.workspace.stabilization, limits)
+        self._plan = PinnedBundle(self.plan)
+
+    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
+        """See `mbdkit.integrators.run.splitting.Splitting.split`."""
+        step, c = self.last_step, self.run_state
+        assert step is not None
+        t, close = step.time(theta), SAME_TIME * margin_of_stops(self.timetable)
+        stretches, steps = [self._last_rows], [step]
+        if step.t1 - t > close:
+            self._recall(self._before)
+            self.finished, self.failure = False, None
+            self._count()
+            stretches, steps = [self._collect(0)], []
+            if t - step.t0 > close:
+                self.stop_at(t)
+                self.workspace.clamp_motions(*self.timetable.sides(int(c.progress.passed[0])))
+                while self.failure is None and self.time < t - close:
+                    stretches.append(self.advance())
+                    steps += [] if self.last_step is None else [self.last_step]
+        if self.failure is None and not self.finished:
+            c = self.run_state
+            c.z[:], c.z_low[:] = change(t, (c.q.copy(), c.v.copy(), c.z.copy())), 0.0
+            c.base_state[0], c.progress.retrying[0], c.guards.energy[0] = MODIFIED, 0, np.nan
+            self.method.forget()
+        return joined(stretches), steps
+
+    def _count(self) -> None:
+        """Copy counts and time from the records of the compiled code."""
+        counts, counters, progress = self.run_state.counts, self.counters, self.run_state.progress
+        counters.rhs_evaluations, counters.jacobian_evaluations = int(counts[RHS]), int(counts[JACOBIANS])
+        counters.factorizations, counters.newton_iterations = int(counts[FACTORIZATIONS]), int(counts[ITERATIONS])
+        counters.projections = int(counts[PROJECTIONS])
+        counters.accepted, counters.rejected = int(progress.accepted[0]), int(progress.rejected[0])
+        counters.steps = counters.accepted
+        self.time = float(progress.time[0])
+
+    def _stretch(
+        self, states: tuple[np.ndarray, ...], energy: np.ndarray, interval: np.ndarray, lam: np.ndarray
+    ) -> Stretch:
+        """Return recorded rows as a `Stretch`, with copies of their arrays.
+
+        `states` are times, positions, velocities and first-order states. `lam` (T, P, 2) are the multipliers by pair,
+        if the method itself computes multipliers.
+        """
+        time, q, v, z = states
+        rows, own = self.workspace.mechanism.rows, None
+        if self.method.carries_multipliers:
+            own = np.ascontiguousarray(lam[:, [row.pair for row in rows], [row.place for row in rows]])
+        work = np.column_stack([time, interval[:, WORK_COLUMNS]])
+        stabilized = self.workspace.stabilization.kind != "none"
+        corrections = interval[:, CORRECTION_COLUMNS].copy() if stabilized else None
+        gain, lost = energy[:, 0].copy(), energy[:, 1].copy()
+        return Stretch(time, q, v, gain, lost, work, multipliers=own, corrections=corrections, z=z)
+
+    def _collect(self, rows: int) -> Stretch:
+        """Return the rows that the step loop has written."""
+        c, some = self.run_state, slice(rows)
+        states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy(), c.row_z[some].copy()
+        return self._stretch(states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
+
+    def _node_arrays(self) -> tuple[np.ndarray, ...]:
+        """Return the number of quadrature nodes that have been stored, and those of the last step."""
+        c, some = self.run_state, slice(self._first_node, self._first_node + int(self.run_state.nodes[2]))
+        return c.nodes, c.node_time[some], c.node_weight[some], c.node_q[some], c.node_v[some]
+
+    def taken_nodes(self) -> Nodes:
+        """See `Stepper.taken_nodes`."""
+        c = self.run_state
+        some = slice(int(c.nodes[1]))
+        c.nodes[1] = 0
+        return Nodes(*(x[some].copy() for x in (c.node_time, c.node_weight, c.node_q, c.node_v)))
+
+    def rows_before_error(self) -> Stretch | None:
+        """See `Advancing.rows_before_error`."""
+        return None
+
+    def last_state(self) -> Stretch:
+        """See `Stepper.last_state`."""
+        c = self.run_state
+        interval = c.interval.values[None].copy()
+        c.interval.values[:] = 0.0
+        states = np.array([self.time]), c.q[None].copy(), c.v[None].copy(), c.z[None].copy()
+        return self._stretch(states, c.energy[None], interval, c.own_lam[None])

@@ -1,0 +1,111 @@
+"""Steps of methods in Python as the framework uses them: checked, with copies of their arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.base.errors import MbdkitError, StepError, in_this_process
+from mbdkit.base.text import message_of, one_line
+from mbdkit.engine.iteration_matrix import vector
+from mbdkit.integrators.run.kept_state import kept
+from mbdkit.methods.step_methods import Step, StepState
+
+if TYPE_CHECKING:
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion
+
+
+def called(name: str, function: Callable[..., Any], *given: Any) -> Any:
+    """Return what a function of a method returns; `name` is that of the function.
+
+    StepError and ordinary exceptions are passed on. Other errors of mbdkit, and exits, become RuntimeError.
+    """
+    try:
+        with in_this_process():
+            return function(*given)
+    except (KeyboardInterrupt, StepError):
+        raise
+    except BaseException as error:  # a plugin may raise any exception, including SystemExit
+        if isinstance(error, ValueError) and "read-only" in message_of(error):
+            raise ValueError(f"{name} changes an array in place that belongs to a state ({error})") from error
+        if isinstance(error, Exception) and not isinstance(error, MbdkitError):
+            raise
+        raise RuntimeError(one_line(error)) from error
+
+
+class StepResults:
+    """Checks the steps of a method.
+
+    Parameters
+    ----------
+    name
+        Name of the class of the method.
+    equations
+        The equations of motion of the run.
+    states
+        Number of first-order states Z.
+    multipliers
+        Whether the method computes multipliers.
+    """
+
+    def __init__(self, name: str, equations: EquationsOfMotion, states: int, multipliers: bool):
+        self._name, self._equations, self._states, self._multipliers = name, equations, states, multipliers
+
+    def state(self, new: Any, what: str) -> StepState:
+        """Return a state with copies of its arrays.
+
+        Raises TypeError or ValueError if it is invalid, and StepError if its multipliers have overflowed.
+        """
+        n, m = self._equations.n, self._equations.m
+        q, v = self._array(new.q, "q", n, what).copy(), self._array(new.v, "v", n, what).copy()
+        z = self._array(new.z, "z", self._states, what).copy() if self._states or len(new.z) else new.z
+        multipliers = kept(new.multipliers)
+        if self._multipliers:
+            # The method may reuse its arrays; without copies, recorded states and those of a checkpoint would change
+            # later.
+            multipliers = self._array(new.multipliers, "multipliers", m, what).copy()
+            if not np.all(np.isfinite(multipliers)):
+                raise StepError("not-finite", "multipliers overflowed")
+        return StepState(q, v, multipliers, kept(new.memory), new.work, new.dissipated, kept(new.low), z)
+
+    def step(self, new: Any, what: str) -> tuple[Step, StepState]:
+        """Return a checked step, and its checked state, which replaces that of the step; see `state`."""
+        if isinstance(new, StepState):
+            return Step(new), self.state(new, what)
+        if not isinstance(new, Step):
+            raise TypeError(f"{self._name}.{what} returned {type(new).__name__}, not a StepState or a Step")
+        if not isinstance(new.state, StepState):
+            raise TypeError(f"{self._name}.{what} returned a Step whose state is a {type(new.state).__name__}")
+        if new.error is not None:
+            self._array(new.error, "error", 2 * self._equations.n + self._states, what)
+        size = new.next_step
+        if size is not None and not (math.isfinite(size) and size > 0.0):
+            raise ValueError(f"{self._name}.{what} returned next_step = {size!r}, which is not a positive number")
+        return new, self.state(new.state, what) if new.accepted else new.state
+
+    def within(self, made: Step, theta: float) -> tuple[Any, ...] | None:
+        """Return what the dense output of a step gives at a share of it: (q, v, z), and possibly work and energy.
+
+        Returns None if there is no dense output, or if it raises StepError.
+        """
+        if made.dense is None:
+            return None
+        try:
+            found = called(f"{self._name}.dense", made.dense, theta)
+        except StepError:
+            return None
+        if not isinstance(found, tuple) or len(found) not in (3, 5):
+            raise TypeError(f"the dense output of {self._name} did not return (q, v, z)")
+        sizes = self._equations.n, self._equations.n, self._states
+        arrays = (self._array(x, name, size, "dense") for x, name, size in zip(found, "qvz", sizes, strict=False))
+        return (*arrays, *found[3:])
+
+    def _array(self, value: Any, name: str, size: int, what: str) -> np.ndarray:
+        try:
+            return vector(value, size)
+        except (TypeError, ValueError) as error:
+            reason = "it is missing (None)" if value is None else message_of(error)
+            raise ValueError(f"{self._name}.{what} returned an invalid `{name}`: {reason}") from None

@@ -1,0 +1,1 @@
+"""Stages of one-step methods: tableaux, stage equations and their solution."""

@@ -1,0 +1,1 @@
+"""What makes results doubtful: criteria on data, model and results."""

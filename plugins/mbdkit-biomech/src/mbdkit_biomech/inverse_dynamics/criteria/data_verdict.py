@@ -1,0 +1,135 @@
+"""The verdict on a result of inverse dynamics, from the doubts about its data and model that the spec does not
+accept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.plugin import Evidence, Finding, Judgement, accepted_doubts, findings, judge, open_doubts
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
+from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit
+from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts, units_of_loads
+from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints, model_doubts, spec_doubts
+from mbdkit_biomech.inverse_dynamics.criteria.record_criteria import large_errors, record_doubts
+from mbdkit_biomech.inverse_dynamics.criteria.shared_columns import equal_columns, shared_columns
+from mbdkit_biomech.inverse_dynamics.criteria.smoothing_criteria import cutoff_doubts
+from mbdkit_biomech.inverse_dynamics.criteria.turn_criteria import knee_doubts, turn_doubts, uncertain_turns
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.errors.stated_deviations import large_deviations
+from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
+
+
+class DataDoubts(NamedTuple):
+    """Doubts about the data and the model, as sentences that begin with the name of the criterion.
+
+    Attributes
+    ----------
+    open
+        Doubts that the spec does not accept.
+    accepted
+        Doubts that the spec accepts.
+    remarks
+        Sentences on the data that do not change the verdict.
+    """
+
+    open: tuple[str, ...] = ()
+    accepted: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
+    """Return the doubts about the data and the model of a result, and remarks on the data."""
+    found = findings("data", result, bars, kind="inverse")
+    remarks = (
+        *equal_columns(result.problem),
+        *forces_at_centres(result.problem),
+        *uncertain_turns(result),
+        *large_deviations(result, bars),
+        *inertias_about_joints(result.problem.names.mechanism),
+    )
+    added = (str(one) for one in found if one.level is None)
+    return _sorted(found, result.problem.spec.accept)._replace(remarks=(*remarks, *added))
+
+
+def doubts_of_columns(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
+    """Return the doubts about columns of the motion and their smoothing."""
+    return [*shared_columns(result.problem), *column_doubts(result), *cutoff_doubts(result)]
+
+
+def doubts_of_loads(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
+    """Return the doubts about loads."""
+    return [*load_doubts(result, bars)]
+
+
+def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
+    """Return the doubts about the model, about forces without a point, and about turns and signs of angles."""
+    return [
+        *model_doubts(result),
+        *missing_points(result.problem),
+        *turn_doubts(result),
+        *knee_doubts(result),
+        *compression_doubts(result),
+    ]
+
+
+def doubts_of_record(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
+    """Return the doubts about the record, the units of loads, and errors."""
+    return [*record_doubts(result, bars), *units_of_loads(result.problem), *large_errors(result, bars)]
+
+
+def doubts_of_person(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
+    """Return the doubts about the person and remarks on it."""
+    uncertain = None if bars is None else bars.uncertain
+    found = person_findings(result.problem)
+    if uncertain is not None and uncertain.failed:
+        found.append(Finding("max-force", None, uncertain.failures, is_named=False))
+    return found
+
+
+def person_findings(problem: InverseProblem) -> list[Finding]:
+    """Return what was found about the person of a spec."""
+    person = problem.source.person
+    return [] if person is None else [*person.findings]
+
+
+def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
+    """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
+    columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
+    found = [*shared_columns(problem), *columns, *units_of_loads(problem), *missing_points(problem)]
+    found += person_findings(problem)
+    found += spec_doubts(problem.spec)
+    return _sorted(found, problem.spec.accept)
+
+
+def _sorted(found: Sequence[Finding], accepted: Sequence[str]) -> DataDoubts:
+    """Separate open doubts from accepted ones; remarks are left out."""
+    return DataDoubts(open_doubts(found, accepted), accepted_doubts(found, accepted))
+
+
+def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubts) -> Judgement:
+    """Return the verdict, which is ``unknown`` at best: error bars do not cover wrong data, masses and lengths.
+
+    Parameters
+    ----------
+    misalignment
+        (J,) largest misalignment of each joint [m].
+    doubts
+        The doubts about data and model. Only open doubts lower the level; the accepted ones are added to the reasons.
+    """
+    joints = result.problem.prepared.workspace.mechanism.joints
+    worst = int(np.argmax(misalignment)) if misalignment.size else 0
+    return judge(
+        Evidence(
+            end=float(result.motion.time[-1]),
+            size=result.problem.fitter.manifold.length,
+            misalignment=float(np.max(misalignment, initial=0.0)),
+            joint=joints[worst] if misalignment.size else "",
+            warnings=doubts.open,
+            accepted=doubts.accepted,
+        )
+    )

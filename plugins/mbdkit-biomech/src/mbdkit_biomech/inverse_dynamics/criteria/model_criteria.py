@@ -1,0 +1,181 @@
+"""Criteria of the verdict on the model of inverse dynamics: its inertias, the elements of its beams, and the muscles
+and reserves that share the moments.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import chain, combinations
+
+import numpy as np
+
+from mbdkit.mechanism.improbable_bodies import STAND_IN, improbable_radii, place_of
+from mbdkit.plugin import GROUND, Finding, Mechanism, Point
+from mbdkit.plugin.doubts import (
+    CoarseBeams,
+    angles_in_degrees,
+    improbable_beams,
+    improbable_bodies,
+    improbable_lengths,
+    improbable_people,
+)
+from mbdkit.plugin.mechanisms import points_of_elements
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
+from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
+from mbdkit_biomech.muscles.muscle_summary import PULLING
+
+RESERVE_SHARE = 0.1
+"""A reserve is doubtful if its peak exceeds this share of the peak of the moment to which the reserve contributes.
+
+OpenSim's user guide recommends peaks of reserves below 10 % of the peak joint moment.
+"""
+
+WEAK = 0.01
+"""A muscle is too weak if it can exert less than this share of the peak of every moment to which it contributes.
+
+The muscles of the packaged examples can exert 0.8 times the peak or more. A `max_force` given in kN instead of N is too
+small by a factor of 1000.
+"""
+
+LEAST_ARM = 0.02
+"""Smallest moment arm that is assumed in the search for weak muscles, as a share of the longest link. Muscles that act
+mainly out of the plane may have smaller moment arms, although they are not weak.
+"""
+
+AT_REST = 1e-9
+"""Peaks of moments and forces [N m, N] below this value are rounding errors."""
+
+
+def model_doubts(result: Inverse) -> Iterator[Finding]:
+    """Yield doubts about the masses, beams, muscles and reserves of the model."""
+    yield from spec_doubts(result.problem.spec)
+    workspace = result.problem.prepared.workspace
+    mechanism = result.problem.names.mechanism
+    if mechanism.beams:
+        coarse = CoarseBeams(mechanism, workspace.mechanism)
+        coarse.add(recorded_states(result))
+        for warning in coarse.findings():
+            yield doubt("elements", f"{warning}.")
+    if result.recruited is not None:
+        yield from _fibers(result, result.recruited)
+        yield from _reserves(result, result.recruited)
+        yield from _weak_muscles(result, result.recruited)
+
+
+def spec_doubts(spec: InverseSpec) -> Iterator[Finding]:
+    """Yield a doubt for each angle of the model that is probably in degrees, for a body height and a body mass that no
+    person has, and those of `mechanism_doubts`.
+    """
+    for sentence in chain(angles_in_degrees(spec), improbable_people(spec.model)):
+        yield doubt("units", f"{sentence}.")
+    yield from mechanism_doubts(spec.mechanism())
+
+
+def mechanism_doubts(mechanism: Mechanism) -> Iterator[Finding]:
+    """Yield a doubt for each inertia, quantity of a beam, free length, optimal length and size of a body that seems to
+    have another unit, and for effects that the mechanism lacks.
+    """
+    for sentence in improbable_radii(mechanism):
+        yield doubt("inertia", f"{sentence}.")
+    for sentence in chain(improbable_beams(mechanism), improbable_lengths(mechanism), improbable_bodies(mechanism)):
+        yield doubt("units", f"{sentence}.")
+    for sentence in mechanism.left_out:
+        yield doubt("left-out", f"{sentence}.")
+
+
+def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
+    """Yield a doubt for each muscle whose fibres leave the range of lengths in which they have an active force."""
+    low, high = PULLING
+    for index, (name, muscle) in enumerate(result.problem.names.mechanism.muscles.items()):
+        lengths = recruited.contraction.fiber_length[:, index] / muscle.optimal_length
+        outside = np.flatnonzero((lengths < low) | (lengths > high))
+        if outside.size:
+            yield doubt(
+                "fibers",
+                f"the fibres of muscle '{name}' are {np.nanmin(lengths):.3g} to {np.nanmax(lengths):.3g} optimal "
+                f"lengths long, in {outside.size} rows outside of {low:g} to {high:g}, where they have almost no "
+                f"active force: check its path, optimal_length and tendon_length.",
+            )
+
+
+def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
+    """Yield a doubt for each reserve that supplies a large share of the moment to which it contributes."""
+    problem = result.problem
+    names = [actuator.name for actuator in problem.actuators]
+    reserves = [actuator.name for actuator in problem.recorded_actuators[len(names) :]]
+    for reserve, values in zip(reserves, recruited.reserve.T, strict=True):
+        name = reserve.removeprefix(RESERVE)
+        actuator = names.index(name)
+        most, whole = (float(np.max(np.abs(x))) for x in (values, recruited.actuator[:, actuator]))
+        if most > AT_REST and most > RESERVE_SHARE * whole:
+            at = result.motion.time[int(np.argmax(np.abs(values)))]
+            unit = problem.actuators[actuator].unit
+            share = f", {most / whole:.2g} of the largest value of {name}" if whole > 0 else ""
+            yield doubt(
+                "reserves",
+                f"the reserve of {name} supplies up to {most:.4g} {unit} at t = {at:.6g} s{share} (doubtful above "
+                f"{RESERVE_SHARE:g}), so that the muscles do not produce the motion alone: they are too weak or too "
+                f"few, or the optimal force of the reserve is so large that it costs less than they do.",
+            )
+
+
+def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
+    """Yield a doubt for each muscle that is negligible at every joint on which it acts."""
+    problem = result.problem
+    arms = np.max(np.abs(recruited.sharing.arms), axis=0)  # (U, M)
+    peaks = np.max(np.abs(result.dynamics.value), axis=0)
+    least = LEAST_ARM * problem.fitter.manifold.length
+    for index, (name, muscle) in enumerate(problem.names.mechanism.muscles.items()):
+        acting = np.flatnonzero((arms[:, index] > 0) & recruited.sharing.driven & (peaks > AT_REST))
+        if not acting.size:
+            continue
+        moments = muscle.max_force * np.maximum(arms[acting, index], least)
+        best = int(np.argmax(moments / peaks[acting]))
+        share = moments[best] / peaks[acting][best]
+        if share < WEAK:
+            actuator = problem.actuators[acting[best]]
+            yield doubt(
+                "max-force",
+                f"muscle '{name}' with a max_force of {muscle.max_force:g} N can exert at most {share:.2g} of the "
+                f"largest value of {actuator.name}, {peaks[acting][best]:.4g} {actuator.unit} (doubtful below "
+                f"{WEAK:g}): is its force in another unit, such as kN?",
+            )
+
+
+ABOUT_JOINT = (0.51, 0.9)
+"""A radius of gyration between these shares of the length of a body, the largest distance between its joints, markers
+and other points, is probably that about a joint.
+
+If no mass is beyond these points, the share is at most 0.5. It is 0.58 for a uniform rod about its end, and 0.53 and
+0.54 for the shank and the thigh about the knee and the hip (D. A. Winter, Biomechanics and motor control of human
+movement, 4th edition, table 4.1). If the share is larger, the points say nothing about the size of the body.
+"""
+
+
+def inertias_about_joints(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop for each body whose inertia is probably given about a joint.
+
+    The limits are those of `ABOUT_JOINT`, for bodies with at least a share of `STAND_IN` of the largest mass. They
+    apply to measured mechanisms; flywheels, cranks and chassis have such inertias, too.
+    """
+    heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
+    jointed = {name for joint in mechanism.joints.values() for _, name, _ in joint.attachments()}
+    points: dict[str, list[Point]] = {name: [] for name in mechanism.bodies}
+    for name, point in points_of_elements(mechanism):
+        if name != GROUND:
+            points[name].append(point)
+    for name, body in mechanism.bodies.items():
+        if body.inertia is None or name not in jointed or body.mass < STAND_IN * heaviest:
+            continue
+        length = max((math.dist(*pair) for pair in combinations(points[name], 2)), default=0.0)
+        radius = math.sqrt(body.inertia / body.mass)
+        if ABOUT_JOINT[0] * length < radius < ABOUT_JOINT[1] * length:
+            yield (
+                f"the inertia of {body.inertia:g} kg m^2 of body '{name}'{place_of(mechanism, name)} is that of its "
+                f"mass at a distance of {radius:.3g} m, more than half of its length of {length:.3g} m; inertias refer "
+                f"to the centre of mass, not to a joint"
+            )

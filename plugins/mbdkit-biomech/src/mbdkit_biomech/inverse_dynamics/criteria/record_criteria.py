@@ -1,0 +1,192 @@
+"""Criteria of the verdict on the largest values of a result, which may lie in long gaps or near ends of the record, and
+on actuators whose values are mostly noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.plugin import Finding, listed
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
+from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline
+
+OF_ENDS = 0.1
+"""A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it, or
+if the data before smoothing show values near an end that are larger by more than this share.
+"""
+
+OF_GAPS = 0.1
+"""An element is doubtful if a long gap may hide a change of its value of more than this share of its largest value."""
+
+
+class _Peak(NamedTuple):
+    """The largest value of an actuator or a joint.
+
+    Attributes
+    ----------
+    label, value, unit
+        Name of the element, its largest value and the unit.
+    row
+        Row of the largest value.
+    of_ends
+        Part of its error bar due to the ends of the record.
+    likely
+        (T,) values with the accelerations at both ends that the data before smoothing show.
+    reached
+        (T,) values that the data do not exclude where the error is unknown; otherwise, the values.
+    hidden
+        (T,) changes that long gaps may hide where the error is unknown; otherwise, 0. They are infinite without error
+        bars.
+    """
+
+    label: str
+    value: float
+    unit: str
+    row: int
+    of_ends: float
+    likely: np.ndarray
+    reached: np.ndarray
+    hidden: np.ndarray
+
+    def told(self, time: np.ndarray) -> str:
+        return f"{self.label} ({self.value:.4g} {self.unit} at t = {time[self.row]:.6g} s)"
+
+    def wrong_by(self, rows: np.ndarray) -> str:
+        most = float(np.max(self.hidden[rows]))
+        return f"{self.label} (by up to {most:.2g} {self.unit})" if np.isfinite(most) else self.label
+
+
+def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
+    """Yield doubts about actuators and joint forces whose values in long gaps, or largest values near the ends, are
+    uncertain.
+    """
+    time, peaks = result.motion.time, _peaks(result, bars)
+    for (start, end), gap in told_gaps(result, long_gaps(result)).items():
+        rows = (time > start) & (time < end)
+        open_peaks = [one for one in peaks if np.any(one.reached[rows] > one.value)]
+        if open_peaks:
+            yield doubt(
+                "gaps",
+                f"the data do not determine the largest values of {_some([one.told(time) for one in open_peaks])}, "
+                f"because of {gap}: its values are interpolated, and larger ones are possible. Fill it with measured "
+                "values, or cut the motion with `time.start` or `time.end`.",
+            )
+        elif wrong := [one for one in peaks if np.any(one.hidden[rows] > OF_GAPS * one.value)]:
+            yield doubt(
+                "gaps",
+                f"errors are unknown because of {gap}: values of {_some([one.wrong_by(rows) for one in wrong])} may be "
+                f"wrong there (doubtful above {OF_GAPS:g} of the largest value). Do not use values in the gap, or fill "
+                "it with measured values.",
+            )
+    yield from _doubts_at_ends(result, peaks)
+
+
+def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding]:
+    """Yield doubts about largest values near the ends, and about larger ones that the smoothing may have removed."""
+    time = result.motion.time
+    cutoff = "" if isinstance(result.problem.spec.motion.smooth, QuinticSpline) else ", one period of the cutoff"
+    for at_start in (True, False):
+        half = slice(len(time) // 2) if at_start else slice(len(time) // 2, None)
+        near = [one for one in peaks if one.of_ends > OF_ENDS * one.value and (one.row < len(time) // 2) == at_start]
+        doubted = {one.label for one in near}
+        lost = [(float(np.max(one.likely[half])), one) for one in peaks if one.label not in doubted]
+        lost = [(most, one) for most, one in lost if most > (1 + OF_ENDS) * one.value]
+        if not near and not lost:
+            continue
+        side, beyond = ("start", "before") if at_start else ("end", "after")
+        more = f"record at least {longest_period(result):.2g} s more {beyond}"
+        move = f"or move `time.{side}` if it cuts the data there."
+        if near:
+            worst = max(near, key=lambda one: one.of_ends / one.value)
+            yield doubt(
+                "ends",
+                f"the largest values of {_some([one.told(time) for one in near])} are so close to the {side} of the "
+                f"record that the smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} "
+                f"(doubtful above {OF_ENDS:g} of the value): {more} them{cutoff}, {move}",
+            )
+        if lost:
+            most, worst = max(lost, key=lambda pair: pair[0] / pair[1].value)
+            yield doubt(
+                "ends",
+                f"the true largest values of {_some([one.told(time) for _, one in lost])} may lie at the {side} of the "
+                f"record, where the smoothing takes accelerations for zero: the data before smoothing show about "
+                f"{most:.2g} {worst.unit} for {worst.label} there (doubtful above {1 + OF_ENDS:g} times the largest "
+                f"value): {more} the motion{cutoff}, {move}",
+            )
+
+
+def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
+    """Return the largest values of all joint forces and actuators that are not zero; residual actuators should be zero
+    and are left out.
+    """
+    actuators = np.abs(result.actuators[:, :, 0])
+    forces = np.linalg.norm(recorded_states(result).reactions[:, :, :2], axis=2)
+    named = [(one.name, "" if one.kind == "residual" else one.unit) for one in result.problem.recorded_actuators]
+    named += [(f"the force in {name}", "N") for name in result.problem.prepared.workspace.mechanism.joints]
+    values = np.nan_to_num(np.hstack([actuators, forces]))
+    of_ends, likely = np.zeros_like(values), values
+    if bars is None:
+        reached = values.copy()
+        hidden = np.zeros_like(values)
+        for gap in long_gaps(result):  # what the gap may hide is not estimated
+            reached[gap.rows] = np.nextafter(values[gap.rows], np.inf)
+            hidden[gap.rows] = np.inf
+    else:
+        of_ends, of_gaps, likely = np.hstack(bars.of_ends), np.hstack(bars.of_gaps), np.hstack(bars.likely)
+        unknown = np.isnan(np.hstack([bars.actuators, bars.accuracy.reaction_error]))
+        hidden = np.where(unknown, of_gaps, 0.0)
+        reached = values + hidden
+    rows, found = np.argmax(values, axis=0).tolist(), []
+    for column, ((label, unit), row) in enumerate(zip(named, rows, strict=True)):
+        if unit and values[row, column] > 0:
+            value, end = float(values[row, column]), float(of_ends[row, column])
+            found.append(_Peak(label, value, unit, row, end, likely[:, column], reached[:, column], hidden[:, column]))
+    return found
+
+
+def _some(told: Sequence[str]) -> str:
+    more = len(told) - NAMED
+    return listed([*told[:NAMED], *([f"{more} more"] if more > 0 else [])], "and")
+
+
+MOSTLY, OF_LARGEST = 1.5, 0.1
+"""The values of an actuator are mostly noise if the root mean square of their error bars exceeds `MOSTLY` times their
+own root mean square, and `MOSTLY` times the share `OF_LARGEST` of the largest one of all actuators with the same unit.
+
+Noise alone gives 1.96. In the packaged examples of walking, the ratio is at most 1.15.
+"""
+
+
+def large_errors(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
+    """Yield a doubt about the actuators, except residual ones and reserves, whose values are mostly noise.
+
+    The parts of errors due to the ends of the record are left out, because they have their own criterion.
+    """
+    if bars is None:
+        return
+    own = [(place, one) for place, one in enumerate(result.problem.recorded_actuators) if one.kind == "actuator"]
+    values = np.sqrt(np.mean(result.actuators[:, :, 0] ** 2, axis=0))
+    squares = bars.actuators**2 - bars.of_ends[0] ** 2
+    told = []
+    for place, one in own:
+        known = squares[np.isfinite(squares[:, place]), place]
+        error = float(np.sqrt(max(0.0, np.mean(known)))) if known.size else 0.0
+        largest = max(values[other] for other, another in own if another.unit == one.unit)
+        if error > MOSTLY * max(values[place], OF_LARGEST * largest):
+            told.append(f"{one.name} ({values[place]:.3g} {one.unit}, with error bars of {error:.3g} {one.unit})")
+    if told:
+        more = [f"{len(told) - NAMED} more"] if len(told) > NAMED else []
+        is_smoothed = not isinstance(result.problem.spec.motion.smooth, NoSmoothing)
+        cure = "use a lower cutoff" if is_smoothed else "smooth the motion with `motion.smooth`"
+        yield doubt(
+            "large-errors",
+            f"values of actuators are mostly noise, according to their root mean squares: "
+            f"{listed([*told[:NAMED], *more], 'and')} (doubtful above {MOSTLY:g} times as much; noise alone gives 2): "
+            f"{cure}, or check deviations that the spec states.",
+        )

@@ -1,0 +1,1 @@
+"""Noise of the data and the error bars of what is computed from them."""

@@ -1,0 +1,1 @@
+"""Files of measured motion and forces, read into tables."""

@@ -1,0 +1,328 @@
+"""`inverse_gradient`: measures of inverse dynamics and their derivatives with respect to parameters, without
+integration.
+
+The motion is part of the preparation (`mbdkit_gradients.parameter_differences`): if the motion depends on a parameter,
+such as a length, it is fitted again for other values of this parameter. The derivatives of the forces that produce the
+motion are exact: differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` with respect to a parameter p gives
+
+    B u_p - Phi_q^T lam_p = (M a + Phi_q^T lam - Q - Q_loads - B u)_p,   the right side at constant u and lam,
+
+where the subscript p denotes the derivative, and the other symbols are those of
+`mbdkit_biomech.inverse_dynamics.loads.dynamics`.
+These equations have the same matrix as the equations of each frame. Muscles are added by
+`mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.integrate import cumulative_simpson
+
+from mbdkit.engine.stacked_matrices import products
+from mbdkit.kernels import DIRECTIONS, DualStates, Observed, PinnedBundle, describe_duals
+from mbdkit.plugin import MbdkitError, SpecError
+from mbdkit.plugin.archives import archive_names, with_members
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.methods import Seeds, constants, dual_states, new_dual_run
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
+from mbdkit_biomech.inverse_dynamics.gradient.inverse_preparation import MOTION, InversePreparation
+from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import (
+    RecruitedChange,
+    differentiated_muscles,
+    require_derivatives_of,
+)
+from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance
+from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
+from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, load_inverse_spec, varied_inverse
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
+from mbdkit_biomech.muscles.muscle_values import Muscles
+from mbdkit_gradients.differentiated_expressions import (
+    Definitions,
+    Measures,
+    definitions_of,
+    expressions_of,
+)
+from mbdkit_gradients.differentiated_run import DifferentiatedRun
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states
+from mbdkit_gradients.differentiated_stepper import dual_laws
+from mbdkit_gradients.gradient import Gradient, gradient_of_run, require_derivatives
+from mbdkit_gradients.gradient_check import Settings
+from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
+from mbdkit_gradients.parameter_differences import PreparedDerivatives
+
+WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
+"""Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""
+
+
+def inverse_gradient(
+    source: InverseSource,
+    measures: Measures,
+    names: Names | None = None,
+    *,
+    parameters: Names | None = None,
+    check: bool = True,
+    **sections: Any,
+) -> Gradient:
+    """Compute inverse dynamics, and return the derivatives of measures of the result with respect to parameters of the
+    model.
+
+    Parameters
+    ----------
+    source
+        A file, a mapping, or an InverseSpec.
+    measures
+        Expressions such as ``"rms(actuators.knee.value)"``: one, several, or a mapping as in the section `measures` of
+        a spec. Names of measures that the spec defines may stand for their expressions.
+    names, parameters
+        Names of `parameters` of the spec, or key paths of numbers of its model such as
+        ``model.forces.spring.stiffness``; see `mbdkit.gradient`. The model of a person is the scaled one, with
+        ``model.body_mass``, ``model.thigh_length`` and ``model.shank_length``.
+    check
+        Whether to check the gradient in one direction by differences of four computations.
+    **sections
+        Sections of the spec, such as ``motion={...}``; they replace those of `source`.
+
+    Returns
+    -------
+    Gradient
+        Values, derivatives and check. A check that fails is part of the result, not an error.
+
+    Raises
+    ------
+    SpecError
+        If the input is wrong, or a measure has no derivative.
+    RunError
+        If no pose of the mechanism fits the data, or the mechanism passes a singular position.
+
+    Examples
+    --------
+    Sensitivity of the torque that swings a pendulum to its mass:
+
+    >>> import mbdkit, numpy as np
+    >>> m = mbdkit.Mechanism()
+    >>> rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.0, -0.5))
+    >>> m.revolute("hip", m.ground, rod, at=(0, 0))
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> motion = {"data": {"time": t, "hip": 0.5 * np.sin(3 * t)}, "columns": {"hip.angle": "hip"}}
+    >>> spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion}
+    >>> found = mbdkit.inverse_gradient(spec, "rms(actuators.hip.value)", "model.bodies.rod.mass")
+    >>> found.check.is_passed
+    True
+    """
+    source, wanted = read_names(source, names, parameters, sections)
+    spec = load_inverse_spec(source, (), **sections).expanded
+    chosen = resolved(spec, wanted)
+    definitions = definitions_of(spec, measures)
+    with one_thread_of_linear_algebra():
+        return gradient_of_inverse(spec, definitions, chosen, check=check)
+
+
+def gradient_of_inverse(
+    spec: InverseSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool
+) -> Gradient:
+    """Return the gradient of measures of a validated spec; see `inverse_gradient`."""
+    spec = varied_inverse(spec, WITHOUT_BARS)
+    problem = InverseProblem.of(spec)
+    if problem.recruiter is not None:
+        require_derivatives_of(problem.recruiter)
+    expressions = expressions_of(spec, definitions)
+    require_derivatives(expressions)
+    result = compute(problem)
+    prepared = InversePreparation(result, definitions).derivatives(parameters)
+    _require_unique_forces(result, parameters, prepared)
+    firsts = range(0, len(parameters), DIRECTIONS)
+    parts = [_Frames(result, prepared.seeds.only(slice(first, first + DIRECTIONS))).states() for first in firsts]
+    run = DifferentiatedRun(joined_states(parts), None, np.zeros(len(parameters)), (), None)
+
+    def measured(settings: Settings) -> list[float]:
+        return _measured(varied_inverse(spec, settings), definitions)
+
+    return gradient_of_run(run, expressions, parameters, prepared, measured if check else None)
+
+
+def _measured(spec: InverseSpec, definitions: Definitions) -> list[float]:
+    """Return the measures of a computation; nan if it fails."""
+    try:
+        with compute_run(spec) as run:
+            return [one.of(run) for one in expressions_of(spec, definitions).values()]
+    except MbdkitError:
+        return [np.nan] * len(definitions)
+
+
+def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> None:
+    """Raise SpecError if the motion does not determine the values of the actuators, and depends on a parameter.
+
+    A change of the parameter would then change the directions in which the actuators act, and thus their shares.
+    """
+    problem = result.problem
+    if not result.dynamics.surplus and len(problem.actuators) == problem.fitter.manifold.freedoms:
+        return
+    moved = [x for name in MOTION if (x := prepared.seeds.get(name)) is not None]
+    for k, one in enumerate(parameters):
+        if any(np.any(x[..., k]) for x in moved):
+            raise SpecError(
+                f"the motion depends on '{one.name}'. There is no derivative with respect to this parameter, because "
+                f"the motion does not determine the values of the actuators; use parameters that do not affect the "
+                f"motion, such as masses and stiffnesses",
+                key="gradients",
+            )
+
+
+class _Frames:
+    """The frames of a result, with derivatives with respect to up to `DIRECTIONS` parameters.
+
+    Parameters
+    ----------
+    result
+        The result.
+    seeds
+        Derivatives of mechanism and motion.
+    """
+
+    def __init__(self, result: Inverse, seeds: Seeds):
+        self.result, self.seeds = result, seeds
+        self.some = slice(1 + seeds.count)
+        self.workspace = result.problem.prepared.workspace
+        self.workspace.clamp_motions(-np.inf, np.inf)
+        self._run = new_dual_run(self.workspace, seeds, dual_laws(self.workspace), 0, 0)
+
+    def states(self) -> DifferentiatedStates:
+        """Return the states with all quantities computed from them."""
+        motion, dynamics = self.result.motion, self.result.dynamics
+        lam = self._of_pairs(dynamics.lam)
+        value, change = self._changes(np.asarray(self._described(lam, None).lack))
+        actuators, muscles, recorded = self._actuators(dynamics.value, value), None, self.result.problem.actuators
+        supplied = actuators[:, :, 1].sum(axis=1) + self._load_power()
+        recruited = self.result.recruited
+        if recruited is not None:
+            lam, recorded = self._of_pairs(recruited.lam), self.result.problem.recorded_actuators
+            lack = np.asarray(self._described(lam, None).lack)
+            change, actuators, muscles = self._with_muscles(recruited, value, lack)
+        by_pairs = [self._of_pairs(moveaxi) for moveaxi in np.moveaxis(change, -1, 0)]
+        found = self._described(lam, np.stack(by_pairs, axis=-1))
+        power = np.asarray(found.power[..., self.some])
+        supplied = np.stack([power[:, 0] + supplied, power[:, 1]], axis=1)
+        energy = cumulative_simpson(supplied, x=motion.time, axis=0, initial=0)
+        q, v = (np.asarray(x[..., self.some]) for x in (found.q, found.v))
+        observed = Observed(*(np.asarray(x[..., self.some]) for x in found.observed))
+        return DifferentiatedStates.of_observed(
+            self.workspace.mechanism,
+            motion.time,
+            q,
+            v,
+            observed,
+            energy,
+            power=power,
+            handles={"actuators": actuators} | ({} if muscles is None else {"muscles": muscles}),
+            names=with_members(
+                archive_names(self.workspace.mechanism),
+                actuators=members_of_actuators(recorded),
+                muscles=[] if muscles is None else [(name, ()) for name in self.result.problem.names.mechanism.muscles],
+            ),
+        )
+
+    def _of_pairs(self, lam: np.ndarray) -> np.ndarray:
+        """Return the multipliers (T, P, 2) of all P pairs of constraint rows from the multipliers (T, m) of the
+        independent rows.
+        """
+        motion = self.result.motion
+        found: np.ndarray = self.result.problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, lam).lam
+        return found
+
+    def _with_muscles(
+        self, recruited: Recruited, value: np.ndarray, lack: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, Muscles]:
+        """Return the derivatives (T, m, K) of the multipliers, the recorded actuators (T, A, 2, 1 + K), and muscles.
+
+        Parameters
+        ----------
+        value
+            (T, U, K) derivatives of the values of the actuators without muscles.
+        lack
+            Unbalanced generalized forces, ground last, with their derivatives at constant multipliers of the result
+            with muscles.
+        """
+        recruiter, balance = self.result.problem.recruiter, self._balance
+        assert recruiter is not None
+        turned = self._slope("motion.columns", balance.columns.shape)
+        change = RecruitedChange.of(recruiter, recruited, value, (balance.columns, turned), self.seeds)
+        left = change.pushed - self._needed(lack)
+        lam = np.stack([balance.directions.multipliers(one) for one in np.moveaxis(left, -1, 0)], axis=-1)
+        driven, places = recruited.sharing.driven, recruiter.reserve_places
+        own = self._actuators(recruited.actuator, np.where(driven[:, None], value, change.beside))
+        left_over = np.where(driven, recruited.beside, 0.0), np.where(driven[:, None], change.beside, 0.0)
+        spare = self._actuators(*left_over)[:, places]
+        return (
+            lam,
+            np.concatenate([own, spare], axis=1),
+            differentiated_muscles(recruiter, recruited, change, self.seeds),
+        )
+
+    def _slope(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the derivatives (..., K) of an array of the motion; zeros if the array does not depend on
+        parameters.
+        """
+        found = self.seeds.get(name)
+        return np.zeros((*shape, self.seeds.count)) if found is None else found
+
+    def _described(self, lam: np.ndarray, slope: np.ndarray | None) -> DualStates:
+        """Return the states for multipliers `lam` (T, P, 2) of all rows, with derivatives `slope` (T, P, 2, K)."""
+        motion = self.result.motion
+        q, v, a = (
+            constants(
+                np.column_stack([x, np.zeros((len(x), 3))]),
+                np.pad(self._slope(name, x.shape), ((0, 0), (0, 3), (0, 0))),
+            )
+            for name, x in zip(MOTION, (motion.q, motion.v, motion.a), strict=False)
+        )
+        states = dual_states(self._run, self.workspace, motion.time, q, v)
+        states.observed.acc[...], states.observed.lam[...] = a, constants(lam, slope)
+        pinned = PinnedBundle(states)
+        describe_duals(pinned.address)
+        return states
+
+    @cached_property
+    def _balance(self) -> Balance:
+        """The balance of forces of the motion."""
+        problem, motion = self.result.problem, self.result.motion
+        manifold = problem.fitter.manifold
+        directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
+        return Balance(manifold, motion, problem.actuators, directions)
+
+    def _needed(self, lack: np.ndarray) -> np.ndarray:
+        """Return the derivatives (T, n, K) of the generalized forces that actuators and joints supply."""
+        own = lack[:, :-3, 1 : 1 + self.seeds.count] - self._slope("motion.loads", self.result.motion.q.shape)
+        return np.asarray(own)
+
+    def _changes(self, lack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives (T, U, K) of the actuators and (T, m, K) of the multipliers."""
+        columns = self._slope("motion.columns", self._balance.columns.shape)
+        needed = self._needed(lack) - np.sum(columns * self.result.dynamics.value[:, None, :, None], axis=2)
+        found = [self._balance.solved(moveaxi) for moveaxi in np.moveaxis(needed, -1, 0)]
+        return np.stack([one[0] for one in found], axis=-1), np.stack([one[1] for one in found], axis=-1)
+
+    def _actuators(self, value: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Return values and powers (T, U, 2, 1 + K) of the actuators with values (T, U) and derivatives (T, U, K)."""
+        motion, columns = self.result.motion, self._balance.columns
+        rate = products(np.swapaxes(columns, 1, 2), motion.v)
+        turned = np.sum(self._slope("motion.columns", columns.shape) * motion.v[:, :, None, None], axis=1)
+        faster = products(np.swapaxes(columns, 1, 2), self._slope("motion.v", motion.v.shape))
+        power = slope * rate[..., None] + value[..., None] * (turned + faster)
+        both = (
+            np.concatenate([value[..., None], slope], axis=-1),
+            np.concatenate([(value * rate)[..., None], power], axis=-1),
+        )
+        return np.stack(both, axis=2)
+
+    def _load_power(self) -> np.ndarray:
+        """Return the power (T, 1 + K) of all loads."""
+        motion, loads = self.result.motion, self.result.loads
+        changed = products(np.swapaxes(self._slope("motion.loads", motion.v.shape), 1, 2), motion.v)
+        changed += products(np.swapaxes(self._slope("motion.v", motion.v.shape), 1, 2), loads.generalized)
+        return np.column_stack([loads.power.sum(axis=1), changed])

@@ -1,0 +1,174 @@
+"""Derivatives of recruited muscles, and of the joint forces that contain them, with respect to parameters.
+
+The derivatives of moment arms, capacities and passive forces are given. The derivatives of tensions and reserves follow
+from them and the optimality conditions (`mbdkit_biomech.inverse_dynamics.muscles.shared_loads_derivative`). With the
+generalized forces P F of the tensions F, and the forces B u of actuators and reserves, the derivatives with respect to
+a parameter p are
+
+    Phi_q^T lam_p = (B u + P F)_p - (M a + Phi_q^T lam - Q - Q_loads)_p,    the last term at constant lam.
+
+The other symbols are those of `mbdkit_biomech.inverse_dynamics.loads.dynamics`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.engine.stacked_matrices import products
+from mbdkit.plugin import SpecError
+from mbdkit.plugin.methods import Seeds
+from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
+from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance
+from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
+from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
+from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads_derivative import ProgrammeChange, change_of_shares
+from mbdkit_biomech.muscles.muscle_values import Muscles
+
+OF_MUSCLES = ("length", "rate", "fiber_length", "fiber_rate", "capacity", "passive", "pull", "arms")
+"""Arrays of the muscles of a motion; see `Contraction` and `Sharing`."""
+
+
+def key_of(name: str) -> str:
+    """Return the name under which the preparation stores an array of muscles."""
+    return f"muscles.{name}"
+
+
+def muscle_arrays(problem: InverseProblem, motion: Motion) -> dict[str, np.ndarray]:
+    """Return the arrays of the muscles of a motion that may depend on parameters, and the weights of the muscles."""
+    recruiter = problem.recruiter
+    assert recruiter is not None
+    manifold = problem.fitter.manifold
+    directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
+    balance = Balance(manifold, motion, problem.actuators, directions)
+    own = recruiter.contraction(motion)
+    arms = balance.as_actuators(own.pull)
+    every = {name: arms if name == "arms" else np.nan_to_num(getattr(own, name)) for name in OF_MUSCLES}
+    return {key_of(name): x for name, x in (every | {"weights": recruiter.weights}).items()}
+
+
+def require_derivatives_of(recruiter: Recruiter) -> None:
+    """Raise SpecError if the solution of recruitment cannot be differentiated."""
+    if recruiter.asked.dynamics == "activation":
+        raise SpecError(
+            "gradients are not available with `dynamics: activation`",
+            key="recruitment.dynamics",
+        )
+    if recruiter.is_elastic:
+        raise SpecError("gradients are not available with elastic tendons", key="recruitment")
+    if recruiter.exponent == 1 or math.isinf(recruiter.exponent):
+        raise SpecError(
+            f"gradients need an exponent of 2 or more, not {recruiter.asked.exponent}: the solution of a linear "
+            "programme has corners",
+            key="recruitment.exponent",
+        )
+
+
+@dataclass(frozen=True)
+class RecruitedChange:
+    """Derivatives of recruited muscles with respect to K parameters.
+
+    Attributes
+    ----------
+    activation, force
+        (T, M, K) derivatives of activations and tensions.
+    beside
+        (T, U, K) derivatives of `Recruited.beside`.
+    pushed
+        (T, n, K) derivatives of the generalized forces of muscles, and of actuators and reserves.
+    """
+
+    activation: np.ndarray
+    force: np.ndarray
+    beside: np.ndarray
+    pushed: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        recruiter: Recruiter,
+        recruited: Recruited,
+        value: np.ndarray,
+        columns: tuple[np.ndarray, np.ndarray],
+        seeds: Seeds,
+    ) -> RecruitedChange:
+        """Return the derivatives.
+
+        Parameters
+        ----------
+        value
+            (T, U, K) derivatives of the values of the actuators without muscles.
+        columns
+            (T, n, U) generalized forces of unit actuators and their derivatives (T, n, U, K).
+        seeds
+            Derivatives of the arrays of `muscle_arrays`.
+        """
+        parts = [
+            _change(recruiter, recruited, value[..., k], (columns[0], columns[1][..., k]), _slopes(seeds, recruited, k))
+            for k in range(seeds.count)
+        ]
+        return cls(*(np.stack(one, axis=-1) for one in zip(*parts, strict=True)))
+
+
+def _slopes(seeds: Seeds, recruited: Recruited, index: int) -> dict[str, np.ndarray]:
+    """Return the derivatives of the arrays of muscles with respect to one parameter; zeros for arrays that do not
+    depend on it.
+    """
+    own = recruited.contraction
+    shapes = {name: recruited.sharing.arms if name == "arms" else getattr(own, name) for name in OF_MUSCLES}
+    none: Mapping[str, np.ndarray] = {name: np.zeros_like(x) for name, x in shapes.items()} | {
+        "weights": np.zeros(own.length.shape[1])
+    }
+    found = {name: seeds.get(key_of(name)) for name in none}
+    return {name: none[name] if x is None else x[..., index] for name, x in found.items()}
+
+
+def _change(
+    recruiter: Recruiter,
+    recruited: Recruited,
+    value: np.ndarray,
+    columns: tuple[np.ndarray, np.ndarray],
+    slope: Mapping[str, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the derivatives with respect to one parameter, see `RecruitedChange`."""
+    own, sharing, count = recruited.contraction, recruited.sharing, recruited.activation.shape[1]
+    arms, driven, programme = sharing.arms, sharing.driven, sharing.programme
+    matrix = np.zeros_like(programme.matrix)
+    matrix[:, :, :count] = (
+        slope["arms"][:, driven] * own.capacity[:, None] + arms[:, driven] * slope["capacity"][:, None]
+    )
+    passive = products(slope["arms"][:, driven], own.passive) + products(arms[:, driven], slope["passive"])
+    right = value[:, driven] - passive
+    weight = np.zeros_like(programme.weight)
+    weight[:count] = slope["weights"]
+    shares = change_of_shares(programme, recruited.shared, recruiter.exponent, ProgrammeChange(matrix, right, weight))
+    activation = shares[:, :count]
+    force = own.capacity * activation + slope["capacity"] * recruited.activation + slope["passive"]
+    tension = recruited.force
+    beside = value - (products(arms, force) + products(slope["arms"], tension))
+    beside[:, recruiter.is_taken_over(driven)] = 0.0
+    pushed = products(columns[0], beside) + products(columns[1], recruited.beside)
+    pushed = pushed + products(own.pull, force) + products(slope["pull"], tension)
+    return activation, force, beside, pushed
+
+
+def differentiated_muscles(
+    recruiter: Recruiter, recruited: Recruited, change: RecruitedChange, seeds: Seeds
+) -> Muscles:
+    """Return the muscles with an additional last axis for the value and its K derivatives."""
+    own = recruited.contraction
+    slopes = [_slopes(seeds, recruited, k) for k in range(seeds.count)]
+    kinematic = {name: np.stack([one[name] for one in slopes], axis=-1) for name in OF_MUSCLES[:4]}
+    power = -(change.force * own.rate[..., None] + recruited.force[..., None] * kinematic["rate"])
+    values = {name: getattr(own, name) for name in kinematic} | {
+        "activation": recruited.activation,
+        "force": recruited.force,
+        "power": recruited.power,
+    }
+    every = kinematic | {"activation": change.activation, "force": change.force, "power": power}
+    joined = {name: np.concatenate([x[..., None], every[name]], axis=-1) for name, x in values.items()}
+    return Muscles(**joined, muscles=tuple(recruiter.muscles.values()))

@@ -1,0 +1,1 @@
+"""Forces and moments of measured loads, and the dynamics of the motion."""

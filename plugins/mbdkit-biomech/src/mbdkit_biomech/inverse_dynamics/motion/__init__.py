@@ -1,0 +1,1 @@
+"""From markers to the motion of a mechanism: fit, gaps, smoothing, reduced coordinates."""

@@ -1,0 +1,1 @@
+"""How muscles share the moments of joints."""

@@ -1,0 +1,1 @@
+"""The record of an inverse run, and what is said of it."""

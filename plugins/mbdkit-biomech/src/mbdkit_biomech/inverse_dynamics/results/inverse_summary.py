@@ -1,0 +1,152 @@
+"""Lines of the summary of a run that only inverse dynamics has."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.archive.run_summary import known_rows
+from mbdkit.plugin import Headline, counted, plus_minus
+from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, errors_of_frames, largest_of
+from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Run
+
+UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
+"""Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used."""
+
+PERSON = ("subject", "centres", "plane", "plates")
+"""Entries of the provenance of a person."""
+
+
+def inverse_lines(run: Run) -> list[tuple[str, str]]:
+    """Return the lines of the summary that only inverse dynamics has, each with its label; texts may be empty."""
+    return [
+        *((label, str(run.provenance.get(label, ""))) for label in PERSON),
+        ("fit", _fit(run)),
+        *((label, str(run.provenance.get(key, ""))) for key, label in UNUSED_DATA.items()),
+        ("gaps", _gaps(run)),
+        ("raw data", _raw_misalignment(run)),
+        ("actuators", _actuators(run)),
+        ("residuals", _actuators(run, residual=True)),
+        ("reserves", _reserves(run)),
+    ]
+
+
+def largest_actuators(run: Run) -> list[Headline]:
+    """Return the two largest values of actuators, without residual loads."""
+    if run.kind != "inverse" or not run.records("actuators/value"):
+        return []
+    size = np.abs(run.array("actuators/value"))
+    errors = None
+    if run.records("actuators/value_error"):
+        bars = run.array("actuators/value_error")
+        errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
+    units = {name: actuator.units for name, actuator in run.actuators.items()}
+    headlines = largest_of("", run, list(run.actuators), size, "", errors)
+    own = [one for one in headlines if run.actuators[one.label].kind != "residual"]
+    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in own[:2]]
+
+
+def _fit(run: Run) -> str:
+    """Return the largest root mean squares of the residuals of observed quantities, in descending order."""
+    parts = []
+    for name, one in run.motion.items():
+        known = one.residual[np.isfinite(one.residual)]
+        parts.append((float(np.sqrt(np.mean(known**2))) if known.size else math.nan, name, one.units))
+    parts.sort(reverse=True)
+    if parts and parts[0][0] <= EXACT:
+        return "exact to round-off"
+    text = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in parts[:JOINTS_NAMED])
+    more = f", {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
+    return f"residuals (rms) {text}{more}" if parts else ""
+
+
+def _gaps(run: Run) -> str:
+    """Return the gaps of the measured columns, how they are filled, and whether errors are unknown there; empty if
+    there are none.
+    """
+    texts: dict[str, list[str]] = {"by interpolation": [], "from the other columns": []}
+    placed = json.loads(str(run.provenance.get("placed_gaps", "{}")))
+    known = known_rows(run)
+    for name, one in run.motion.items():
+        missing = np.concatenate([[False], np.isnan(one.raw), [False]])
+        for first, end in np.flatnonzero(np.diff(missing)).reshape(-1, 2).tolist():
+            span = f"from t = {run.time[first]:.6g} to {run.time[end - 1]:.6g} s"
+            told = "" if np.all(known[first:end]) else ", where errors are unknown"
+            how = "from the other columns" if first in placed.get(name, ()) else "by interpolation"
+            texts[how].append(f"{name}, {counted(end - first, 'sample')} {span}{told}")
+    return "; ".join(
+        f"filled {how}: {'; '.join(own[:JOINTS_NAMED])}"
+        + (f"; {len(own) - JOINTS_NAMED} more" if own[JOINTS_NAMED:] else "")
+        for how, own in texts.items()
+        if own
+    )
+
+
+def _raw_misalignment(run: Run) -> str:
+    """Return the largest misalignments of joints if bodies are placed by the measured data alone.
+
+    Empty if the data determine none.
+    """
+    if not run.records("motion/raw_misalignment"):
+        return ""
+    gaps = run.raw_misalignment
+    largest = np.max(np.where(np.isfinite(gaps), gaps, -1.0), axis=0, initial=-1.0)
+    order = [int(k) for k in np.argsort(-largest, kind="stable")[:JOINTS_NAMED] if largest[k] >= 0]
+    text = ", ".join(f"{run.joint_names[k]} {largest[k]:.2g} m" for k in order)
+    return f"misaligned by at most {text}" if text else ""
+
+
+def _actuators(run: Run, *, residual: bool = False) -> str:
+    """Return the largest value of each actuator with its error bar and time: the largest of these, in descending order.
+
+    With `residual`, return those of the residual loads instead.
+    """
+    if not run.actuators:
+        return ""
+    values, peaks, known = run.array("actuators/value"), [], run.accuracy is not None
+    names = list(run.actuators)
+    bars = run.array("actuators/value_error") if known else np.zeros_like(values)
+    errors = errors_of_frames(run, "actuators.value", names, np.abs(values), bars)
+    for (name, actuator), error in zip(run.actuators.items(), errors.tolist(), strict=True):
+        if (actuator.kind == "residual") != residual:
+            continue
+        row = int(np.argmax(np.abs(actuator.value)))
+        value = plus_minus(float(actuator.value[row]), error) if known else f"{actuator.value[row]:.4g}"
+        peaks.append((abs(float(actuator.value[row])), f"{name} {value} {actuator.units} at {run.time[row]:.4g} s"))
+    peaks.sort(key=lambda peak: -peak[0])
+    return "; ".join(text for _, text in peaks[:JOINTS_NAMED]) + (
+        f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
+    )
+
+
+def _reserves(run: Run) -> str:
+    """Return the root mean square of each reserve as a share of that of the total moment.
+
+    Empty without recruitment.
+    """
+    if not run.records("muscles/certificate"):
+        return ""
+    shares = reserve_shares(run)
+    return ", ".join(f"{name} {share:.2%}" for name, share in shares.items()) or "none"
+
+
+def reserve_shares(run: Run) -> dict[str, float]:
+    """Return the root mean square of each reserve relative to that of the total moment of its actuator, by actuator.
+
+    Reserves that are not used are left out.
+    """
+    shares = {}
+    for name, reserve in run.actuators.items():
+        actuator = name.removeprefix(RESERVE)
+        if name == actuator or actuator not in run.actuators:
+            continue
+        own, whole = (float(np.sqrt(np.mean(one.value**2))) for one in (reserve, run.actuators[actuator]))
+        if own > 0:  # otherwise no muscle acts on this actuator
+            shares[actuator] = own / whole if whole > 0 else 0.0
+    return shares

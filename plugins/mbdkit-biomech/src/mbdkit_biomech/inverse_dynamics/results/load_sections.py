@@ -1,0 +1,243 @@
+"""Sections in the report of inverse dynamics: the loads as pictures and numbers, and the disagreement of model and
+data.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from markupsafe import Markup
+
+from mbdkit.plugin import Mechanism, listed
+from mbdkit.plugin.archives import EXACT
+from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
+from mbdkit_biomech.inverse_dynamics.results.inverse_summary import reserve_shares
+from mbdkit_biomech.inverse_dynamics.results.workload import ElementWorkload, workload
+from mbdkit_report.figures.curves import bands
+from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, short_name
+from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table, columns_of
+from mbdkit_report.figures.svg_canvas import svg_of
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Run
+
+BARS = 24
+"""Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left
+out first.
+"""
+_POINTS = 1_000
+_TIME = Axis("time", "s")
+
+
+def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ...]:
+    """Return the sections of a run of inverse dynamics that has at least two rows; empty for other runs."""
+    if run.kind != "inverse" or len(run.time) < 2:
+        return ()
+    elements = workload(run).elements
+    return (
+        Section("loads", "Loads over the motion", (), load_drawing(run, mechanism)),
+        Section("workload", "Workload", (), _bars(elements), (_workload_table(elements),)),
+        *_muscles(run),
+        _disagreement(run),
+    )
+
+
+def inverse_charts(run: Run) -> list[Figure]:
+    """Return the charts of a run of inverse dynamics; empty for other runs.
+
+    They show the residuals of the data (one chart for each unit), the joint forces with and without muscles, and the
+    misalignment of the joints in the data. Charts without data are left out.
+    """
+    if run.kind != "inverse":
+        return []
+    time, observed = np.asarray(run.time), list(run.motion.values())
+    found = []
+    for unit, word in (("rad", "angles"), ("m", "lengths")):
+        chosen = [index for index, one in enumerate(observed) if one.units == unit]
+        if any(np.nanmax(np.abs(observed[index].residual), initial=0.0) > EXACT for index in chosen):
+            curves = bands(time, run.array("motion/residual")[:, chosen], points=_POINTS)
+            lines = tuple(Line(observed[k].name, *curves.curve(index)) for index, k in enumerate(chosen))
+            caption = f"Measured minus fitted value of each of the observed {word}."
+            axis = Axis("residual", unit)
+            found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, lines))
+    found += _contact_chart(run)
+    raw = run.raw_misalignment
+    known = [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]
+    if known:
+        curves = bands(time, raw[:, known], points=_POINTS)
+        lines = tuple(Line(run.joint_names[k], *curves.curve(index)) for index, k in enumerate(known))
+        caption = "Misalignment of the joints if the bodies were placed by the measured data alone."
+        axis = Axis("misalignment", "m")
+        found.append(Figure("raw-misalignment", "Misalignment of the data", caption, _TIME, axis, lines))
+    return found
+
+
+def _muscles(run: Run) -> tuple[Section, ...]:
+    """Return the section on joint forces with and without muscles, and on reserve actuators; empty if there are no
+    muscles.
+    """
+    if not run.muscles:
+        return ()
+    without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
+    joints: list[tuple[Cell, ...]] = []
+    for index, (name, joint) in enumerate(run.joints.items()):
+        peak = float(np.max(np.linalg.norm(joint.reaction_force, axis=1)))
+        alone = float(np.max(without[:, index]))
+        joints.append((name, peak, alone, peak / alone if alone > 0 else None))
+    muscles: list[tuple[Cell, ...]] = []
+    for name, one in run.muscles.items():
+        row = int(np.argmax(one.force))
+        error = float(one.force_error[row])
+        values = (float(np.max(one.activation)), float(np.mean(one.activation)), float(one.force[row]))
+        muscles.append((name, *values, error if np.isfinite(error) else None, float(run.time[row])))
+    shares = reserve_shares(run)
+    told = [f"{share:.2%} of {name}" for name, share in shares.items()]
+    sentence = (
+        f"Reserves exert {listed(told, 'and')} (root mean squares); muscles exert the rest."
+        if told
+        else "Muscles alone exert the moments of the joints that they act on: there are no reserves."
+    )
+    tables = (
+        Table(
+            "contact-forces",
+            "Largest joint forces",
+            columns_of("joint; with muscles [N]; without muscles [N]; ratio"),
+            tuple(joints),
+            "Without muscles, actuators would drive the joints.",
+        ),
+        Table(
+            "muscles",
+            "Muscles",
+            columns_of(
+                "muscle; largest activation; mean activation; largest tension [N]; error of the largest [N]; "
+                "time of the largest [s]"
+            ),
+            tuple(muscles),
+            "Errors are bounds that hold with a probability of 95 %.",
+        ),
+    )
+    return (Section("muscles", "Muscles", (sentence,), None, tables),)
+
+
+def _contact_chart(run: Run) -> list[Figure]:
+    """Return the chart of the joint forces with and without muscles; empty if there are no muscles."""
+    if not run.muscles:
+        return []
+    lines: list[Line] = []
+    for path, word in (("joints/reaction_force", ""), ("muscles/reaction_force_without", " without muscles")):
+        sizes = np.linalg.norm(run.array(path), axis=2)
+        curves = bands(np.asarray(run.time), sizes, points=_POINTS)
+        lines += [Line(f"{name}{word}", *curves.curve(k)) for k, name in enumerate(run.joint_names)]
+    caption = "Force in each joint with the forces of the muscles, and if actuators drove the joints instead."
+    return [
+        Figure("contact", "Joint forces with and without muscles", caption, _TIME, Axis("force", "N"), tuple(lines))
+    ]
+
+
+def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
+    columns = columns_of(
+        "joint or actuator; kind; unit; peak; error of the peak; rms; impulse; loading rate; largest power [W]; "
+        "least power [W]; "
+        "work done [J]; work absorbed [J]"
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for element in elements:
+        load, work = element.load, element.work
+        power: tuple[Cell, ...] = (None,) * 4
+        if work is not None:
+            power = (work.peak_power, work.least_power, work.positive, -work.negative)
+        rows.append(
+            (
+                element.name,
+                element.kind,
+                load.units,
+                load.peak,
+                load.peak_error,
+                load.rms,
+                load.impulse,
+                load.loading_rate,
+                *power,
+            )
+        )
+    note = (
+        "Errors are bounds that hold with a probability of 95 %. Impulses are in N s or N m s, loading rates in N/s or "
+        "N m/s. Residuals act from outside on a part that no joint connects to the ground."
+    )
+    return Table("workload", "Workload of joints and actuators", columns, tuple(rows), note)
+
+
+def _bars(elements: tuple[ElementWorkload, ...]) -> Illustration:
+    wide, narrow = (_bars_svg(elements, width) for width in (WIDE, NARROW))
+    text = "Peak (pale) and root mean square (full) of the force or torque of each joint and actuator."
+    return Illustration(wide, narrow, text, text)
+
+
+def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
+    """Return a drawing with one horizontal bar for each element: first forces, then torques, each with their own
+    scale.
+    """
+    left, right, step = (150.0, 110.0, 22.0) if width > NARROW else (130.0, 80.0, 22.0)
+    letters = 22 if width > NARROW else 19
+    parts, y = [], 8.0
+    for unit in ("N", "N m"):
+        chosen = sorted(
+            (element for element in elements if element.load.units == unit),
+            key=lambda one: (one.kind == "residual", -one.load.peak),
+        )[:BARS]
+        most = max((one.load.peak for one in chosen), default=0.0) or 1.0
+        for one in chosen:
+            long, short = ((width - left - right) * size / most for size in (one.load.peak, one.load.rms))
+            text = '<text x="{:.0f}" y="{:.0f}"{}>{}</text>'
+            end, name = Markup(' text-anchor="end"'), short_name(one.name, letters)
+            parts.append(Markup(text).format(left - 8, y + 12, end, name))
+            bar = '<rect class="bar of-{} {}" x="{:.0f}" y="{:.1f}" width="{:.1f}" height="14"/>'
+            kind = one.kind
+            parts.append(Markup(bar).format(kind, "pale", left, y, long))
+            parts.append(Markup(bar).format(kind, "full", left, y, short))
+            parts.append(Markup(text).format(left + long + 6, y + 12, "", f"{one.load.peak:.4g} {unit}"))
+            y += step
+        y += 10.0 if chosen else 0.0
+    return svg_of(parts, width, y)
+
+
+def _disagreement(run: Run) -> Section:
+    """Return the section on the residuals of the data columns and on the misalignment of the data."""
+    time = np.asarray(run.time)
+    rows: list[tuple[Cell, ...]] = []
+    worst: dict[str, tuple[float, str, float]] = {}
+    for name, one in run.motion.items():
+        size = np.abs(np.nan_to_num(one.residual))
+        row = int(np.argmax(size))
+        peak, when = float(size[row]), float(time[row])
+        rms = float(np.sqrt(np.nanmean(one.residual**2))) if np.any(np.isfinite(one.residual)) else 0.0
+        rows.append((name, one.units, rms, peak, when))
+        worst[one.units] = max(worst.get(one.units, (0.0, "", 0.0)), (peak, name, when))
+    columns = ("observed quantity", "unit", "rms of the residual", "largest residual")
+    residuals = Table(
+        "residuals",
+        "Residuals of the columns",
+        (*(Column(name) for name in columns), Column("time of the largest", "s")),
+        tuple(rows),
+        "Measured minus fitted value; gaps are left out.",
+    )
+    raw = run.raw_misalignment
+    gaps: list[tuple[Cell, ...]] = []
+    for index, joint in enumerate(run.joint_names):
+        known = np.isfinite(raw[:, index])
+        if np.any(known):
+            values = raw[known, index]
+            at = float(time[known][int(np.argmax(values))])
+            gaps.append((joint, float(np.sqrt(np.mean(values**2))), float(values.max()), at))
+    heads = columns_of("joint; rms [m]; largest [m]; time of the largest [s]")
+    note = "Misalignment of a joint if the bodies were placed by the measured data alone."
+    tables = [residuals] if any(peak > EXACT for peak, _, _ in worst.values()) else []
+    if gaps:
+        tables.append(Table("raw-gaps", "Misalignment of the data", heads, tuple(gaps), note))
+    told = [
+        f"{peak:.3g} {unit} ({name}, at {when:.4g} s)" for unit, (peak, name, when) in worst.items() if peak > EXACT
+    ]
+    sentence = f"The largest residuals are {' and '.join(told)}." if told else "The model fits the data exactly."
+    if not gaps:
+        sentence += " The data do not determine the positions of both bodies of any joint: misalignments are unknown."
+    return Section("data", "Differences between model and data", (sentence,), None, tuple(tables))

@@ -1,0 +1,237 @@
+"""Errors of measures of inverse dynamics, by samples of noise, of the person and its muscles, and by other cutoffs.
+
+The error bars of `mbdkit_biomech.inverse_dynamics.errors.error_bars` hold at single times, while a measure depends on
+all times.
+Measures are therefore computed again from noisy motions and loads, whose accelerations at both ends are drawn too.
+Errors are unknown if long gaps may hide changes of a measure. The same seed gives the same noise, which cancels in the
+difference of two results for one motion, such as those with and without a device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbdkit.plugin import RunError, SpecError
+from mbdkit.plugin.equations import elementary, product
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
+from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import CUTOFFS, HIDDEN
+from mbdkit_biomech.inverse_dynamics.errors.noise import NoisePath, noise_of
+from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries
+from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, motion_of_series
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
+from mbdkit_biomech.inverse_dynamics.results.record import run_of
+from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.uncertainty.changed_problem import Changer
+from mbdkit_biomech.uncertainty.sources import change_of, sources_of
+from mbdkit_biomech.uncertainty.uncertain_result import drawn
+
+SAMPLES = 40
+"""Number of samples; with this number, the relative scatter of the bounds is 1 / sqrt(2 * SAMPLES), 11 %."""
+
+UNCERTAIN_SAMPLES = 60
+"""Number of samples of the person and its muscles, each of which is computed exactly."""
+
+HIDDEN_SAMPLES = 8
+"""Number of samples of what long gaps may hide."""
+
+FACTOR = float(quantile(1.0))
+"""Ratio of the squared bound of a Gaussian variable to its mean square."""
+
+FIRST_NOISE = 1.0 / (np.sqrt(2.0) - 1.0)
+"""Ratio of the bias that the noise of the data causes to the mean change that further noise causes.
+
+Noise always increases a largest value or a root mean square. If noise dominates, these are proportional to its standard
+deviation, which the samples increase by a factor of sqrt(2). If noise is small, the ratio is 1 or so; the bias is then
+small compared with the scatter.
+"""
+
+
+@dataclass(frozen=True)
+class SampledMeasures:
+    """Measures of inverse dynamics for the data, for noisy data, for other cutoffs, and for other persons and muscles.
+
+    Attributes
+    ----------
+    value
+        (..., K) measures for the data.
+    noisy
+        (S, ..., K) measures with noise added to the data.
+    cutoffs
+        (C, ..., K) measures with other cutoffs; C may be 0.
+    uncertain
+        (P, ..., K) measures with other uncertain properties of the person and its muscles; P may be 0.
+    """
+
+    value: np.ndarray
+    noisy: np.ndarray
+    cutoffs: np.ndarray
+    uncertain: np.ndarray
+
+    def minus(self, other: SampledMeasures) -> SampledMeasures:
+        """Return the differences between two results, sample by sample, for the same noise, cutoffs, persons and
+        muscles.
+        """
+        return SampledMeasures(
+            self.value - other.value,
+            self.noisy - other.noisy,
+            self.cutoffs - other.cutoffs,
+            self.uncertain - other.uncertain,
+        )
+
+    def bounds(self) -> np.ndarray:
+        """Return the bounds (..., K) of the errors, which hold with the probability `LEVEL`; nan if they are unknown.
+
+        The bounds are root sums of squares of the effects of noise, person and muscles, and cutoffs. The effect of
+        noise is the bound of the scatter of the measure plus its bias, which is `FIRST_NOISE` times the mean change.
+        The square of the effect of person and muscles is `FACTOR` times the mean square change, which contains the
+        bias; for cutoffs, it is the mean square change itself. Samples that are nan, because the muscles cannot produce
+        the motion, are ignored. The bounds are nan if these are more than half of the samples.
+        """
+        square = np.zeros_like(self.value)
+        if len(self.noisy):
+            change = self.noisy - self.value
+            mean, number = known_mean(change), np.sum(np.isfinite(change), axis=0)
+            variance = known_mean((change - mean) ** 2)
+            bias = FIRST_NOISE * np.sqrt(np.maximum(0.0, mean**2 - variance / np.maximum(1, number)))
+            square = (bias + np.sqrt(FACTOR * variance)) ** 2
+        for factor, samples in ((FACTOR, self.uncertain), (1.0, self.cutoffs)):
+            if len(samples):
+                square = square + factor * known_mean((samples - self.value) ** 2)
+        return np.asarray(np.sqrt(square))
+
+
+def errors_of_measures(result: Inverse) -> dict[str, float]:
+    """Return the bounds of the errors of all measures of a result by name, in the units of the measures; empty if the
+    bounds are unknown.
+    """
+    names = [measure.name for measure in result.problem.spec.defined_measures()]
+    found = samples_of(result, names) if names else None
+    return {} if found is None else dict(zip(names, found.bounds().tolist(), strict=True))
+
+
+def sampled_measures(spec: InverseSpec, measures: Sequence[str]) -> SampledMeasures | None:
+    """Return K measures of a spec, given by their names, with their samples; see `samples_of`.
+
+    Raises
+    ------
+    MbdkitError
+        If the computation fails for the data.
+    """
+    return samples_of(compute(InverseProblem.of(spec)), measures)
+
+
+def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | None:
+    """Return K measures of a result, given by their names, with their samples.
+
+    Returns
+    -------
+    SampledMeasures or None
+        None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
+        stated nor can be estimated from the residuals.
+    """
+    spec = result.problem.spec
+    asked = spec.motion.errors
+    independent = result.independent
+    if asked == "none" or independent is None or not independent.names:
+        return None
+    random = np.random.default_rng(asked.seed)
+    measured, times = result.fitted.measured, result.motion.time
+    coordinates = independent.quantities.values(result.fitted.q)
+    how = fixed(times, coordinates, spec.motion.smooth)
+    path, gaps = NoisePath(result, independent, how), long_gaps(result)
+    left = measured.raw - measured.quantities.values(result.motion.q)
+    deviation = path.white(noise_of(path, left, measured.deviation, random), left)
+    if np.any(np.isnan(deviation)):
+        return None
+    series = smoothed_each(times, coordinates, how)
+    at_ends = changes_at_ends(times, coordinates, series, how, path, deviation=deviation)
+    noisy = [
+        _measured(_moved(result, independent, one, loads), measures)
+        for one, loads in _noisy(result, path, deviation, series, at_ends=at_ends, random=random)
+    ]
+    others = []
+    for factor in CUTOFFS:
+        moved = [with_cutoff(one, factor) or one for one in how]
+        if moved != how:
+            try:
+                other = smoothed_each(times, coordinates, moved)
+            except SpecError:  # the cutoff is too high for the sampling rate
+                continue
+            others.append(_measured(_moved(result, independent, other, result.problem.loads), measures))
+    value = _measured(result, measures)
+    changed = [*_uncertain(result, measures, random)]
+    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, changed)))
+    change = changes_in_gaps(result, path, gaps)
+    for _ in range(HIDDEN_SAMPLES if gaps else 0):
+        phase = random.uniform(0.0, 2 * np.pi, len(gaps))
+        other = _added(series, change, np.stack([elementary.cos(phase), elementary.sin(phase)], axis=1).ravel())
+        hidden = _measured(_moved(result, independent, other, result.problem.loads), measures)
+        found.noisy[:, np.abs(hidden - value) > HIDDEN * found.bounds()] = np.nan
+    return found
+
+
+def _noisy(
+    result: Inverse,
+    path: NoisePath,
+    deviation: np.ndarray,
+    series: Smoothed,
+    *,
+    at_ends: Smoothed,
+    random: np.random.Generator,
+) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
+    """Yield samples of the coordinates, with noise and with changes at both ends, and of the loads."""
+    for white in path.samples(deviation, SAMPLES, random):
+        block = white + path.artefacts(white.shape[2], random)
+        change = path.smoothed(block)
+        for own in np.eye(block.shape[2]):
+            ends = random.uniform(-1.0, 1.0, at_ends.value.shape[2:])
+            moved = _added(_added(series, change, own), at_ends, ends)
+            yield moved, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
+
+
+def _uncertain(result: Inverse, measures: Sequence[str], random: np.random.Generator) -> Iterator[np.ndarray]:
+    """Yield the measures (K,) for samples of the person and its muscles; nan where they cannot be computed, for example
+    because a tendon is longer than its path.
+    """
+    sources = sources_of(result.problem)
+    changer = Changer(result)
+    for values in drawn(sources, UNCERTAIN_SAMPLES, random) if sources else ():
+        try:
+            yield _measured(changer.at(change_of(sources, values)).forces(), measures)
+        except RunError:
+            yield np.full(len(measures), np.nan)
+
+
+def known_mean(samples: np.ndarray) -> np.ndarray:
+    """Return the mean (...) over the finite samples of (S, ...); nan where more than half of them are not finite."""
+    known = np.isfinite(samples)
+    number = np.sum(known, axis=0)
+    total = np.sum(np.where(known, samples, 0.0), axis=0)
+    return np.asarray(np.where(2 * number >= len(samples), total / np.maximum(number, 1), np.nan))
+
+
+def _added(series: Smoothed, changes: Smoothed, shares: np.ndarray) -> Smoothed:
+    """Return series (T, U) plus changes (T, U, C) times `shares` (C,)."""
+    return Smoothed(
+        series.value + product(changes.value, shares),
+        series.rate + product(changes.rate, shares),
+        series.acceleration + product(changes.acceleration, shares),
+    )
+
+
+def _moved(result: Inverse, independent: Independent, series: Smoothed, loads: dict[str, LoadSeries]) -> Inverse:
+    """Return the result for other coordinates and loads; tensions are nan in frames that muscles cannot produce."""
+    problem = replace(result.problem, loads=loads)
+    motion = motion_of_series(problem.fitter, independent, result.motion.time, result.motion.q, series)
+    return forces_of(problem, result.fitted, independent, motion, strict=False)
+
+
+def _measured(result: Inverse, measures: Sequence[str]) -> np.ndarray:
+    """Return the measures (K,) of a result."""
+    with run_of(result) as run:
+        return np.array([run.measures[name] for name in measures])

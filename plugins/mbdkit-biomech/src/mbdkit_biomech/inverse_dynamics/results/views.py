@@ -1,0 +1,20 @@
+"""What notebooks show of workloads."""
+
+from __future__ import annotations
+
+from mbdkit_biomech.inverse_dynamics.results.workload import Workload
+from mbdkit_report.figures.page_model import Cell, Table, columns_of
+from mbdkit_report.notebook.result_views import View
+
+
+def workload_view(found: Workload) -> View:
+    """Return the view of a workload."""
+    rows: list[tuple[Cell, ...]] = [
+        (one.name, one.kind, load.units, load.peak, load.peak_error, load.peak_time, load.impulse)
+        for one in found.elements
+        for load in (one.load, one.torque)
+        if load is not None
+    ]
+    columns = columns_of("element; kind; unit; peak; \u00b1 error; time of the peak [s]; impulse [unit s]")
+    table = Table("workload", "Loads", columns, tuple(rows))
+    return View("Workload", (f"From {found.start:g} s to {found.end:g} s.", found.note), tables=(table,))

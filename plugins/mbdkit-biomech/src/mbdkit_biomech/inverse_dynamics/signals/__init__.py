@@ -1,0 +1,1 @@
+"""Mathematics of sampled signals: filters, splines, cycles, distributions."""

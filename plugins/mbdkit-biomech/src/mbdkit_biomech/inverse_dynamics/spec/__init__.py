@@ -1,0 +1,1 @@
+"""What a spec of inverse dynamics says."""

@@ -1,0 +1,47 @@
+"""Loading of specs of inverse dynamics, and changes of their values."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from mbdkit.plugin import loaded
+from mbdkit.plugin.files import Path as KeyPath
+from mbdkit.plugin.specs import put
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+
+InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
+"""A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics."""
+
+
+def load_inverse_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> InverseSpec:
+    """Load and validate a spec of inverse dynamics, build its mechanism, and return the spec.
+
+    Parameters
+    ----------
+    source, overrides, sections
+        See `load_spec`; the source may also be an `InverseSpec`.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the file, line and key path if known.
+    """
+    return loaded("inverse", InverseSpec, source, overrides, sections)
+
+
+def is_inverse(data: Mapping[str, Any]) -> bool:
+    """Return whether plain data are a spec of inverse dynamics; only such specs have a section `motion`."""
+    return "motion" in data
+
+
+def varied_inverse(spec: InverseSpec, values: Sequence[tuple[KeyPath, Any]]) -> InverseSpec:
+    """Return a spec of inverse dynamics with values at key paths; raise SpecError if it is not valid."""
+    data = json.loads(spec.canonical_json())
+    for path, value in values:
+        put(data, path, value)
+    varied = InverseSpec(**data)
+    varied._document = spec._document
+    return varied

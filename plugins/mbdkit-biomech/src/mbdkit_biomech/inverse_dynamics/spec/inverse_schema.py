@@ -1,0 +1,20 @@
+"""JSON schema of the specs of inverse dynamics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbdkit.plugin.specs import DRAFT, Registry, described, model_schema, registry
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import inverse_spec_type
+
+
+def inverse_schema(installed: Registry | None = None) -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of the spec of inverse dynamics.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models and force laws to include; by default, all that are installed.
+    """
+    chosen = installed if installed is not None else registry()
+    return {"$schema": DRAFT, **described(model_schema(inverse_spec_type(chosen), chosen))}

@@ -1,0 +1,194 @@
+"""The spec of inverse dynamics: a model, its measured motion, loads and actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
+
+from mbdkit.plugin import GROUND, QuantityNames, SpecError, Target, path_text, quoted
+from mbdkit.plugin.mechanisms import joint_with_friction
+from mbdkit.plugin.specs import (
+    Choice,
+    DefinedMeasure,
+    ModelSpec,
+    Registered,
+    Registry,
+    RunMeasures,
+    check_name,
+    defined,
+    description,
+)
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
+    Actuator,
+    Criterion,
+    Load,
+    MeasuredMotion,
+    Recruitment,
+    Span,
+)
+from mbdkit_biomech.inverse_dynamics.spec.named_actuators import actuators_of, reserves_of
+from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
+from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Mechanism
+
+_PERSON_OF_SPEC: Target[Any] = Target("mbdkit_biomech.persons.person_spec:person_of_spec")
+"""Named by text, because specs are read by parts of mbdkit that do not compute inverse dynamics."""
+
+
+def _named(sections: dict[str, Any]) -> dict[str, Any]:
+    for name in sections:
+        if name != GROUND:  # allowed, because "ground" is a natural name for a load
+            check_name(name, name)
+    return sections
+
+
+class InverseSpec(ModelSpec):
+    """The complete input of inverse dynamics: from a measured motion to the loads of joints and actuators.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the key path.
+    """
+
+    model_config = ConfigDict(title="mbdkit spec of inverse dynamics", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "subject",
+        "parameters",
+        "loads",
+        "actuators",
+        "recruitment",
+        "uncertainty",
+        "measures",
+        "unbalanced",
+        "accept",
+    )
+
+    subject: Subject | None = None
+    """The person with the markers of `motion.clusters`, to whom the model is scaled."""
+    motion: MeasuredMotion
+    """The measured motion."""
+    loads: Annotated[dict[str, Load], AfterValidator(_named)] = Field(default_factory=dict)
+    """Measured loads by name, such as the force of the ground on a foot."""
+    actuators: Annotated[dict[str, Actuator], AfterValidator(_named)] = Field(default_factory=dict)
+    """Actuators by name; by default, one for each observed relative angle or travel. Bodies that no joint connects to
+    the ground have residual actuators in addition: root.x, root.y and root.angle, or actuators with the names that the
+    model gives to these coordinates."""
+    recruitment: Recruitment | None = None
+    """How the muscles of the model share the moments of the actuators; without it, muscles exert no force."""
+    uncertainty: Uncertainty | Literal["none"] | None = None
+    """How well the person, its loads and its muscles are known, for the error bars; on by default with `subject`, and
+    `none` to leave it out."""
+    unbalanced: Literal["refuse", "report"] = "refuse"
+    """What happens if the actuators cannot produce the motion: `refuse` makes this an error; `report` chooses their
+    values so that the sum of squares of the unbalanced generalized forces is smallest, and reports these forces."""
+    accept: list[Criterion] = Field(default_factory=list)
+    """Criteria that are not applied in the verdict on the data, because their findings are known and intended."""
+    time: Span = Span()
+    """The part of the motion that is used."""
+    measures: RunMeasures = Field(default_factory=dict)
+    """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, take from the result."""
+
+    _person: Any = PrivateAttr(default=None)
+
+    @property
+    def person(self) -> Any:
+        """The `mbdkit_biomech.persons.person.Person` that the markers determine; None without `subject`. It is computed
+        once and cached.
+
+        Raises
+        ------
+        SpecError
+            If markers are missing, or do not determine the person.
+        """
+        return None if self.subject is None else self._person_and_spec[0]
+
+    @property
+    def expanded(self) -> InverseSpec:
+        """The spec that is computed: for a person, that of the motion and loads of the scaled model; otherwise this
+        one.
+        """
+        spec: InverseSpec = self if self.subject is None else self._person_and_spec[1]
+        return spec
+
+    @property
+    def _person_and_spec(self) -> Any:
+        if self._person is None:
+            self._person = _PERSON_OF_SPEC()(self)
+        return self._person
+
+    def _build(self) -> Mechanism:
+        self._check_person()
+        return super()._build() if self.subject is None else self.expanded.mechanism()
+
+    def _check_person(self) -> None:
+        """Raise SpecError if keys need `subject`, or exclude it."""
+        motion = self.motion
+        if self.subject is not None:
+            if motion.columns is not None:
+                raise SpecError("follow from the markers with `subject`; leave this out", key="motion.columns")
+            if motion.is_run:
+                raise SpecError("should be a file of markers with `subject`, not a run", key="motion.file")
+            return
+        for key in OF_PERSONS:
+            if getattr(motion, key):
+                raise SpecError("needs `subject`, the person with these markers", key=f"motion.{key}")
+        for name, load in self.loads.items():
+            if load.plates is not None:
+                raise SpecError(
+                    "needs `subject`; without, give `force` and `point`", key=f"loads.{quoted(name)}.plates"
+                )
+
+    def _accept(self, mechanism: Mechanism) -> None:
+        if contacts := mechanism.elements.get("contacts"):
+            raise SpecError(
+                "inverse dynamics does not support contacts: omit them, and give the forces of the ground as `loads`",
+                key=f"model.contacts.{quoted(next(iter(contacts)))}",
+            )
+        if name := joint_with_friction(mechanism.joints):
+            raise SpecError(
+                "inverse dynamics does not support friction in joints; omit it",
+                key=f"model.joints.{quoted(name)}.friction",
+            )
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """None, because start and end follow from the measured motion."""
+        return None
+
+    @property
+    def items(self) -> list[Registered]:
+        """The registry entries of the model and the force laws."""
+        return [self.model_item, *self.force_law_items]
+
+    @property
+    def actuator_units(self) -> Mapping[str, str]:
+        """Units of the values of the actuators, by name.
+
+        If the observed quantities follow from the data, all possible actuators are listed.
+        """
+        names = QuantityNames(self.mechanism())
+        columns = self.motion.columns
+        # checked one by one, because the first of several names of a quantity would hide the others
+        if columns is None:
+            groups = [{name: quantity} for name, quantity in names.candidates().items()]
+        else:
+            groups = [{name: names.find(name, path_text(("motion", "columns", name))) for name in columns}]
+        found = [one for group in groups for one in actuators_of(self.actuators, names, group)]
+        reserves = [] if self.recruitment is None else reserves_of(self.recruitment, found)
+        return {one.name: one.unit for one in [*found, *(reserve.actuator for reserve in reserves)]}
+
+    def defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        """Return the measures of the result."""
+        return tuple(defined(self.measures, ("measures",)))
+
+
+def inverse_spec_type(installed: Registry) -> type[InverseSpec]:
+    """Return an InverseSpec class that selects from the given registry instead of the installed plugins."""
+    words = description(InverseSpec, "model")
+    field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
+    return create_model("InverseSpec", __base__=InverseSpec, __doc__=InverseSpec.__doc__, model=field)

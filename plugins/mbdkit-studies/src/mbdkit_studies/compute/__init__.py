@@ -1,0 +1,1 @@
+"""How the points of a study are computed: plan, tasks, pools and executors."""

@@ -1,0 +1,108 @@
+"""Runs many specs one after another, without an archive of each, and yields their results in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
+
+from mbdkit.base.text import joined_lines
+from mbdkit.kernels import WIDTH
+from mbdkit.plugin import MbdkitError, PluginError, ResourceError, RunSpec, SpecError, one_line
+from mbdkit.plugin.archives import FinishedRun
+from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra
+from mbdkit.plugin.runs import simulate_arrays
+from mbdkit_studies.compute.tasks import Outcome
+from mbdkit_studies.lanes.lane_runs import LaneRuns
+
+CHUNK = 8 * WIDTH
+"""Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together."""
+
+
+def simulate_batch(specs: Iterable[RunSpec], *, lanes: LaneRuns | None = None) -> Iterator[FinishedRun | Outcome]:
+    """Run validated specs, and yield the result of each, in the order of `specs`; see `simulate_in_any_order`."""
+    waiting: dict[int, FinishedRun | Outcome] = {}
+    following = 0
+    for some in simulate_in_any_order(specs, lanes=lanes):
+        waiting.update(some)
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
+
+
+def simulate_in_any_order(
+    specs: Iterable[RunSpec],
+    *,
+    begun: Callable[[int], None] = lambda place: None,
+    measures: Sequence[str] = (),
+    lanes: LaneRuns | None = None,
+) -> Iterator[list[tuple[int, FinishedRun | Outcome]]]:
+    """Run validated specs, and yield indices and results of runs as soon as they are known.
+
+    The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
+    index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit_studies.lanes.lane_runs`
+    for the exceptions. All others are computed one after another. The runs of a vector are yielded together, other
+    runs one by one.
+
+    Parameters
+    ----------
+    begun
+        Called with the index of a run in `specs`, from 0, before plugin code prepares the run or runs it alone. Several
+        runs are prepared before the first result is yielded.
+    measures
+        See `simulate`. Runs whose measures contain time integrals are not vectorized.
+    lanes
+        Loops and compiled mechanisms of earlier batches with the same `measures`; by default, new ones.
+    """
+    lanes, remaining = lanes or LaneRuns(Starts(), measures), iter(enumerate(specs))
+    while chunk := list(islice(remaining, CHUNK)):
+        with one_thread_of_linear_algebra():
+            prepared = lanes.members(_noted(chunk, begun))
+        alone = [index for index, member in enumerate(prepared) if member is None]
+        vectorized = [index for index, member in enumerate(prepared) if member is not None]
+        vectors = lanes.finished([member for member in prepared if member is not None])
+        while True:
+            with one_thread_of_linear_algebra():
+                some = next(vectors, None)
+            if some is None:
+                break
+            alone += [vectorized[number] for number, run in some if run is None]
+            yield [(chunk[vectorized[number]][0], run) for number, run in some if run is not None]
+        for index in sorted(alone):
+            place, spec = chunk[index]
+            begun(place)
+            yield [(place, _alone(spec, lanes.starts, measures))]
+
+
+def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:
+    """Yield the specs of runs; before each, call `begun` with its index."""
+    for place, spec in chunk:
+        begun(place)
+        yield spec
+
+
+def _alone(spec: RunSpec, starts: Starts, measures: Sequence[str]) -> FinishedRun | Outcome:
+    """Run one spec without vectorization."""
+    try:
+        return simulate_arrays(spec, starts=starts, measures=measures)
+    except (Exception, SystemExit) as error:
+        return refusal(error)
+
+
+def refusal(error: BaseException) -> Outcome:
+    """Return the outcome of a run that raised an exception.
+
+    It is ``failed`` if the run is the cause, and ``missing`` if a resource was not available, so that a second attempt
+    may succeed.
+    """
+    match error:
+        case SpecError():
+            return Outcome("failed", f"wrong-input: {joined_lines(str(error))}")
+        case ResourceError() | OSError():
+            return Outcome("missing", f"no-resources: {error}")
+        case MemoryError():
+            return Outcome("missing", "no-resources: there is not enough memory.")
+        case PluginError():
+            return Outcome("failed", f"plugin-error: {error}")
+        case MbdkitError():
+            return Outcome("failed", f"error: {error}")
+    return Outcome("failed", f"error: {one_line(error)}")

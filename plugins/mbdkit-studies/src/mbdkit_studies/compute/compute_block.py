@@ -1,0 +1,331 @@
+"""Computes one block of runs of a study in any worker process, given the folder of the study and the block's number."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from mbdkit.archive.stored_mechanism import is_determined
+from mbdkit.base.plain_data import collecting_new_objects_only
+from mbdkit.base.text import joined_lines
+from mbdkit.measures.take import with_error
+from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, path_text
+from mbdkit.plugin.archives import ArrayContents, FinishedRun, mechanism_json
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.files import file_locks, files_json
+from mbdkit.plugin.measures import Description
+from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs
+from mbdkit.plugin.terminal import say
+from mbdkit.runs.provenance import plugins_of, surroundings
+from mbdkit_studies.compute.batch import CHUNK, refusal, simulate_in_any_order
+from mbdkit_studies.compute.study_plan import StudyPlan
+from mbdkit_studies.compute.tasks import Outcome, mark_of
+from mbdkit_studies.compute.unfinished_block import UnfinishedBlock
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.planned_points import PlannedPoint
+from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, places_by_group
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, Store, kept, write_block
+from mbdkit_studies.store.study_blocks import stored
+
+MISALIGNMENT = "misalignment_max"
+"""The measure that blocks store in a column apart from the other measures."""
+
+PATIENCE = 10.0
+"""Time to wait for another process that computes the same block, such as one whose parent was killed [s]."""
+
+
+class BlockMeasures:
+    """The measures that are computed for the runs in blocks.
+
+    Parameters
+    ----------
+    plan
+        The plan of the study.
+    """
+
+    def __init__(self, plan: StudyPlan):
+        self.plan, self.spec = plan, plan.spec
+
+    @cached_property
+    def _defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        return self.spec.defined_measures()
+
+    @cached_property
+    def described(self) -> dict[str, tuple[str, str]]:
+        """Unit and description of each measure."""
+        # the misalignment has its own column
+        built_in = {name: MEASURES[name] for name in self.plan.built_in if name != MISALIGNMENT}
+        checked = OF_CHECKED_RUNS if self.is_checked else {}
+        measures: dict[str, Measure | Description] = {**built_in, **self.plan.defined, **checked}
+        return {name: (measure.units, measure.long_name) for name, measure in measures.items()}
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether the spec of the first valid sample of the plan requests error estimates."""
+        return any(spec.estimates_errors for _, spec in self.plan.valid_samples[:1])
+
+    def of(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Outcome]:
+        """Return, for each run, its measures by name or the reason why they could not be computed."""
+        runs = [Run(ArrayContents(finished, spec)) for finished, spec in results]
+        taken: list[dict[str, float] | Outcome] = [Outcome("", "")] * len(runs)
+        for places in places_by_group([finished for finished, _ in results]):
+            group = RunGroup([runs[place] for place in places], recorded=[results[place][0].arrays for place in places])
+            columns = {name: MEASURES[name].take(group).tolist() for name in self.plan.built_in if name != MISALIGNMENT}
+            for number, place in enumerate(places):
+                built_in = {name: column[number] for name, column in columns.items()}
+                try:
+                    taken[place] = built_in | self._of_one(runs[place])
+                except Exception as error:
+                    taken[place] = refusal(error)
+        return taken
+
+    def _of_one(self, run: Run) -> dict[str, float]:
+        """Return the measures that are computed for one run at a time."""
+        taken: dict[str, float] = {}
+        for measure in self._defined_measures:
+            taken |= with_error(measure, run, run.run_spec)
+        checked = {} if run.accuracy is None else OF_CHECKED_RUNS
+        return taken | {name: measure.of(run) for name, measure in checked.items()}
+
+
+@dataclass(frozen=True)
+class _Member:
+    """A run of a block.
+
+    Parameters
+    ----------
+    point
+        Point of the study.
+    base
+        Spec that all points of the family share, as JSON.
+    values
+        Values that the point sets in the base, by key.
+    spec
+        Spec of the run, or the reason why the run is not computed.
+    """
+
+    point: PlannedPoint
+    base: str
+    values: Mapping[str, Any]
+    spec: RunSpec | Outcome
+
+
+def compute_block(
+    folder: str | Path, block: int, *, skip: Mapping[int, str] | None = None, notify: Callable[[str], None] = say
+) -> int:
+    """Compute the runs of a block and write its file.
+
+    Everything needed is read from the folder, so that any process with access to it can compute the block. Meanwhile, a
+    file beside the block contains the number of the run in progress; see `mbdkit_studies.compute.tasks.run_at_work`.
+
+    Parameters
+    ----------
+    folder
+        Folder of the study, with its study.yaml.
+    block
+        Number of the block, from 0.
+    skip
+        Reasons for which runs are recorded as failed without being computed, by number of the run.
+    notify
+        Called with each warning of a run.
+
+    Returns
+    -------
+    int
+        Number of failed runs.
+
+    Raises
+    ------
+    SpecError
+        If the folder contains no study in blocks.
+    ResourceError
+        If the block cannot be written, or another process is computing it.
+    """
+    files = StudyFolder(Path(folder))
+    measures = _measures(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
+    plan = measures.plan
+    skip = skip or {}
+    heading = BlockHeading(
+        plan.spec.sha256(), stored(plan.spec), surroundings(), measures.described, plan.spec.compress
+    )
+    unfinished = UnfinishedBlock(files.block(block), heading)
+    # entered here, because entering it for each vector of runs would take time
+    with _Mark(files.block(block)) as mark, collecting_new_objects_only(), one_thread_of_linear_algebra():
+        varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
+        members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
+        runs = _taken_over(unfinished.saved(), members)
+        pending: list[tuple[_Member, FinishedRun | Outcome]] = []
+
+        def add() -> None:
+            new = _stored(measures, pending)
+            pending.clear()
+            unfinished.add(new)
+            runs.update({run.number: run for run in new})
+
+        for some in _results(plan, [one for one in members if one.point.number not in runs], mark, notify):
+            pending += some
+            if len(pending) >= CHUNK or unfinished.is_due:
+                add()
+        add()
+        write_block(files.block(block), heading, [runs[member.point.number] for member in members])
+        unfinished.remove()
+    return sum(run.status == "failed" for run in runs.values())
+
+
+def _taken_over(saved: Mapping[int, BlockRun], members: Sequence[_Member]) -> dict[int, BlockRun]:
+    """Return those saved runs, by number, that have the specs and the plugins of members."""
+    runs = {}
+    for member in members:
+        run, spec = saved.get(member.point.number), member.spec
+        if run is None or not isinstance(spec, RunSpec):
+            continue
+        same = run.spec_sha256, run.run_id, run.plugins
+        if same == (spec.sha256(), spec.run_id(), _plugins_json(tuple(plugins_of(spec).items()))):
+            runs[run.number] = replace(run, base=member.base, values=member.values)
+    return runs
+
+
+@lru_cache(maxsize=4)
+def _measures(study: str, changed: int) -> BlockMeasures:
+    """Return the measures of a study, with its plan; cached for all blocks that a process computes."""
+    spec = load_study_spec(study)
+    if not spec.in_blocks:
+        raise SpecError("this study is not stored in blocks", file=study)
+    return BlockMeasures(StudyPlan(spec))
+
+
+def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark) -> _Member:
+    base, values = point.grid.base_json, {path_text(setting.path): setting.value for setting in point.settings}
+    if point.lacking:
+        reason = f"not-installed: the distribution {point.lacking} is not installed."
+        return _Member(point, base, values, Outcome("left-out", reason))
+    if point.number in skip:
+        return _Member(point, base, values, Outcome("failed", skip[point.number]))
+    mark.note(point.number)  # before the mechanism is built, because a model of a plugin may end the process
+    try:
+        spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
+        spec.mechanism()
+    except SpecError:
+        try:
+            # `point.spec` raises the error again, with the location in the study that causes it
+            return _Member(point, base, values, point.spec)
+        except SpecError as error:  # stored without the file name, which depends on the folder
+            text = f"{error.key}: {error.message}" if error.key else error.message
+            return _Member(point, base, values, Outcome("failed", f"wrong-input: {joined_lines(text)}"))
+    except Exception as error:
+        return _Member(point, base, values, refusal(error))
+    return _Member(point, base, values, spec)
+
+
+def _results(
+    plan: StudyPlan, members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
+) -> Iterator[list[tuple[_Member, FinishedRun | Outcome]]]:
+    """Yield members with their results as soon as these are known."""
+    computed = [member for member in members if isinstance(member.spec, RunSpec)]
+    results = simulate_in_any_order(
+        [member.spec for member in computed if isinstance(member.spec, RunSpec)],
+        begun=lambda place: mark.note(computed[place].point.number),
+        measures=plan.expressions,
+    )
+    for some in results:
+        for _, result in some:
+            for warning in result.warnings if isinstance(result, FinishedRun) else ():
+                notify(f"warning: {warning}")
+        yield [(computed[place], result) for place, result in some]
+    yield [(member, member.spec) for member in members if isinstance(member.spec, Outcome)]
+
+
+def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun | Outcome]]) -> list[BlockRun]:
+    """Return the data that the block stores for several runs."""
+    finished = [
+        (result, member.spec)
+        for member, result in some
+        if isinstance(result, FinishedRun) and isinstance(member.spec, RunSpec)
+    ]
+    measured = iter(measures.of(finished))
+    return [
+        _block_run(stored(measures.spec), member, result, next(measured) if isinstance(result, FinishedRun) else {})
+        for member, result in some
+    ]
+
+
+def _block_run(
+    store: Store, member: _Member, result: FinishedRun | Outcome, measured: dict[str, float] | Outcome
+) -> BlockRun:
+    """Return the data that the block stores for one run."""
+    spec, ended = member.spec, measured if isinstance(measured, Outcome) else result
+    run = BlockRun(member.point.number, member.base, member.values, ended.status, ended.reason)
+    if isinstance(spec, Outcome):
+        return run
+    run = replace(run, spec_sha256=spec.sha256(), run_id=spec.run_id())
+    if isinstance(result, Outcome):
+        return run
+    return replace(
+        run,
+        plugins=_plugins_json(tuple(plugins_of(spec).items())),
+        result=kept(result, store),
+        measures=None if isinstance(measured, Outcome) else measured,
+        # That of a packaged model is not stored for each run, because its spec alone determines it.
+        mechanism="" if is_determined(spec) else mechanism_json(spec.mechanism()),
+        files=files_json(spec.files_read) if spec.files_read else "",
+    )
+
+
+@lru_cache(maxsize=64)
+def _plugins_json(plugins: tuple[tuple[str, str], ...]) -> str:
+    return json.dumps(dict(plugins), separators=(",", ":"))
+
+
+class _Mark:
+    """The file with the number of the run in progress in a block; it is removed when the block is finished.
+
+    It is locked, so that two processes cannot compute the same block, for example if the worker of an executor is
+    wrongly considered lost.
+    """
+
+    def __init__(self, block: Path):
+        self.path, self.block = mark_of(block), block
+        self.number = 0
+
+    def __enter__(self) -> _Mark:
+        self.handle = file_locks.open_file(self.path, os.O_RDWR | os.O_CREAT | file_locks.NO_LINKS)
+        try:
+            self._lock()
+            os.ftruncate(self.handle, 0)
+        except BaseException:
+            os.close(self.handle)
+            raise
+        return self
+
+    def _lock(self) -> None:
+        until = time.monotonic() + PATIENCE
+        while True:
+            try:
+                file_locks.lock(self.handle)
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    message = "another process is computing this block; repeat the command when it has ended"
+                    raise ResourceError(message, file=self.block) from None
+                time.sleep(0.05)
+            except OSError:  # the file system does not support locks
+                return
+            else:
+                return
+
+    def note(self, number: int) -> None:
+        """Write the number of the run that is computed next."""
+        if number != self.number:
+            os.lseek(self.handle, 0, os.SEEK_SET)
+            os.write(self.handle, f"{number:8d}".encode())
+            self.number = number
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self.handle)
+        self.path.unlink(missing_ok=True)

@@ -1,0 +1,264 @@
+"""The runs of a study that stores one archive per run."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mbdkit.archive.untrusted_file import is_sparse
+from mbdkit.measures.take import with_error
+from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, counted, load
+from mbdkit.plugin.archives import COUNTERS, DAMAGE, TIMINGS, data_sha256
+from mbdkit.plugin.runs import functionals_of
+from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
+from mbdkit_studies.compute.study_plan import plan_study
+from mbdkit_studies.compute.tasks import Outcome, Task
+from mbdkit_studies.folder.folder_lock import Shard
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
+from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.store.study_index import BETWEEN_REASONS, Index, Row, quartiles
+
+
+class RunFiles(RunStore[str]):
+    """Stores an archive for each run; the results of second runs and repeated timings are stored in the index.
+
+    Second runs and timings are computed after the missing runs, and only by calls for the whole study, not for a shard.
+    Timings are made one after another in a separate process of this machine.
+    """
+
+    def __init__(self, spec: StudySpec, folder: StudyFolder):
+        super().__init__(spec, folder)
+        self.plan = plan_study(spec)
+        self.count = len(self.plan.runs)
+        self._defined = spec.defined_measures()
+        self._is_timed = any(grid.repeats > 1 for grid in self.plan.points.grids)
+        self._of_second_runs = [name for name in spec.built_in_measures or () if name in SECOND]
+        #: Names of the numeric columns that are computed from every archive; checked runs have further columns.
+        self._columns = (*self.plan.built_in, *(measure.name for measure in self._defined), *COUNTERS, *TIMINGS)
+        self._hashes: dict[str, str] = {}
+        self._timings: dict[str, tuple[float, ...]] = {}
+        self._second: dict[str, Outcome] = {}
+
+    def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
+        """See `RunStore.begin`."""
+        for name, count in Counter(point.lacking for point in self.plan.points if point.lacking).items():
+            notify(f"{counted(count, 'run')} left out: the distribution {name} is not installed")
+        before = self.index_before()
+        rows = [] if before is None else before.rows()
+        self._by_run = {row.run_id: row for row in rows}
+        self._measured = {(row.run_id, row.reference_id): row for row in rows}
+        missing = set(self.missing(self.plan.runs))
+        own = [run_id for index, run_id in enumerate(self.plan.runs) if shard is None or shard.has(index)]
+        self._missing = [run_id for run_id in own if run_id in missing]
+        self._again = self._to_run_again() if shard is None else []
+        self._repeats = self._missing_repeats() if shard is None else {}
+        return len(self._missing) + len(self._again) + len(self._repeats)
+
+    def _to_run_again(self) -> list[str]:
+        """Return the runs that still need a second run; reference runs never do."""
+        if not self.spec.second_run_measures:
+            return []
+        wanted = dict.fromkeys(point.run_id for point in self.plan.points if not point.lacking)
+        return [run_id for run_id in wanted if self._run_twice(run_id) is None]
+
+    def _missing_repeats(self) -> dict[str, int]:
+        """Return the number of timings to make, by run, for the runs that lack timings."""
+        wanted: dict[str, int] = {}
+        for point in self.plan.points:
+            count = point.grid.repeats
+            if not point.lacking and count > max(1, len(self._repeats_before(point.run_id))):
+                wanted[point.run_id] = max(count, wanted.get(point.run_id, 0))
+        return wanted
+
+    def rounds(self) -> Iterator[Round]:
+        """Yield the missing runs, then the second runs and the timings of complete runs."""
+        runs = [self._task(run_id, measures=self.plan.expressions) for run_id in self._missing]
+        yield Round(runs, len(runs))
+        second = self.spec.second_run_measures
+        again = [self._task(run_id, second=second) for run_id in self._again if self._is_complete(run_id)]
+        yield Round(again, len(self._again))
+        repeats = [(run_id, count) for run_id, count in self._repeats.items() if self._is_complete(run_id)]
+        timings = [self._task(run_id, repeats=count) for run_id, count in repeats]
+        yield Round(timings, len(self._repeats), one_by_one=True)
+
+    def _task(self, run_id: str, **content: Any) -> Task:
+        """Return the task that computes a run, with or without writing its archive."""
+        spec = self.plan.runs[run_id].canonical_json()
+        return Task(run_id, {"spec": spec, **content}, self.folder.archive(run_id), writes="measures" in content)
+
+    def _is_complete(self, run_id: str) -> bool:
+        return self.outcome(run_id).status == "complete"
+
+    def note(self, task: Task, outcome: Outcome) -> None:
+        """See `RunStore.note`."""
+        self.unfinished += [outcome.reason] if outcome.is_passing else []
+        if "second" in task.content:
+            self._second[task.key] = outcome
+        elif "repeats" in task.content:
+            self._timings[task.key] = outcome.seconds
+        else:
+            self.note_file(task.key, outcome)
+            self.computed += 1
+            self.failed += int(outcome.status == "failed" or outcome.is_passing)
+
+    def index(self) -> Index:
+        """Return the index of the archives that exist; rows of unchanged archives are copied from the previous
+        index.
+        """
+        known: dict[tuple[str, str], Row] = {}
+        rows = []
+        for point in self.plan.points:
+            if point.lacking:
+                reason = f"not-installed: the distribution {point.lacking} is not installed."
+                values = dict.fromkeys((*self._columns, *self._of_second_runs), math.nan)
+                row = Row("", "left-out", reason, values=values)
+            else:
+                key = point.run_id, point.reference_id
+                if key not in known:
+                    known[key] = self._row(*key)
+                row = known[key]
+            rows.append(replace(row, family=point.family, axes=point.axes))
+        references = dict.fromkeys(reference_id for _, reference_id in known if reference_id)
+        return Index.of_rows(rows, [self._row(run_id, "") for run_id in references], self.plan.defined)
+
+    def _row(self, run_id: str, reference_id: str) -> Row:
+        """Return the row of a run, without its family and axes."""
+        path, outcome = self.folder.archive(run_id), self.outcome(run_id)
+        # A plugin that computes a measure may have changed since the previous index.
+        use_plugins = any(measure.item is not None for measure in self._defined)
+        row = None if use_plugins else self._measured_before(run_id, reference_id)
+        if row is None and outcome.status != "missing" and path.exists():
+            is_compared = bool(reference_id) and self._is_complete(reference_id)
+            sha256 = self._file_sha256(run_id)
+            try:
+                reference = self.folder.archive(reference_id) if is_compared else None
+                row = replace(self._row_of(path, reference, self.plan.runs[run_id]), file_sha256=sha256)
+            except (SpecError, ResourceError) as error:  # the archive was damaged after it was computed
+                outcome = Outcome("missing", f"error: {error}")
+        row = row or Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(self._columns, math.nan))
+        row = self._with_second_run(row, self._second.get(run_id), self._run_twice(run_id))
+        seconds = tuple(self._timings.get(run_id) or self._repeats_before(run_id))
+        values = {**row.values, **quartiles(seconds)} if self._is_timed else row.values
+        return replace(row, values=values, repeats=seconds, reference_id=reference_id)
+
+    def _row_of(self, archive: Path, reference: Path | None, spec: RunSpec) -> Row:
+        """Return the row of a run, with values computed from its archive and from that of its reference run, if any.
+
+        Raises
+        ------
+        SpecError, ResourceError
+            If an archive cannot be read.
+        """
+        with load(archive) as run, nullcontext() if reference is None else load(reference) as compared:
+            return Row(
+                run.run_id,
+                run.status,
+                run.status_reason,
+                worst_joint=worst_joint(run),
+                data_sha256=run.data_sha256,
+                values=self._values(run, compared, spec),
+                verdict=run.verdict,
+                verdict_reasons=BETWEEN_REASONS.join(run.verdict_reasons),
+            )
+
+    def _values(self, run: Run, reference: Run | None, spec: RunSpec) -> dict[str, float]:
+        group = RunGroup([run], reference)
+        taken = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
+        for measure in self._defined:
+            taken |= with_error(measure, run, spec)
+        if run.accuracy is not None:
+            taken |= {name: float(measure.take(group)[0]) for name, measure in OF_CHECKED_RUNS.items()}
+        return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
+
+    def _with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
+        """Return a row to which the measures that need a second run are added.
+
+        The measures are taken from `made`, the outcome of the second run in this call. If this call has made no second
+        run, or if the second run failed for an external reason, they are taken from `before`, the row of the run in the
+        previous index.
+        """
+        if made is not None and not made.is_passing:
+            values, note = made.values, made.reason or made.status
+        elif before is not None and self._of_second_runs:
+            values, note = before.values, before.second_run
+        else:
+            values, note = {}, ""
+        second = {name: values.get(name, math.nan) for name in self._of_second_runs}
+        return replace(row, values={**row.values, **second}, second_run=note)
+
+    def _is_unchanged(self, run_id: str) -> bool:
+        """Return whether the archive of a run has the same bytes as when it was indexed."""
+        row = self._by_run.get(run_id)
+        return row is not None and bool(row.file_sha256) and row.file_sha256 == self._file_sha256(run_id)
+
+    def _file_sha256(self, run_id: str) -> str:
+        """Return the SHA-256 of the bytes of the archive of a run; empty if it is missing, sparse or unreadable."""
+        if run_id not in self._hashes:
+            path = self.folder.archive(run_id)
+            try:
+                if not path.is_file() or is_sparse(path):
+                    return ""
+                with path.open("rb") as file:
+                    self._hashes[run_id] = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError:
+                return ""
+        return self._hashes[run_id]
+
+    def _repeats_before(self, run_id: str) -> tuple[float, ...]:
+        """Return the serial timings of a run from earlier calls [s]."""
+        return self._by_run[run_id].repeats if run_id in self._by_run else ()
+
+    def _run_twice(self, run_id: str) -> Row | None:
+        """Return the indexed row of a run that was computed twice, if its archive has not changed since; else None."""
+        return self._by_run[run_id] if self._is_unchanged(run_id) and self._by_run[run_id].second_run else None
+
+    def _measured_before(self, run_id: str, reference_id: str) -> Row | None:
+        """Return the indexed row of a run if its archive and that of its reference have not changed; else None."""
+        row = self._measured.get((run_id, reference_id))
+        unchanged = all(self._is_unchanged(name) for name in (run_id, reference_id) if name)
+        return row if unchanged and row is not None and row.verdict else None
+
+    def forget(self, key: str) -> None:
+        """See `RunStore.forget`."""
+        super().forget(key)
+        self._hashes.pop(key, None)
+
+    def indexed(self, key: str) -> Outcome | None:
+        """See `RunStore.indexed`."""
+        row = self._by_run.get(key)
+        if row is None:
+            return None
+        is_refused = row.status_reason.startswith("wrong-input")  # invalid input leaves no archive
+        is_known = self._is_unchanged(key) or (is_refused and not self.folder.archive(key).exists())
+        return Outcome(row.status, row.status_reason) if is_known else None
+
+    def read(self, key: str) -> Outcome:
+        """See `RunStore.read`."""
+        path = self.folder.archive(key)
+        try:
+            run = load(path)
+        except (SpecError, ResourceError):
+            return MISSING
+        with run:
+            if run.run_id != key or run.spec_sha256 != self.plan.runs[key].sha256():
+                raise SpecError(
+                    "this archive contains another run than its name says; move it to another folder", file=path
+                )
+            try:
+                sound = data_sha256(run.file) == run.data_sha256
+            except DAMAGE:
+                sound = False
+            ended = run.status in ("complete", "failed") and self._has_integrals(run)
+            return Outcome(run.status, run.status_reason) if sound and ended else MISSING
+
+    def _has_integrals(self, run: Run) -> bool:
+        """Return whether a run has the time integrals that the measures of the study need."""
+        needed = {integral.text for integral in functionals_of(self.plan.runs[run.run_id], self.plan.expressions)}
+        return needed <= run.integrals.keys()

@@ -1,0 +1,130 @@
+"""The finished runs of a block while it is computed, which are saved every few seconds in small files beside the block.
+
+Each file, ``.block-000000.piece-NUMBER``, is itself a block. After an interruption, the next process that computes
+the block takes over the runs of these files. They are removed when the block has been written.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mbdkit.plugin import MbdkitError
+from mbdkit.plugin.archives import DAMAGE
+from mbdkit.runs.provenance import DECIDE_LAST_BITS
+from mbdkit_studies.compute.tasks import Outcome
+from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, block_image
+from mbdkit_studies.store.blocks import Block
+
+INTERVAL = 2.0
+"""Smallest processor time between two files [s]. Writing one takes about 0.04 s of it, and 5 s per GB."""
+
+LEAST_SHARE = 0.1
+"""Share of the wall time that counts as processor time if a process gets less of it, or waits."""
+
+LARGEST_RATE = 1e7
+"""Bytes of arrays per second of processor time above which runs are not saved, because saving them would take more than
+5 % of the time. At this rate, a block of 64 MB is complete after 6 s.
+"""
+
+PIECE = ".piece-"
+
+
+def pieces_of(block: Path) -> list[Path]:
+    """Return the files with runs of an unfinished block."""
+    return list(block.parent.glob(f".{block.stem}{PIECE}*"))
+
+
+class UnfinishedBlock:
+    """The runs of a block that have been computed so far.
+
+    Parameters
+    ----------
+    block
+        Path of the block.
+    heading
+        What all of its runs have in common.
+    """
+
+    def __init__(self, block: Path, heading: BlockHeading):
+        self._block, self._heading = block, heading
+        self._unsaved: list[BlockRun] = []
+        self._bytes, self._begin = 0, (time.process_time(), time.monotonic())
+
+    def saved(self) -> dict[int, BlockRun]:
+        """Return the runs that an interrupted process has saved, by number, without their `base` and `values`.
+
+        Runs that a second attempt may change are left out, and so are files of other versions of software, whose
+        results may have other last bits.
+        """
+        runs: dict[int, BlockRun] = {}
+        for path in pieces_of(self._block):
+            with suppress(MbdkitError, *DAMAGE), Block(path) as piece:  # a kill may leave a truncated file
+                if self._suits(piece):
+                    runs |= {run.number: run for run in _runs(piece)}
+        return runs
+
+    def _suits(self, piece: Block) -> bool:
+        """Return whether a file is sound, and contains runs of this study that have the bits of new ones."""
+        then, now = piece.file["provenance"].attrs, self._heading.provenance
+        same = all(str(then.get(name)) == str(now[name]) for name in DECIDE_LAST_BITS)
+        return same and piece.study_sha256 == self._heading.study_sha256 and piece.is_sound()
+
+    @property
+    def is_due(self) -> bool:
+        """Whether enough time has passed since the last file for the runs that have been added since then."""
+        processor, wall = self._begin
+        passed = max(time.process_time() - processor, LEAST_SHARE * (time.monotonic() - wall))
+        return passed >= INTERVAL and self._bytes <= LARGEST_RATE * passed
+
+    def add(self, runs: Sequence[BlockRun]) -> None:
+        """Add runs, and save all that have not been saved if this is due."""
+        self._unsaved += runs
+        self._bytes += sum(one.nbytes for run in runs if run.result is not None for one in run.result.arrays.values())
+        if not self.is_due:
+            return
+        path = self._block.with_name(f".{self._block.stem}{PIECE}{time.time_ns()}")
+        with suppress(OSError):  # the disk may be full, as an error says when the block itself is written
+            path.write_bytes(block_image(self._heading, self._unsaved))
+        self._unsaved, self._bytes, self._begin = [], 0, (time.process_time(), time.monotonic())
+
+    def remove(self) -> None:
+        """Remove the files, after the block itself has been written."""
+        for path in pieces_of(self._block):
+            path.unlink(missing_ok=True)
+
+
+def _runs(piece: Block) -> list[BlockRun]:
+    """Return the final runs of a file."""
+    columns, stored = piece.columns("measures"), piece.runs
+    found = []
+    for row, number in enumerate(piece.numbers.tolist()):
+        status, reason = str(stored["status"][row]), str(stored["status_reason"][row])
+        if not (stored["data_sha256"][row] and Outcome(status, reason).is_final):
+            continue
+        result, worst = piece.results(number), str(stored["worst_joint"][row])
+        if piece.store == "hashes" and worst:  # only the largest misalignment and its joint are stored
+            others = np.array(result.names.joints) != worst
+            result = replace(result, misalignment_max=np.where(others, 0.0, result.misalignment_max))
+        found.append(
+            BlockRun(
+                number,
+                "",
+                {},
+                status,
+                reason,
+                str(stored["spec_sha256"][row]),
+                str(stored["run_id"][row]),
+                str(stored["plugins"][row]),
+                result,
+                {name: float(values[row]) for name, values in columns.items()},
+                str(stored["mechanism"][row]),
+                str(stored["files"][row]),
+            )
+        )
+    return found

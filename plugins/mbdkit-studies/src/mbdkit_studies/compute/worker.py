@@ -1,0 +1,169 @@
+"""Carries out the tasks of a study, in a worker process of this machine or in one that an executor has started.
+
+``python -m mbdkit_studies.compute.worker`` reads tasks as JSON lines from standard input, and writes results as JSON
+lines. It exits immediately when its standard input is closed, even during a task. Executors call `compute`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import queue
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import mbdkit
+from mbdkit.base.command_words import executing
+from mbdkit.plugin import MbdkitError, SpecError, shown
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit_studies.compute.batch import refusal
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Run
+
+Carry = Callable[[dict[str, Any], Callable[[str], None]], dict[str, Any]]
+"""Function that carries out the task described by a message, and returns the answer.
+
+Its second argument is a function that passes notes to the user.
+"""
+
+
+def main(carry: Carry | None = None) -> None:
+    """Carry out tasks by `carry`, by default those of studies, until standard input is closed."""
+    carry = carry or _work
+    if hasattr(signal, "SIGBREAK"):  # Ctrl-Break reaches all processes of a console of Windows
+        signal.signal(signal.SIGBREAK, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # keep the output of plugins apart from the results
+    tasks: queue.SimpleQueue[str] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(sys.stdin, tasks), daemon=True).start()
+
+    def answer(message: dict[str, Any]) -> None:
+        answers.write(json.dumps(message) + "\n")
+        answers.flush()
+
+    def notify(text: str) -> None:
+        answer({"note": text})
+
+    while True:
+        answer(_outcome(json.loads(tasks.get()), notify, carry))
+
+
+def _read(source: IO[str], tasks: queue.SimpleQueue[str]) -> None:
+    for line in source:
+        tasks.put(line)
+    os._exit(0)  # the parent process is gone
+
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Lock held while tasks are computed, because threads of one process would compete for the interpreter and share its
+state.
+"""
+
+
+def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | None = None) -> list[dict[str, Any]]:
+    """Carry out tasks in a process that an executor has started, possibly on another machine.
+
+    Parameters
+    ----------
+    tasks
+        Messages of the tasks, see `mbdkit_studies.compute.tasks`.
+    of_version
+        The version of mbdkit with which the study is computed; workers with other versions refuse tasks.
+    carry
+        Function that carries out a task; by default, a task of a study.
+
+    Returns
+    -------
+    list
+        Answer to each task, in the form that worker processes use, with the notes of the task and the name of this
+        machine.
+    """
+    with _ONE_AT_A_TIME, one_thread_of_linear_algebra():
+        return [_answered(task, of_version, carry or _work) for task in tasks]
+
+
+def _answered(task: dict[str, Any], of_version: str, carry: Carry) -> dict[str, Any]:
+    notes: list[str] = []
+    host = socket.gethostname()
+    if mbdkit.__version__ != of_version:
+        why = f"{host} has mbdkit {version('mbdkit')}, the study needs {of_version}; install the same version there."
+    elif not Path(task["path"]).parent.is_dir():
+        folder = shown(Path(task["path"]).parent)
+        why = f"{host} cannot access the folder {folder}; it must be on a file system that all workers share."
+    else:
+        return _outcome(task, notes.append, carry) | {"notes": notes, "host": host}
+    return {"status": "missing", "reason": f"no-resources: {why}", "notes": notes, "host": host}
+
+
+def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) -> dict[str, Any]:
+    try:
+        with executing(task["command"]):
+            return carry(task, notify)
+    except SpecError as error:
+        if error.file == task["path"]:  # the folder of the study was changed, so the spec is not the cause
+            return {"status": "missing", "reason": f"no-resources: {error}"}
+        return asdict(refusal(error))
+    except OSError as error:  # which names no file if reading or writing an open one has failed
+        where = shown(error.filename or task["path"])
+        return {"status": "missing", "reason": f"no-resources: {where}: {error.strerror or error}"}
+    except (Exception, SystemExit) as error:
+        return asdict(refusal(error))
+
+
+def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]:
+    from mbdkit.plugin import RunSpec, simulate
+
+    if "block" in task:
+        from mbdkit_studies.compute.compute_block import compute_block
+
+        skip = {int(run): reason for run, reason in task["skip"].items()}
+        failed = compute_block(task["folder"], task["block"], skip=skip, notify=notify)
+        return {"status": "complete", "reason": "", "values": {"failed": failed}}
+    spec = RunSpec(**json.loads(task["spec"]))
+    if "second" in task:
+        from mbdkit_studies.spec.second_run_measures import second_run
+
+        values, note = second_run(spec, task["second"])
+        told = {name: value if math.isfinite(value) else None for name, value in values.items()}
+        return {"status": "complete", "reason": note, "values": told}
+    if "repeats" in task:
+        seconds = []
+        for _ in range(task["repeats"] + 1):
+            with simulate(spec) as run:
+                seconds.append(float(run.stats["wall_s"]))
+        # without the first run, which is for warm-up
+        return {"status": "complete", "reason": "", "seconds": seconds[1:]}
+    path = Path(task["path"])
+    with _continued(path, task["measures"]) or simulate(
+        spec, path=path, overwrite=True, measures=task["measures"]
+    ) as run:
+        for warning in run.warnings:
+            notify(f"warning: {warning}")
+        return {"status": run.status, "reason": run.status_reason}
+
+
+def _continued(path: Path, measures: Sequence[str]) -> Run | None:
+    """Continue the run that an interrupted call has left; return None if there is none that can be continued."""
+    from mbdkit.plugin.archives import checkpoint_path, part_path
+    from mbdkit.runs.resuming import continue_run
+
+    part = part_path(path)
+    if not checkpoint_path(part).is_file():
+        return None
+    try:
+        return continue_run(part, overwrite=True, measures=measures, files=True)
+    except MbdkitError:  # such as another version of mbdkit; the run is made anew
+        return None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The folder of a study: its lock, its owner, its tables of columns."""

@@ -1,0 +1,81 @@
+"""The table of members (runs) of a study: an HDF5 file with a column of values for each key that varies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from mbdkit.archive.part_file import LIBVER
+from mbdkit.plugin import Array, SpecError
+from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT, create, data_sha256, open_hdf5, reading, set_text
+from mbdkit.plugin.files import replacing
+from mbdkit_studies.folder.columns import read_column, write_column
+from mbdkit_studies.spec.study_spec import StudySpec
+
+FILE = "members.h5"
+"""Name of the table in the folder of a study; see `StudySpec.members`."""
+
+_FORMAT = "mbdkit-members"
+
+
+def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
+    """Return the bytes of a table and its hash.
+
+    Parameters
+    ----------
+    columns
+        (N,) numbers or strings by dotted key.
+    """
+    with h5py.File(f"members-{id(columns)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
+        set_text(file, "format", _FORMAT)
+        file.create_group("members")
+        count = len(next(iter(columns.values())))
+        create(file, Array("members/run", ("run",), "1", "number of the run", INTEGER), np.arange(1, count + 1))
+        for number, (key, values) in enumerate(columns.items(), start=1):
+            dtype = TEXT if values.dtype == object else INTEGER if values.dtype.kind == "i" else FLOAT
+            array = Array(f"members/value_{number:04d}", ("run",), "1", f"value of {key}", dtype)
+            dataset = write_column(file, array, values)
+            set_text(dataset, "key", key)
+        file.flush()
+        return file.id.get_file_image(), data_sha256(file)
+
+
+def read_members(spec: StudySpec) -> dict[str, np.ndarray]:
+    """Return the columns of the table of members of a study by dotted key; object arrays of strings for texts.
+
+    Raises
+    ------
+    SpecError
+        If the table is missing or damaged, or is not the one that the study names.
+    """
+    assert spec.members is not None
+    if spec._columns is None:
+        spec._columns = _read(spec._folder / spec.members.file, spec.members.runs, spec.members.sha256)
+    columns: dict[str, np.ndarray] = spec._columns
+    return columns
+
+
+def _read(path: Path, runs: int, sha256: str) -> dict[str, np.ndarray]:
+    if not path.is_file():
+        raise SpecError("there is no such file, which the study names as the table of its members", file=path)
+    hint = "restore it, or create the study again"
+    with reading("its columns", path, hint=hint), open_hdf5(path, "table of members", hint=hint) as file:
+        if file.attrs.get("format") != _FORMAT:
+            raise SpecError("this is not a table of members", file=path)
+        if data_sha256(file) != sha256:
+            raise SpecError("this is not the table of this study: its hash differs", file=path)
+        items = [item for item in file["members"].values() if "key" in item.attrs]
+        columns = {str(item.attrs["key"]): read_column(item) for item in items}
+        if not columns or any(column.shape != (runs,) for column in columns.values()):
+            raise SpecError(f"the columns of this table do not have the {runs} rows that the study names", file=path)
+        return columns
+
+
+def write_members(spec: StudySpec, folder: Path) -> None:
+    """Write the table of members of a study into its folder."""
+    content, _ = image(read_members(spec))
+    with replacing(folder / FILE) as temporary:
+        temporary.write_bytes(content)

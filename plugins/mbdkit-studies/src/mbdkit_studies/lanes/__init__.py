@@ -1,0 +1,1 @@
+"""Runs that are computed together in vectorized lanes."""

@@ -1,0 +1,492 @@
+"""Vectorized runs: prepares specs, advances runs that differ only in numbers together, and finishes them.
+
+Each run is computed in a lane, an element of the SIMD vectors with which one loop advances several runs at once.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive.finished_run import ArrayHash
+from mbdkit.engine.consistent_start import CompiledForStarts
+from mbdkit.kernels import WIDTH, Observed, StagePivots
+from mbdkit.plugin import Finding, Method, Recorded, RunSpec, States, accepted_doubts, findings, judge, open_doubts
+from mbdkit.plugin.archives import FLOAT, ArchiveNames, FinishedRun, archive_names
+from mbdkit.plugin.doubts import EnergyRecord, LawRanges, StateWatchers, evidence_of_run, has_ranges, steps_are_rows
+from mbdkit.plugin.equations import CompiledMechanism, MechanismAtStart, Starts, Workspace, joint_sums
+from mbdkit.plugin.mechanisms import mechanism_sizes
+from mbdkit.plugin.methods import Guards, StepEvidence, Stretch, Timetable
+from mbdkit.plugin.runs import (
+    RunIntegrals,
+    caution,
+    functionals_of,
+    guards,
+    make_method,
+    recorded_arrays,
+    recorded_states,
+    timetable,
+)
+from mbdkit.plugin.terminal import logger_of
+from mbdkit.runs.corners import check_jumps
+from mbdkit_studies.lanes.lane_starts import at_starts
+from mbdkit_studies.lanes.lane_stepper import (
+    ControlledLaneStepper,
+    LaneResults,
+    LaneStepper,
+    PivotsAtStart,
+    suits_lanes,
+    topology_of,
+)
+
+_LOG = logger_of(__name__)
+
+MOST_GROUPS = 8
+"""Largest number of loops that are stored for later batches; each loop is for one mechanism and method."""
+
+
+@dataclass(eq=False)
+class LaneMember:
+    """A prepared run that can be vectorized."""
+
+    spec: RunSpec
+    method: Method
+    start: MechanismAtStart
+    table: Timetable
+    pivots: StagePivots | None
+    """Pivots of the stage matrix; None if the method is explicit."""
+    size: float
+    """Size of the mechanism at its start [m]."""
+    findings: tuple[Finding, ...]
+    topology: tuple[object, ...]
+    """Key that is equal for mechanisms that differ only in numbers."""
+    seconds: float = 0.0
+    """Wall time of the preparation [s]."""
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Key that is equal for runs that can share a loop and whose archives have the same arrays."""
+        table, pivots = self.table, None if self.pivots is None else self.pivots.key
+        steps = table.interval if self.method.traits.tolerances else table.steps
+        return self.topology, self.method, pivots, steps, table.every, self.spec.output.recorded
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    """A run whose settings can be vectorized, and its mechanism, which has not been assembled yet."""
+
+    spec: RunSpec
+    method: Method
+    cautions: Sequence[Finding]
+    compiled: CompiledForStarts
+
+
+def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
+    """Return the reason why runs with these settings are not vectorized, as a clause; empty if they can be.
+
+    Parameters
+    ----------
+    measures
+        See `LaneRuns`.
+    """
+    reasons = (
+        (spec.formulated.solves_multipliers, f"their formulation is {spec.formulated.name}"),
+        (spec.stabilized.kind != "none", f"their stabilization is {spec.stabilized.kind}"),
+        (bool(spec.events), "they have events"),
+        (spec.is_to_be_chosen, "`accuracy` chooses a method or step for each of them"),
+        (spec.estimates_errors, "their errors are estimated"),
+        (spec.limits.wall_time is not None, "their wall time is limited"),
+    )
+    if found := next((clause for holds, clause in reasons if holds), ""):
+        return found
+    functionals = functionals_of(spec, measures)
+    if not all((one.is_extremum or one.is_value) and not one.is_nested for one in functionals):
+        return "their measures contain integrals over time"
+    if has_ranges(spec.mechanism()) and not steps_are_rows(spec):
+        return "the ranges of their force laws are watched between the recorded states"
+    if functionals and not steps_are_rows(spec):
+        return "their measures contain extrema or `at`, and they do not record every step"
+    mechanism = spec.mechanism()
+    if functionals and (mechanism.state_names() or mechanism.controllers):
+        return "their measures contain extrema or `at`, and their mechanism has first-order states"
+    method = make_method(spec)
+    if method.traits.lanes is None or spec.claims.adaptive != (method.traits.tolerances is not None):
+        return f"{spec.integrator_item.id} cannot be vectorized with these options"
+    if spec.formulated.coordinates == "joint" and not method.traits.is_explicit:
+        return f"{spec.integrator_item.id} cannot be vectorized in joint coordinates"
+    return ""
+
+
+def _starts(runs: Sequence[_Compiled | None]) -> Iterator[tuple[int, _Compiled, MechanismAtStart, float]]:
+    """Yield index, mechanism at its start, and its size [m], of all runs with a consistent initial state."""
+    alike: dict[CompiledForStarts, list[tuple[int, _Compiled]]] = defaultdict(list)
+    for place, run in enumerate(runs):
+        if run is not None:
+            alike[run.compiled].append((place, run))
+    for compiled, members in alike.items():
+        mechanisms = [run.spec.mechanism() for _, run in members]
+        starts = at_starts(compiled, mechanisms, [run.spec.time.final for _, run in members])
+        some = [
+            (member, model, start) for member, model, start in zip(members, mechanisms, starts, strict=True) if start
+        ]
+        if some:
+            sizes = mechanism_sizes(
+                [model for _, model, _ in some], np.stack([start.assembled.q for *_, start in some])
+            )
+            for ((place, run), _, start), size in zip(some, sizes.tolist(), strict=True):
+                yield place, run, start, size
+
+
+class LaneRuns:
+    """Computes vectorized runs, and stores their loops for later runs.
+
+    Parameters
+    ----------
+    starts
+        Computes consistent initial states, and stores compiled mechanisms.
+    measures
+        Expressions that will be evaluated for the runs, in addition to the measures of their specs.
+    """
+
+    def __init__(self, starts: Starts, measures: Sequence[str]) -> None:
+        self._measures = measures
+        self._groups: dict[tuple[object, ...], _Group] = {}
+        self.starts, self._pivots = starts, PivotsAtStart()
+        self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
+        self._settings: tuple[tuple[object, ...], Method | None] | None = None
+
+    def members(self, specs: Iterable[RunSpec]) -> list[LaneMember | None]:
+        """Prepare runs for vectorization; None for a run that has to be computed alone.
+
+        A run is computed alone if it cannot be vectorized, or if its preparation fails.
+        """
+        begin = time.perf_counter()
+        runs = []
+        for spec in specs:
+            try:
+                runs.append(self._compiled(spec))
+            except (Exception, SystemExit):
+                runs.append(None)
+        members: list[LaneMember | None] = [None] * len(runs)
+        for place, run, start, size in _starts(runs):
+            with suppress(Exception, SystemExit):
+                members[place] = self._member(run, start, size)
+        seconds = (time.perf_counter() - begin) / max(1, len(members))
+        for member in members:
+            if member is not None:
+                member.seconds = seconds
+        return members
+
+    def _compiled(self, spec: RunSpec) -> _Compiled | None:
+        """Compile the mechanism of a run; None if it cannot be vectorized.
+
+        Raises the same errors as a single run.
+        """
+        method = self._method(spec)
+        if method is None:
+            return None
+        check_jumps(spec)
+        cautions = caution(spec, method, self._measures)
+        return _Compiled(spec, method, cautions, self.starts.compiled(spec.mechanism(), spec.time.start))
+
+    def _method(self, spec: RunSpec) -> Method | None:
+        """Return the method of a run; None if a run with these settings cannot be vectorized.
+
+        Results are cached, because specs often share settings.
+        """
+        settings = (
+            spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
+            spec.integrator, spec.measures,
+        )  # fmt: skip
+        if self._settings is None or any(a is not b for a, b in zip(settings, self._settings[0], strict=True)):
+            self._settings = settings, None if why_alone(spec, self._measures) else make_method(spec)
+        return self._settings[1]
+
+    def _member(self, run: _Compiled, start: MechanismAtStart, size: float) -> LaneMember | None:
+        """Return the `LaneMember` of a run with its initial state; None if it cannot be vectorized."""
+        spec, method = run.spec, run.method
+        size = size or start.mechanism.length
+        table = timetable(spec, guards(spec, size))
+        # Quantities of contacts and of plugins' elements are computed from numbers of the mechanism that all runs in a
+        # vector would share.
+        if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
+            return None
+        pivots = self._pivots.of(method, start, table)
+        found = (*run.cautions, *findings("start", spec, start.assembled))
+        return LaneMember(spec, method, start, table, pivots, size, found, self._topology_of(start.mechanism))
+
+    def _topology_of(self, mechanism: CompiledMechanism) -> tuple[object, ...]:
+        if self._topology is None or self._topology[0] is not mechanism:
+            self._topology = mechanism, topology_of(mechanism)
+        return self._topology[1]
+
+    def finished(self, members: Sequence[LaneMember]) -> Iterator[list[tuple[int, FinishedRun | None]]]:
+        """Carry out runs, and yield the index and the result of each run of a vector when its loop has ended.
+
+        The result is None for a run that must be repeated alone.
+        """
+        groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
+        for place, member in enumerate(members):
+            groups[member.key].append(place)
+        for key, places in groups.items():
+            group = self._group(key, members[places[0]])
+            if members[places[0]].method.traits.tolerances:
+                places = _by_cost(members, places)
+            for first in range(0, len(places), WIDTH):
+                some = places[first : first + WIDTH]
+                # Measured once for all runs of a vector: for a process with several threads, reading the processor time
+                # is slow on some systems.
+                begin, cpu = time.perf_counter(), time.process_time()
+                results = [
+                    None if run is None else _with_functionals(run, members[place], self._measures)
+                    for place, run in zip(some, group.finished([members[place] for place in some]), strict=True)
+                ]
+                apart = sum(run.stats["finish_s"] for run in results if run is not None)
+                spent = time.perf_counter() - begin - apart, time.process_time() - cpu
+                seconds = dict(zip(("wall_s", "cpu_s"), (one / len(some) for one in spent), strict=True))
+                timed = [None if run is None else replace(run, stats={**run.stats, **seconds}) for run in results]
+                yield list(zip(some, timed, strict=True))
+
+    def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
+        group = self._groups.pop(key, None) or _Group(first)
+        self._groups[key] = group  # moves the group to the end; the group used least recently is discarded first
+        if len(self._groups) > MOST_GROUPS:
+            self._groups.pop(next(iter(self._groups)))
+        return group
+
+
+def _with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
+    """Return a run to which the extrema and values that its measures need have been added.
+
+    They are computed from the rows of the run, which are the ends of all steps.
+    """
+    start, functionals = member.start, functionals_of(member.spec, measures)
+    if not functionals:
+        return run
+    time = run.arrays["trajectory/time"] if "trajectory/time" in run.arrays else run.arrays["time"]
+    q, v = np.tile(start.q0, (len(time), 1)), np.tile(start.v0, (len(time), 1))
+    q[:, :-3], v[:, :-3] = (
+        run.arrays[f"trajectory/{name}"].reshape(len(time), -1) for name in ("position", "velocity")
+    )
+    workspace = Workspace(start.mechanism, member.table.start, start.q0, start.v0)
+    stiff = member.method.traits.suits_stiff
+    integrals = RunIntegrals(workspace, functionals, member.table, suits_stiff=stiff)
+    assert integrals.continuous is not None
+    integrals.continuous.add_ends(time, q, v, np.zeros((len(time), 0)))
+    return replace(run, integrals=integrals.totals())
+
+
+@dataclass(frozen=True)
+class _RecordedRun:
+    """Quantities recorded during one run; see `mbdkit.runs.evidence.Recorded`."""
+
+    mechanism: CompiledMechanism
+    largest_angle: np.ndarray
+    energies: EnergyRecord
+    last_time: float
+
+
+def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
+    """Return the indices of similar runs, sorted by their initial kinetic and gravitational energy.
+
+    A loop ends when the run with the most steps does, so that runs in the same loop should have similar numbers of
+    steps. In ensembles of double pendulums with different starts, this order keeps lanes busy in 83 to 87 % of the
+    iterations, compared with 75 to 77 % without sorting. Sorting by the numbers of steps, which are not known in
+    advance, would give 94 %.
+    """
+    starts = [members[place].start for place in places]
+    mass, gravity, q, v = (
+        np.stack(values)
+        for values in (
+            [start.mechanism.topology.mass.ravel() for start in starts],
+            [start.mechanism.topology.gravity for start in starts],
+            [start.q0 for start in starts],
+            [start.v0 for start in starts],
+        )
+    )
+    with np.errstate(all="ignore"):
+        fall = np.einsum("mbi,mi->m", (mass * q).reshape(len(places), -1, 3)[:, :-1, :2], gravity)
+        energy = 0.5 * np.sum((mass * v * v)[:, :-3], axis=1) - fall
+    return [places[place] for place in np.argsort(energy, kind="stable")]
+
+
+def _states_of_lane(mechanism: CompiledMechanism, results: LaneResults, lane: int, rows: int) -> States:
+    """Return the recorded states of the run in a lane, as far as watchers need them."""
+    observed = Observed(*(values[lane, :rows] for values in results.observed))
+    time, q, v = (values[lane, :rows] for values in (results.time, results.q, results.v))
+    return States(mechanism, time, q, v, lambda: observed)
+
+
+def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
+    """Return the loop that advances runs with the mechanism and method of `first`."""
+    method: Any = first.method  # a method with a loop for lanes
+    if first.method.traits.tolerances:
+        return ControlledLaneStepper(method, workspace, first.pivots)
+    rows = 1 + -(-first.table.steps // first.table.every)
+    return LaneStepper(method, workspace, rows, first.pivots)
+
+
+class _Group:
+    """Runs of one mechanism and method that differ in numbers only.
+
+    Parameters
+    ----------
+    first
+        The first of the runs.
+    """
+
+    def __init__(self, first: LaneMember):
+        mechanism, spec = first.start.mechanism, first.spec
+        start = first.start
+        workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulated.name)
+        self.stepper = _stepper(first, workspace)
+        self.mechanism, self.joints = mechanism, joint_sums(mechanism)
+        self.names: ArchiveNames = archive_names(mechanism)
+        self.layout = recorded_arrays(spec, first.method, mechanism)
+        self.recorded = {one.key: one for one in self.layout if isinstance(one, Recorded)}
+        self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
+        self.hash = ArrayHash(self.names, self.layout)
+
+    def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
+        """Carry out at most `WIDTH` runs of the group together."""
+        starts, tables = [one.start for one in members], [one.table for one in members]
+        results = self.stepper.advance(starts, tables, [one.pivots for one in members])
+        states = self._states(results)
+        lost = results.lost | self._beyond_limits(results, [table.guards for table in tables])
+        if np.all(lost):
+            return [None] * len(members)
+        with np.errstate(all="ignore"):  # values in lanes whose run has failed may overflow
+            arrays = {key: self._by_run(one.take(states), key, len(members)) for key, one in self.recorded.items()}
+            intervals = self._intervals(tables, results)
+            recorded = self._recorded(members, results, states)
+            digests = self.hash.shared_digests(arrays | intervals) if results.work is None else {}
+        finished: list[FinishedRun | None] = []
+        for lane, (member, rows) in enumerate(zip(members, results.rows.tolist(), strict=True)):
+            if lost[lane]:
+                finished.append(None)
+                continue
+            own = {key: values[lane, :rows] for key, values in arrays.items()}
+            own |= {key: values[lane, : rows - 1] for key, values in intervals.items()}
+            stops, mechanism = member.spec.limits.law_range == "stop", member.spec.mechanism()
+            ranges = LawRanges.of(mechanism, member.start.mechanism, stops=stops)
+            if ranges is not None:
+                left = ranges.add(results.time[lane, :rows], results.observed.forces[lane, :rows])
+                if left is not None and ranges.stops:
+                    finished.append(None)
+                    continue
+            watchers = StateWatchers(member.spec, member.start.mechanism, member.size)
+            if watchers:
+                watchers.add(_states_of_lane(member.start.mechanism, results, lane, rows))
+            watched = watchers.findings(recorded[lane][1].energies, {})
+            told = (*member.findings, *watched, *(() if ranges is None else ranges.findings()))
+            counters = vars(results.counters[lane]).copy()
+            # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
+            counters["factorizations"] += int(member.pivots is not None)
+            made = self._run(member, own, recorded[lane], told, results.evidence[lane], counters, digests)
+            finished.append(made)
+        return finished
+
+    def _states(self, results: LaneResults) -> States:
+        """Return the states of all runs, one run after another."""
+        count, rows = results.time.shape
+
+        def flat(values: np.ndarray) -> np.ndarray:
+            return values.reshape(count * rows, *values.shape[2:])
+
+        observed = Observed(*map(flat, results.observed))
+        q, v, energy = flat(results.q), flat(results.v), flat(results.energy)
+        none = np.zeros((len(q), 6))
+        stretch = Stretch(flat(results.time), q, v, energy[:, 0], energy[:, 1], none, z=flat(results.z))
+        start = results.observed.kinetic[:, 0] + results.observed.potential[:, 0]
+        return recorded_states(self.mechanism, stretch, observed, np.repeat(start, rows), np.zeros(len(q)))
+
+    def _by_run(self, values: np.ndarray, key: str, count: int) -> np.ndarray:
+        """Return the rows of all runs as a contiguous array (W, T, ...) with the type of the layout."""
+        shaped = values.reshape(count, len(values) // count, *values.shape[1:])
+        return np.ascontiguousarray(shaped, self.types[key])
+
+    def _beyond_limits(self, results: LaneResults, limits: Sequence[Guards]) -> np.ndarray:
+        """Return (W,) whether a recorded state of a run may exceed a limit of misalignment.
+
+        The joints of such runs must be checked one by one.
+        """
+        largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
+        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in limits])
+        # The residual of a joint, which has at most three rows, is below 4 times that of its largest row.
+        return np.asarray(~(largest <= smallest / 4))
+
+    def _recorded(
+        self, members: Sequence[LaneMember], results: LaneResults, states: States
+    ) -> list[tuple[np.ndarray, _RecordedRun]]:
+        """Return the largest misalignments (J,) of each run over all steps, and quantities of its recorded states."""
+        shape = results.time.shape
+        misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
+        worst = np.maximum(self.joints.misalignment_of_squares(results.worst), misalignment)
+        angles = self.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
+        kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
+        others = np.stack([results.observed.potential, results.energy[:, :, 0], results.energy[:, :, 1]])
+        energies = EnergyRecord.of_runs(kinetic, others, balance)
+        return [
+            (worst[lane], _RecordedRun(member.start.mechanism, angles[lane], energies[lane], last))
+            for lane, (member, last) in enumerate(zip(members, results.time[:, -1].tolist(), strict=True))
+        ]
+
+    def _intervals(self, tables: Sequence[Timetable], results: LaneResults) -> dict[str, np.ndarray]:
+        """Return the statistics (W, T - 1) of the intervals between the recorded states of all runs."""
+        shape = len(results.time), results.time.shape[1] - 1
+        if results.work is not None:
+            steps, size, rejected = np.moveaxis(results.work[:, 1:], 2, 0)
+        else:  # the numbers of steps are equal for all runs
+            first = tables[0]
+            ends = np.minimum(first.every * np.arange(1, 1 + shape[1]), first.steps)
+            steps, rejected = np.broadcast_to(np.diff(ends, prepend=0), shape), np.zeros(shape)
+            size = np.repeat([[table.step] for table in tables], shape[1], axis=1)
+            size[:, -1] = [table.last_step for table in tables]
+        values = {
+            "interval": np.broadcast_to(np.arange(1, 1 + shape[1]), shape),
+            "time": results.time[:, 1:],
+            "steps": steps,
+            "size": size,
+            "rejected": rejected,
+            "iterations": results.iterations[:, 1:, 0],
+            "iterations_max": results.iterations[:, 1:, 1],
+        }
+        typed = {f"steps/{name}": array for name, array in values.items() if f"steps/{name}" in self.types}
+        return {key: np.ascontiguousarray(array, self.types[key]) for key, array in typed.items()}
+
+    def _run(
+        self,
+        member: LaneMember,
+        arrays: dict[str, np.ndarray],
+        recorded: tuple[np.ndarray, _RecordedRun],
+        told: Sequence[Finding],
+        steps: StepEvidence,
+        counters: Mapping[str, int],
+        digests: Mapping[str, str],
+    ) -> FinishedRun:
+        """Return a run with its verdict; its `stats` do not yet include the wall time of the steps.
+
+        `digests` contains those of arrays that are equal for all runs.
+        """
+        begin = time.perf_counter()
+        worst, extremes = recorded
+        ending = "complete", ""
+        accept = member.spec.accept
+        questions = open_doubts(told, accept), accepted_doubts(told, accept), open_doubts(told, accept, "bad")
+        finer = member.spec.finer
+        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, *questions, finer=finer))
+        if _LOG.isEnabledFor(logging.INFO):
+            _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
+        data_sha256 = self.hash.of(arrays, digests)
+        return FinishedRun(
+            *ending, {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
+            np.asarray(worst, FLOAT), judgement, tuple(map(str, told)), names=self.names, layout=self.layout,
+            arrays=arrays, shared=None, data_sha256=data_sha256, assembly=member.start.assembled.describe(),
+        )  # fmt: skip

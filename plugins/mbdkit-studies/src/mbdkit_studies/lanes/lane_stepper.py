@@ -1,0 +1,389 @@
+"""Runs that are advanced together in the lanes of SIMD vectors: preparation, stepping, and results.
+
+`mbdkit.integrators.lanes.lane_loop` has the compiled loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbdkit.engine.native.machine_code import IN_PYTHON
+from mbdkit.integrators.loop.step_watch import guard_evidence
+from mbdkit.integrators.run.run_plan import smallest_step
+from mbdkit.integrators.run.step_control import control_data, first_size
+from mbdkit.integrators.start import step_control
+from mbdkit.kernels import (
+    BY_LANE,
+    ENDED,
+    FACTORIZATIONS,
+    ITERATIONS,
+    JACOBIANS,
+    RHS,
+    WIDTH,
+    Lanes,
+    Observed,
+    PinnedBundle,
+    StagePivoting,
+    StagePivots,
+    Topology,
+    accelerate,
+    load_stage_pivots,
+    new_guard_state,
+    new_lane_control,
+    new_lane_run,
+    new_lanes,
+)
+from mbdkit.plugin import Method
+from mbdkit.plugin.archives import archive_names
+from mbdkit.plugin.equations import CompiledMechanism, Counters, MechanismAtStart, SingularSystemError, Workspace
+from mbdkit.plugin.methods import Control, StepEvidence, Timetable, guard_limits
+
+
+@dataclass(frozen=True)
+class LaneResults:
+    """Results of W runs that were advanced in SIMD lanes, with up to T recorded states each, the initial one first.
+
+    If the step size is controlled, a run may have fewer than T recorded states; its last one is then repeated.
+    """
+
+    lost: np.ndarray
+    """(W,) whether a run must be repeated outside the lanes; its other values are then not valid."""
+    time: np.ndarray
+    """(W, T) times [s]."""
+    q: np.ndarray
+    """(W, T, 3 (B + 1)) positions, ground last."""
+    v: np.ndarray
+    z: np.ndarray
+    """(W, T, Z) first-order states."""
+    energy: np.ndarray
+    """(W, T, 2) work and dissipated energy [J]."""
+    observed: Observed
+    """Values computed for the recorded states; arrays (W, T, ...)."""
+    worst: np.ndarray
+    """(W, P) largest squared misalignments."""
+    iterations: np.ndarray
+    """(W, T, 2) iterations since the previous recorded state, and the largest number of iterations in one of the
+    steps since then.
+    """
+    rows: np.ndarray
+    """(W,) number of recorded states of each run."""
+    work: np.ndarray | None
+    """(W, T, 3) number of steps since the previous recorded state, size of the last step [s], and number of rejected
+    steps; None if the steps are fixed.
+    """
+    evidence: tuple[StepEvidence, ...]
+    counters: tuple[Counters, ...]
+
+
+AtStart = MechanismAtStart | Workspace
+"""A mechanism at its consistent initial state."""
+
+
+def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
+    """Return a key that is equal for mechanisms with the same names that differ only in floating-point numbers.
+
+    Runs of mechanisms with equal keys can be advanced together in lanes.
+    """
+    shapes = tuple((x.shape, x.tobytes() if x.dtype.kind == "i" else b"") for x in mechanism.topology)
+    return shapes, mechanism.order, archive_names(mechanism), mechanism.friction, mechanism.has_power
+
+
+def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) -> bool:
+    """Return whether a run of index-1 equations without stabilization can be advanced in lanes.
+
+    First-order states are supported with explicit methods only, and `output.interval` with controlled step size only.
+    Events, stops, sampled controllers, friction in joints, redundant directions within a pair of rows, and mechanisms
+    that need the pivoted solver are not supported.
+    """
+    is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
+    return (
+        not IN_PYTHON
+        and method.traits.lanes is not None
+        and (method.traits.is_explicit or not mechanism.states)
+        and (is_fixed or method.traits.tolerances is not None)
+        and not table.single
+        and not table.stops
+        and not mechanism.controllers
+        and not mechanism.friction
+        and not mechanism.needs_pivots
+        and len(mechanism.topology.spare) == 0
+    )
+
+
+class LaneStepper:
+    """Advances up to `WIDTH` runs with fixed steps and the same method.
+
+    `topology_of` must be equal for the mechanisms of all runs.
+    """
+
+    def __init__(self, method: Method, workspace: Workspace, rows: int, pivots: StagePivots | None = None):
+        assert method.traits.lanes is not None
+        self._in_lanes = method.traits.lanes()
+        control = step_control(method.traits, workspace.mechanism)
+        self.run = new_lane_run(self._in_lanes.bundle(method, workspace, pivots, control), workspace, rows)
+        self._pinned = PinnedBundle(self.run)
+        self._topologies: list[Topology | None] = [None] * WIDTH
+        self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
+        self._pinned_guards = [PinnedBundle(one) for one in self._guards]
+        self.run.watch.guards[:] = [one.address for one in self._pinned_guards]
+
+    def advance(
+        self, starts: Sequence[AtStart], tables: Sequence[Timetable], pivots: Sequence[StagePivots | None] = ()
+    ) -> LaneResults:
+        """Return the results of the runs.
+
+        Parameters
+        ----------
+        starts, tables
+            At most `WIDTH` mechanisms at their starts, and the timetables of the runs, with equal numbers of steps.
+        pivots
+            Pivots of each run, with equal keys; none if the method is explicit.
+        """
+        count = len(starts)
+        lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
+        self.load([starts[lane] for lane in lanes], [tables[lane] for lane in lanes])
+        self._load_steps([tables[lane] for lane in lanes])
+        self._load_pivots(pivots, lanes)
+        self._in_lanes.drive(self._pinned.address)
+        steps = int(self.run.times.steps[0])
+        made = [Counters(steps=steps, accepted=steps)] * count
+        return self.results(made, np.full(count, len(self.run.row_time)))
+
+    def load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
+        """Copy the mechanisms, states and limits of `WIDTH` runs into the lanes."""
+        c = self.run
+        mechanisms = [one.mechanism for one in starts]
+        topologies = [one.topology for one in mechanisms]
+        if any(new is not loaded for new, loaded in zip(topologies, self._topologies, strict=True)):
+            _fill(c.top, topologies)
+            self._topologies = [*topologies]
+        _put(c.q, [one.q0 for one in starts])
+        _put(c.v, [one.v0 for one in starts])
+        limits = [guard_limits(one, table.guards) for one, table in zip(mechanisms, tables, strict=True)]
+        _put(c.squared_misalignment, [one.squared_misalignment for one in limits])
+        _put(c.energy_share, [one.energy_jump for one in limits])
+        for name in ("start", "end"):
+            getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
+        c.every[0] = tables[0].every
+        c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
+        _put(c.z, [one.initial_states for one in mechanisms])
+        zeros = c.q_low, c.v_low, c.z_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
+        for array in (*zeros, *c.guards):
+            array[...] = 0.0
+        c.has_power[0] = int(any(one.has_power for one in mechanisms))
+        c.watch.has_loops[0] = int(self._guards[0].has_loops[0])
+        if c.watch.has_loops[0]:
+            c.watch.mass[:] = [one.topology.mass for one in mechanisms]
+            for guards, mechanism in zip(self._guards, mechanisms, strict=True):
+                for array, fresh in zip(guards, new_guard_state(mechanism), strict=True):
+                    array[...] = fresh
+
+    def _load_pivots(self, pivots: Sequence[StagePivots | None], lanes: list[int]) -> list[StagePivots]:
+        """Copy the pivots of the run of each lane; return them, or an empty list if the method is explicit."""
+        chosen = [one for one in pivots if one is not None]
+        by_lane = [chosen[lane] for lane in lanes if chosen]
+        if by_lane:
+            load_stage_pivots(self.run.method, by_lane)
+        return by_lane
+
+    def _load_steps(self, tables: list[Timetable]) -> None:
+        times = self.run.times
+        for name in ("step", "last_step"):
+            getattr(times, name)[0] = [getattr(table, name) for table in tables]
+        times.steps[0] = tables[0].steps
+
+    def results(self, counters: Sequence[Counters], rows: np.ndarray, work: np.ndarray | None = None) -> LaneResults:
+        """Return the results of the first runs.
+
+        Parameters
+        ----------
+        counters
+            Counters of each run, which are completed by the counts of its lane.
+        rows
+            Number of recorded states of each run.
+        work
+            See `LaneResults.work`.
+        """
+        c, count = self.run, len(counters)
+        arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.worst, c.row_interval)
+        time, q, v, z, energy, *observed, worst, iterations = (
+            by_run(x, count) if x is c.worst else by_run(x[: rows.max()], count) for x in arrays
+        )
+        for lane, guards in enumerate(self._guards):
+            for name in ("kinetic", "jump", "jump_time"):
+                getattr(guards, name)[0] = getattr(c.guards, name)[0, lane]
+        evidence = tuple(guard_evidence(guards, []) for guards in self._guards[:count])
+        counted = tuple(_counted(one, counts) for one, counts in zip(counters, c.counts.T.tolist(), strict=False))
+        lost = np.asarray(c.lost[0, :count] != 0.0)
+        return LaneResults(
+            lost, time, q, v, z, energy, Observed(*observed), worst, iterations, rows, work, evidence, counted
+        )
+
+
+def by_run(lanes: np.ndarray, count: int) -> np.ndarray:
+    """Return the values (..., WIDTH) of the first `count` lanes as a contiguous array (count, ...)."""
+    last = lanes.ndim - 1
+    return np.ascontiguousarray(lanes.transpose(last, *range(last))[:count])  # `moveaxis` takes 20 times as long
+
+
+class PivotsAtStart:
+    """Chooses the pivots of runs; runs with the same mechanism and method share working arrays."""
+
+    def __init__(self) -> None:
+        self._latest: tuple[tuple[object, ...], StagePivoting] | None = None
+
+    def of(self, method: Any, start: AtStart, table: Timetable) -> StagePivots | None:
+        """Return the pivots of a run; None if its method needs none.
+
+        Raises
+        ------
+        mbdkit.engine.elimination_order.SingularSystemError
+            If the equations of the first step are singular, or need the pivoted solver.
+        """
+        if method.traits.is_explicit:
+            return None
+        shared = method, start.mechanism, table.start
+        if self._latest is None or any(a is not b for a, b in zip(shared, self._latest[0], strict=True)):
+            workspace = Workspace(start.mechanism, table.start, start.q0, start.v0)
+            self._latest = shared, StagePivoting(method, workspace)
+        pivoting, size = self._latest[1], table.step
+        control = step_control(method.traits, start.mechanism)
+        if control is not None:
+            size = pivoting.first_step(start.q0, start.v0, size, table.end - table.start, control)
+        assert size is not None
+        try:
+            return pivoting.pivots(start.q0, start.v0, size)
+        except SingularSystemError:
+            self._latest = None
+            raise
+
+
+def _counted(counters: Counters, counts: Sequence[float]) -> Counters:
+    """Return the counters of one run with the counts of its lane added."""
+    return replace(
+        counters,
+        rhs_evaluations=int(counts[RHS]),
+        jacobian_evaluations=int(counts[JACOBIANS]),
+        factorizations=int(counts[FACTORIZATIONS]),
+        newton_iterations=int(counts[ITERATIONS]),
+    )
+
+
+def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
+    """Copy one array for each lane into an array of lanes."""
+    for lane, array in enumerate(arrays):  # faster than `stack`, which checks the shapes
+        lanes[..., lane] = array
+
+
+def _fill(top: Topology, topologies: Sequence[Topology]) -> None:
+    """Copy the numbers of one mechanism into each lane; integers are the same for all lanes."""
+    for name, lanes in zip(Topology._fields, top, strict=True):
+        arrays = [getattr(one, name) for one in topologies]
+        if name in BY_LANE:
+            lanes[...] = arrays
+        elif isinstance(lanes, Lanes):
+            _put(lanes, arrays)
+
+
+FEW_ROWS = 64
+"""Initial number of rows of the buffer of recorded states; it is doubled when it is full."""
+
+
+def _rows_by_interval(table: Timetable) -> int:
+    """Return an upper bound of the number of rows that a run records at fixed intervals; 0 if it records its steps."""
+    return 0 if table.interval is None else 2 + math.ceil((table.end - table.start) / table.interval)
+
+
+class ControlledLaneStepper(LaneStepper):
+    """Advances up to `WIDTH` runs with controlled step size and the same method.
+
+    `topology_of` must be equal for the mechanisms of all runs.
+    """
+
+    def __init__(self, method: Method, workspace: Workspace, pivots: StagePivots | None = None):
+        super().__init__(method, workspace, FEW_ROWS, pivots)
+        self.method = method
+        self.runs = new_lane_control(self.run, self._control(workspace.mechanism))
+        self._pinned = PinnedBundle(self.runs)
+
+    def advance(
+        self, starts: Sequence[AtStart], tables: Sequence[Timetable], pivots: Sequence[StagePivots | None] = ()
+    ) -> LaneResults:
+        """Return the results of the runs; see `LaneStepper.advance`. The runs may take different numbers of steps."""
+        count = len(starts)
+        lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
+        chosen, planned = [starts[lane] for lane in lanes], [tables[lane] for lane in lanes]
+        while max(map(_rows_by_interval, planned)) > len(self.runs.row_work):
+            self._grow()
+        self.load(chosen, planned)
+        sizes = [one.size for one in self._load_pivots(pivots, lanes)]
+        self._load_control([one.mechanism for one in chosen], planned, sizes)
+        while self._in_lanes.drive_controlled(self._pinned.address) != ENDED:
+            self._grow()
+        accepted, rejected = (
+            x[0, :count].astype(int).tolist() for x in (self.runs.progress.accepted, self.runs.progress.rejected)
+        )
+        counters = [Counters(steps=n, accepted=n, rejected=m) for n, m in zip(accepted, rejected, strict=True)]
+        rows = self.runs.rows[:count].copy()
+        return self.results(counters, rows, by_run(self.runs.row_work[: rows.max()], count))
+
+    def _control(self, mechanism: CompiledMechanism) -> Control:
+        control = step_control(self.method.traits, mechanism)
+        assert control is not None
+        return control
+
+    def _load_control(
+        self, mechanisms: list[CompiledMechanism], tables: list[Timetable], sizes: Sequence[float]
+    ) -> None:
+        """Initialize the step-size control of all runs; `sizes` are those of the first steps, if they are known [s]."""
+        runs, c = self.runs, self.run
+        controls = [self._control(one) for one in mechanisms]
+        for lane, (control, table) in enumerate(zip(controls, tables, strict=True)):
+            data = control_data(control, smallest_step(table))
+            for name in ("rtol", "atol", "min_size", "max_size"):
+                getattr(runs.control, name)[..., lane] = getattr(data, name)
+        c.every[0] = 0 if tables[0].interval is not None else tables[0].every
+        runs.interval[0], runs.max_steps[0] = tables[0].interval or 0.0, [table.max_steps for table in tables]
+        runs.attempts[0] = runs.rows[:] = 0
+        for array in (*runs.progress, runs.work):
+            array[...] = 0.0
+        runs.running[...] = 1.0
+        runs.progress.next_row[...] = 1.0
+        runs.progress.time[...] = c.times.start
+        runs.progress.next_size[0] = sizes or self._first_sizes(controls, tables)
+
+    def _first_sizes(self, controls: list[Control], tables: list[Timetable]) -> list[float]:
+        """Return the sizes of the first steps of all runs [s]."""
+        spans = [table.end - table.start for table in tables]
+        sizes = [table.step for table in tables]
+        if None in sizes:
+            accelerate(self._pinned.address)
+            y, rates = (
+                by_run(np.concatenate([x[:-3] for x in pair]), WIDTH)
+                for pair in ((self.run.q, self.run.v), (self.run.v, self.run.method.accelerations[0]))
+            )
+            sizes = [
+                first_size(*one) if size is None else size
+                for size, *one in zip(sizes, y, rates, spans, controls, strict=True)
+            ]
+        return [min(span, size) for span, size in zip(spans, sizes, strict=True) if size is not None]
+
+    def _grow(self) -> None:
+        """Double the buffer of recorded states."""
+
+        def doubled(lanes: np.ndarray) -> Lanes:
+            larger = new_lanes(2 * len(lanes), *lanes.shape[1:-1])
+            larger[: len(lanes)] = lanes
+            return larger
+
+        c: Any = self.run
+        names = ("row_time", "row_q", "row_v", "row_z", "row_energy", "row_interval")
+        observed = type(c.observed)(*map(doubled, c.observed))
+        self.run = c._replace(observed=observed, **{name: doubled(getattr(c, name)) for name in names})
+        self.runs = self.runs._replace(run=self.run, row_work=doubled(self.runs.row_work))
+        self._pinned.replace(self.runs)

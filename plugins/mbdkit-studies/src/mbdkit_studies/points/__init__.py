@@ -1,0 +1,1 @@
+"""The points of a study: their values, named and drawn."""

@@ -1,0 +1,168 @@
+"""The groups of runs of a study with a sample or a table of members: one group for each combination of axis values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from mbdkit.plugin import MbdkitError, did_you_mean, listed
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Run
+    from mbdkit_studies.points.planned_points import Grid, Label
+    from mbdkit_studies.spec.study_spec import StudySpec
+
+
+class SampledStudy(Protocol):
+    """The interface of `Study` that is needed to evaluate its sample."""
+
+    spec: StudySpec
+
+    @property
+    def families(self) -> dict[str, str]:
+        """Titles of the families by name."""
+        ...
+
+    def grid(self, family: str | None = None) -> Grid:
+        """Return the plan of a family."""
+        ...
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of the table of all points."""
+        ...
+
+    def described(self, name: str) -> tuple[str, str]:
+        """Return the units and the description of a numeric column."""
+        ...
+
+    def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
+        """Yield runs that join the rows of one or more runs of the study.
+
+        Each item is a joined run, the numbers of its runs in the study, and the number of rows of each of its runs.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class SampleGroup:
+    """The runs of a sample for one combination of the axes of a study.
+
+    Parameters
+    ----------
+    family
+        Name of the family; empty in a study without families.
+    axes
+        Labels on the axes by dotted key, without the values of the sampled variables; empty in a study without axes.
+    places
+        Indices of the runs of the group among the points of the study, from 0.
+    """
+
+    family: str
+    axes: Mapping[str, Label]
+    places: range
+
+    @property
+    def words(self) -> str:
+        """Family and labels as one line; empty in a study without families and axes."""
+        told = [f"{key} {label}" for key, label in self.axes.items()]
+        return ", ".join(filter(None, [self.family, *told]))
+
+    @property
+    def where(self) -> dict[str, Label]:
+        """Labels that select the runs of the group, as for `groups_where`; empty in a study with a single group."""
+        return ({"family": self.family} if self.family else {}) | dict(self.axes)
+
+
+def sample_groups(study: SampledStudy) -> list[SampleGroup]:
+    """Return the groups of a study in the order of its points; a study without axes has a single group."""
+    groups: list[SampleGroup] = []
+    start = 0
+    for grid in map(study.grid, study.families):
+        for combination in range(grid.count // grid.rows):
+            labels, _, _ = grid.point(combination * grid.rows)
+            axes = {key: label for key, label in labels.items() if key not in grid.table}
+            groups.append(SampleGroup(grid.name, axes, range(start, start + grid.rows)))
+            start += grid.rows
+    return groups
+
+
+def groups_where(study: SampledStudy, where: Mapping[str, Any] | None) -> list[SampleGroup]:
+    """Return the groups with the given family and labels.
+
+    Parameters
+    ----------
+    where
+        Labels on axes by dotted key, and the name of the family under the key ``family``; None for all groups.
+
+    Raises
+    ------
+    MbdkitError
+        If there is no such group.
+    """
+    groups = sample_groups(study)
+    wanted = dict(where or {})
+    if wanted and not any(group.words for group in groups):
+        raise MbdkitError("the study has only one sample, without axes and families; leave out `where`")
+    keys = list(dict.fromkeys(key for group in groups for key in ("family", *group.axes)))
+    for key in wanted:
+        if key not in keys:
+            raise MbdkitError(f"the study has no axis '{key}'{did_you_mean(key, keys) or f'; axes: {listed(keys)}'}")
+    found = [
+        group
+        for group in groups
+        if all((group.family if key == "family" else group.axes.get(key)) == label for key, label in wanted.items())
+    ]
+    if not found:
+        raise MbdkitError(f"the study has no runs with these labels; there are: {_told(groups)}")
+    return found
+
+
+def one_group(study: SampledStudy, where: Mapping[str, Any] | None) -> SampleGroup:
+    """Return the only group with the given family and labels; raise MbdkitError if there is no such group, or
+    several.
+    """
+    groups = groups_where(study, where)
+    if len(groups) > 1:
+        example = f"where={groups[0].where!r}"
+        raise MbdkitError(
+            f"the study has {len(groups)} samples; choose one by `where`, such as {example}: {_told(groups)}"
+        )
+    return groups[0]
+
+
+def _told(groups: Sequence[SampleGroup]) -> str:
+    return "; ".join(group.words for group in groups[:6]) + ("; ..." if len(groups) > 6 else "")
+
+
+def measured(study: SampledStudy, name: str, places: range, *, with_bad: bool = False) -> np.ndarray:
+    """Return the values of a numeric column for some points; nan where a run is not complete or is rated bad.
+
+    Parameters
+    ----------
+    with_bad
+        Whether the values of runs that are rated bad are included.
+
+    Raises
+    ------
+    MbdkitError
+        If there is no such column, or it is not numeric.
+    """
+    columns = study.columns()
+    numbers = [key for key, column in columns.items() if key != "number" and np.asarray(column).dtype.kind in "fiu"]
+    if name not in numbers:
+        hint = did_you_mean(name, numbers) or f"; columns: {listed(numbers)}"
+        raise MbdkitError(f"the study has no measure '{name}'{hint}")
+    chosen = slice(places.start, places.stop)
+    values = np.array(columns[name][chosen], np.float64)
+    values[np.asarray(columns["status"][chosen], object) != "complete"] = np.nan
+    if not with_bad:
+        values[is_bad(columns)[chosen]] = np.nan
+    return values
+
+
+def is_bad(columns: Mapping[str, Any]) -> np.ndarray:
+    """Return which runs (N,) of a table are rated bad. Their measures are not used in statistics."""
+    return np.asarray(np.asarray(columns["verdict"], object) == "bad")

@@ -1,0 +1,133 @@
+"""The values of a sample: points of ``scipy.stats.qmc``, transformed by the quantile functions of the variables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbdkit.plugin import MbdkitError, SpecError, path_text
+from mbdkit.plugin.files import Path
+from mbdkit_studies.folder import member_table
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.spec.sample_section import Sample, frozen
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.spec.study_spec import Members, StudySpec
+
+_SMALLEST = 2.0**-54
+"""Smallest coordinate of a point; it replaces 0, whose quantile is infinite for many distributions."""
+
+
+def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
+    """Return the values of each variable, (N,) by dotted key, where N is the number of runs.
+
+    The runs of each member of the sample are consecutive. In a Saltelli design with d variables, a member has one run
+    with a point of the matrix A, one with a point of B, and d runs with the point of A in which one coordinate is taken
+    from B. In other designs, a member is one run.
+
+    Raises
+    ------
+    SpecError
+        If a value is not finite. The key of the error is relative to the section ``sample``.
+    """
+    d = len(sample.variables)
+    if sample.design == "plain":
+        points = unit_points(sample, d)
+    else:
+        both = unit_points(sample, 2 * d)
+        first, second = both[:, :d], both[:, d:]
+        runs = np.repeat(first[:, None, :], d + 2, axis=1)
+        runs[:, 1] = second
+        place = np.arange(d)
+        runs[:, 2 + place, place] = second
+        points = runs.reshape(-1, d)
+    values = {}
+    for column, (key, distribution) in enumerate(sample.variables.items()):
+        with np.errstate(all="ignore"):
+            values[key] = np.asarray(frozen(distribution).ppf(points[:, column]), np.float64)
+        if not np.all(np.isfinite(values[key])):
+            message = "the distribution yields values that are too large for double precision"
+            raise SpecError(message, key=path_text(("variables", key)))
+    return values
+
+
+def unit_points(sample: Sample, dimensions: int) -> np.ndarray:
+    """Return the points of a sample in the unit cube, (n, dimensions), above 0 and below 1."""
+    from scipy.stats import qmc
+
+    random = np.random.default_rng(sample.seed)
+    match sample.method:
+        case "sobol":  # a power of 2, because SciPy warns about other numbers of points
+            points = qmc.Sobol(dimensions, seed=random).random_base2((sample.n - 1).bit_length())[: sample.n]
+        case "halton":
+            points = qmc.Halton(dimensions, seed=random).random(sample.n)
+        case "latin-hypercube":
+            points = qmc.LatinHypercube(dimensions, seed=random).random(sample.n)
+        case "random":
+            points = random.random((sample.n, dimensions))
+    return np.asarray(np.clip(points, _SMALLEST, 1.0 - 2.0**-53))
+
+
+def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
+    """Return a study with the table of the values of its sample; other studies are returned unchanged.
+
+    The table in the folder is used if it belongs to the same study, so that a study continues with the same values even
+    with another version of SciPy.
+    """
+    if spec.sample is None or spec.members is not None:
+        return spec
+    columns = values_of(spec)
+    _, digest = member_table.image(columns)
+    there = None if overwrite else _study_in(folder)
+    if there is not None and there.members is not None and there.members.sha256 != digest:
+        untabled = there.with_members(None).stored_as(None)
+        if untabled.sha256() == spec.stored_as(None).sha256():
+            tabled = spec.with_members(there.members)
+            tabled._folder = folder.path
+            return tabled
+    tabled = spec.with_members(Members(runs=spec.sample.runs, sha256=digest))
+    tabled._columns = columns
+    return tabled
+
+
+def _study_in(folder: StudyFolder) -> StudySpec | None:
+    """Return the study in a folder; None if it cannot be read, which is reported elsewhere."""
+    if not folder.spec.is_file():
+        return None
+    try:
+        return load_study_spec(folder.spec)
+    except MbdkitError:
+        return None
+
+
+def values_of(spec: StudySpec) -> dict[str, np.ndarray]:
+    """Return the values that distinguish the runs of a study, (N,) by dotted key; empty for a study with axes only.
+
+    Raises
+    ------
+    SpecError
+        If the table of members is missing or damaged, or a value of the sample is not finite.
+    """
+    if spec.members is not None:
+        return member_table.read_members(spec)
+    if spec.sample is None:
+        return {}
+    if spec._columns is None:
+        try:
+            spec._columns = sampled_values(spec.sample)
+        except SpecError as error:
+            raise spec.placed(error.located(prefix="sample")) from None
+    columns: dict[str, Any] = spec._columns
+    return columns
+
+
+def rows_of(spec: StudySpec) -> int:
+    """Return the number of rows of `values_of`; 1 for a study with axes only."""
+    if spec.members is not None:
+        return spec.members.runs
+    return 1 if spec.sample is None else spec.sample.runs
+
+
+def table_place(spec: StudySpec) -> Path:
+    """Return the location in the study spec of the keys of `values_of`."""
+    return ("members",) if spec.sample is None else ("sample", "variables")

@@ -1,0 +1,204 @@
+"""Notes on values that a study varies: masses without moments of inertia, exchanged parameters of normal distributions,
+limits of truncated ones that are probably not meant as multiples of the scale, and starts that assembly changes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Set
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from mbdkit.plugin import RunSpec, SpecError, counted, listed, path_text, read_quantity
+from mbdkit.plugin.equations import Starts
+from mbdkit.plugin.files import Path
+from mbdkit.plugin.runs import build
+from mbdkit.plugin.specs import names_in, parameter_values, parameters_in_use, parse_key
+from mbdkit_studies.points.planned_points import Grid, grids
+from mbdkit_studies.spec.sample_section import frozen
+from mbdkit_studies.spec.study_spec import StudySpec
+
+WIDE = 3.0
+"""Mean and standard deviation may be exchanged if the standard deviation exceeds this multiple of the mean."""
+
+KEPT = 0.01
+"""Share of the range of an initial value by which assembly may change this range without a warning."""
+
+ROUNDING = 1e-9
+"""Ranges of initial values below this share of the largest value count as rounding errors."""
+
+KEYS = (("position", 0), ("position", 1), ("angle",), ("velocity", 0), ("velocity", 1), ("angular_velocity",))
+"""Keys of the initial values of a body."""
+
+
+def notes_on_varied_values(spec: StudySpec) -> Iterator[str]:
+    """Yield a note for each mass of a body that a study varies while the moment of inertia of the body stays the same,
+    for each normal distribution whose mean and standard deviation are probably exchanged, and for each truncated normal
+    distribution whose limits are probably given as values.
+
+    The mass may be varied itself or through parameters. Where it is varied itself, the note names the parameter to vary
+    instead, if mass and inertia depend on one.
+    """
+    found = dict.fromkeys(note for grid in grids(spec) for note in (*_of_masses(grid), *_exchanged(spec, grid)))
+    yield from (*found, *_truncated(spec))
+
+
+def _of_masses(grid: Grid) -> Iterator[str]:
+    varied = _varied(grid)
+    base = json.loads(grid.base_json)
+    parameters: dict[str, Any] = base.get("parameters") or {}
+    names = {str(path[1]) for path in varied if path[:1] == ("parameters",) and len(path) == 2}
+    through: dict[tuple[str, ...], list[tuple[str, Any]]] = {}  # bodies with their inertias, by varied parameters
+    for name, body in (base["model"].get("bodies") or {}).items():
+        place = ("model", "bodies", name)
+        if body.get("inertia") is None or (*place, "inertia") in varied:
+            continue
+        if (*place, "mass") in varied:
+            yield _of_mass((*place, "mass"), body, parameters)
+        elif not _depends(body["inertia"], parameters, names):
+            of_mass = tuple(one for one in sorted(names) if _depends(body.get("mass"), parameters, {one}))
+            through.setdefault(of_mass, []).append((name, body["inertia"]))
+    for of_mass, bodies in through.items():
+        if of_mass:
+            (name, inertia), *others = bodies
+            keys = listed([path_text(("parameters", one)) for one in of_mass], "and")
+            more = f" (and in the same way for {counted(len(others), 'other body', 'other bodies')})" if others else ""
+            yield (
+                f"the runs vary the mass of body '{name}' through {keys}, but not its inertia, {inertia}{more}; to "
+                f"change both, write the inertia as an expression of the same parameters"
+            )
+
+
+def _of_mass(path: Path, body: Mapping[str, Any], parameters: Mapping[str, Any]) -> str:
+    common = names_in(body.get("mass")) & parameters_in_use(parameters, [body["inertia"]])
+    advice = (
+        f"vary parameters.{min(common)} instead"
+        if len(common) == 1
+        else "write both as expressions of one parameter, and vary this parameter"
+    )
+    return (
+        f"the runs vary {path_text(path)}, but not the inertia of body '{path[2]}', {body['inertia']}; to change both, "
+        f"{advice}"
+    )
+
+
+def _depends(text: Any, parameters: Mapping[str, Any], names: Set[str]) -> bool:
+    """Return whether a value depends on any of the named parameters, also through other parameters."""
+    return bool(parameters_in_use(parameters, [text]) & names)
+
+
+def _varied(grid: Grid) -> list[Path]:
+    """Return the key paths that the axes and the table of a grid set, each once."""
+    values = [(key, value) for axis in grid.axes for key, found in axis for value in found]
+    keys = [one for key, value in values for one in (value.value if value.together else (key,))]
+    return [parse_key(key) for key in dict.fromkeys([*keys, *grid.table])]
+
+
+def _exchanged(spec: StudySpec, grid: Grid) -> Iterator[str]:
+    """Yield a note for each normal distribution whose standard deviation, but not its mean, is near the value of the
+    base.
+    """
+    base = json.loads(grid.base_json)
+    for key, given in ({} if spec.sample is None else spec.sample.variables).items():
+        (kind,) = given
+        value = _number(base, parse_key(key)) if kind in ("normal", "norm") else None
+        if value is None:
+            continue
+        distribution = frozen(given)
+        mean, std = float(distribution.mean()), float(distribution.std())
+        if std > WIDE * abs(mean) > 0.0 and abs(value - std) < abs(value - mean):
+            yield (
+                f"{path_text(('sample', 'variables', key))}: the standard deviation of {std:g} is much larger than "
+                f"the mean of {mean:g}, but near the value {value:g} of the base; the parameters of `{kind}` are the "
+                f"mean and the standard deviation, in this order"
+            )
+
+
+def _truncated(spec: StudySpec) -> Iterator[str]:
+    """Yield a note for each truncated normal distribution whose center is outside of its limits, but would be inside if
+    the limits were values of the variable.
+    """
+    for key, given in ({} if spec.sample is None else spec.sample.variables).items():
+        if "truncnorm" not in given:
+            continue
+        distribution = frozen(given)
+        low, high = distribution.support()
+        a, b = distribution.args
+        center, scale = (distribution.kwds.get(name, value) for name, value in (("loc", 0.0), ("scale", 1.0)))
+        if a <= center <= b and not low <= center <= high:
+            advised = ", ".join(f"{x:.6g}" for x in ((a - center) / scale, (b - center) / scale, center, scale))
+            yield (
+                f"{path_text(('sample', 'variables', key))}: the drawn values are between {low:g} and {high:g}, "
+                f"although loc is {center:g}, because the limits of `truncnorm` are relative to loc, in units of "
+                f"scale; for values between {a:g} and {b:g}, write [{advised}]"
+            )
+
+
+def _number(base: dict[str, Any], path: Path) -> float | None:
+    """Return the number at a key of a base spec in SI units; None if there is none."""
+    if path[:1] == ("parameters",) and len(path) == 2:
+        return parameter_values(base.get("parameters") or {}).get(str(path[1]))
+    found: Any = base
+    with suppress(LookupError, TypeError, SpecError):
+        for part in path:
+            found = found[part]
+        if isinstance(found, int | float):
+            return float(found)
+        quantity = read_quantity(found)
+        return None if quantity is None else quantity[0]
+    return None
+
+
+def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
+    """Return a list with a warning if starts after assembly do not follow the initial values that runs vary.
+
+    Otherwise, the list is empty.
+
+    Parameters
+    ----------
+    specs
+        Specs of some runs of the study, such as the first and the last.
+    """
+    free = [spec for spec in specs if spec.model_item.name == "mechanism"]
+    if not free or any(set(spec.mechanism().bodies) != set(free[0].mechanism().bodies) for spec in free):
+        return []
+    given = np.array([_given(spec) for spec in free])
+    if not np.any(np.ptp(given, axis=0)):
+        return []
+    starts, changes, kept = Starts(), [], []
+    for spec, values in zip(free, given, strict=True):
+        with suppress(SpecError):  # the run reports this error itself
+            _, start = build(spec, starts)
+            now = np.hstack([start.q.reshape(-1, 3), start.v.reshape(-1, 3)])
+            changes.append(now - values)
+            kept.append(values)
+    if len(kept) < 2:
+        return []
+    off, span = np.ptp(changes, axis=0), np.ptp(kept, axis=0)
+    varies = span > ROUNDING * np.max(np.abs(kept))
+    share = np.divide(off, span, out=np.zeros_like(off), where=varies)
+    body, column = np.unravel_index(int(np.argmax(share)), share.shape)
+    if not share[body, column] > KEPT:
+        return []
+    first, last = (int(np.argmin(np.array(kept)[:, body, column])), int(np.argmax(np.array(kept)[:, body, column])))
+    a, b = (kept[place][body, column] for place in (first, last))
+    moved = [kept[place][body, column] + changes[place][body, column] for place in (first, last)]
+    key = path_text(("model", "bodies", list(free[0].mechanism().bodies)[body], *KEYS[column]))
+    text = (
+        f"the runs vary {key} from {a:.4g} to {b:.4g}, but the start after assembly from {moved[0]:.4g} to "
+        f"{moved[1]:.4g}, because the joints connect it with other initial values; vary all values that belong "
+        f"together, or use expressions of one parameter"
+    )
+    return [text]
+
+
+def _given(spec: RunSpec) -> np.ndarray:
+    """Return the given initial coordinates and velocities of all bodies, (B, 6)."""
+    return np.array(
+        [
+            (*body.position, body.angle, *body.velocity, body.angular_velocity)
+            for body in spec.mechanism().bodies.values()
+        ]
+    )

@@ -1,0 +1,289 @@
+"""The report of a study."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.plugin import SpecError, listed
+from mbdkit.plugin.doubts import MISALIGNMENT
+from mbdkit_report.analysis.verdict import Answer, Verdict, columns_of
+from mbdkit_report.figures.page_model import Cell, Column, Figure, Table
+from mbdkit_report.figures.player_data import film_data
+from mbdkit_report.figures.quantity_text import count
+from mbdkit_report.notebook.result_views import View
+from mbdkit_report.pages.methods_used import methods
+from mbdkit_report.pages.report_page import NO_FAILURES, ReportPage
+from mbdkit_report.pages.run_report import environment
+from mbdkit_report.pages.run_verdict import mechanism_size
+from mbdkit_studies.points.sample_groups import sample_groups
+from mbdkit_studies.report.sample_figures import sample_figures, sample_tables
+from mbdkit_studies.report.study_figures import measure_columns, study_figures, with_slope_guides
+from mbdkit_studies.report.study_headlines import headlines
+from mbdkit_studies.results.added_results import ADDED, added_texts, with_emphasis
+from mbdkit_studies.results.cost_at_error import is_timed
+from mbdkit_studies.results.judge import find_verdict, judge
+from mbdkit_studies.results.point_selection import OPERATIONS, value
+from mbdkit_studies.results.study_notes import notes
+from mbdkit_studies.store.study_point import axis_unit, point_words
+
+if TYPE_CHECKING:
+    from mbdkit_studies.store.study_point import StudyPoint
+    from mbdkit_studies.study import Study
+
+_FILMS = 6
+_LISTED = 500
+"""Largest number of runs of a study with a sample that the page lists."""
+_READ = 20
+"""Number of runs, evenly spaced over a study with a sample, whose specs and provenance the page shows. The first run of
+each sample is added.
+"""
+_NUMBERS = 40_000  # approximate number of pose values of each animation
+_COLUMNS = (
+    (Column("largest misalignment", "m"), "misalignment_max"),
+    (Column("energy balance", "J"), "energy_balance_max"),
+    (Column("error at the end", "m"), "end_error"),
+    (Column("right-side evaluations"), "rhs_evaluations"),
+    (Column("Jacobians"), "jacobian_evaluations"),
+    (Column("factorizations"), "factorizations"),
+)
+_TIMED_ONCE = ((Column("wall time, timed once", "s"), "wall_s"),)
+_TIMED = (
+    (Column("wall time, shortest", "s"), "wall_min_s"),
+    (Column("median", "s"), "wall_median_s"),
+    (Column("upper quartile", "s"), "wall_q3_s"),
+)
+_OF_A_RUN = ("command", "assembly", "model", "integrator")
+"""Entries of the provenance that differ between the runs of a study."""
+
+
+def study_report(study: Study) -> ReportPage:
+    """Return the report of a study, complete or not.
+
+    Raises
+    ------
+    SpecError
+        If the study names an unknown verdict.
+    """
+    states = Counter(study.statuses())
+    verdict = _verdict(study)
+    missing = states["missing"] + sum(point.status == "missing" for point in study.references)
+    return ReportPage(
+        title=" ".join((study.spec.title or study.folder.resolve().name).split()),
+        settings=settings(study),
+        alarm=f'{count(missing, "run")} missing: the command "mbdkit study" computes them' if missing else "",
+        headline=(*added_texts(study), *_claims(verdict), *headlines(study, "±")),
+        remarks=tuple(notes(study)),
+        remarks_title=_remarks_title(study),
+        verdict=verdict,
+        beside_verdict=(ADDED,),
+        begins_with_verdict=True,
+        films=tuple(_films(study)),
+        failures=_failures(study),
+        methods=methods(_specs(study), find_verdict(study.spec)[0].plugin.references if study.spec.verdict else ()),
+        environment=_environment(study),
+        reproduce=f"Save the spec below as study.yaml. {_again(study)}",
+        commands="mbdkit study study.yaml -o again\nmbdkit report again",
+        spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
+        spec_file="study.yaml",
+    )
+
+
+def study_view(study: Study) -> View:
+    """Return the view of a study."""
+    title = " ".join(study.spec.title.split()) or study.folder.resolve().name
+    answers = [f"{name}: {told}" for name, told in (*headlines(study, "±"), *notes(study))]
+    return View(f"Study: {title}", (settings(study), *answers), tables=(runs_table(study),))
+
+
+def _again(study: Study) -> str:
+    """Return sentences that say how to read or repeat a run, given its number on the page."""
+    if not study.spec.in_blocks:
+        return (
+            'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
+            "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
+        )
+    return (
+        "The study's folder contains the runs in blocks. In Python, mbdkit.load_study(folder).run(number=1) returns "
+        "what is stored of run 1, and remake(number=1) integrates it again with all arrays."
+    )
+
+
+def settings(study: Study) -> str:
+    """Return the numbers of runs of a study by status and verdict, as one line."""
+    states = Counter(study.statuses())
+    parts = [count(len(study.points), "run")]
+    if len(study.families) > 1:
+        parts.append(count(len(study.families), "family", "families"))
+    told = [name for name in ("complete", "failed", "left-out") if states[name]]
+    pairs = zip(study.verdicts(), study.statuses(), strict=True)
+    levels = Counter(level for level, state in pairs if state == "complete")  # failed runs are rated bad, too
+    verdicts = [f"{levels[level]:,} {level}" for level in ("doubtful", "bad") if levels[level]]
+    return " \u00b7 ".join([*parts, *(f"{states[name]:,} {name.replace('-', ' ')}" for name in told), *verdicts])
+
+
+def _verdict(study: Study) -> Verdict:
+    """Return the verdict of the study with the table of its runs. A study with a sample also has the charts and tables
+    of the sample. Other studies have general charts if the verdict has no charts.
+    """
+    verdict = judge(study)
+    figures: tuple[Figure, ...] = tuple(with_slope_guides(figure) for figure in verdict.figures)
+    tables = verdict.tables
+    if study.spec.has_table:
+        figures, tables = (*figures, *sample_figures(study)), (*tables, *sample_tables(study))
+    else:
+        figures = tuple(with_emphasis(figure, study.spec.added) for figure in figures or study_figures(study))
+    return replace(verdict, figures=figures, tables=(*tables, runs_table(study)))
+
+
+def _claims(verdict: Verdict) -> Iterator[tuple[str, str]]:
+    """Yield a label and the numbers of claims by answer; nothing without claims."""
+    words = {Answer.YES: "hold", Answer.PARTLY: "hold partly", Answer.NO: "do not hold", Answer.OPEN: "are open"}
+    answers = Counter(claim.answer for claim in verdict.claims)
+    if answers:
+        parts = [f"{answers[answer]} {text}" for answer, text in words.items() if answers[answer]]
+        yield "claims", f"of {len(verdict.claims)}, {listed(parts, 'and')}"
+
+
+def _remarks_title(study: Study) -> str:
+    """Return the title of the remarks on single runs, with the numbers of runs that they are about."""
+    states, levels = Counter(study.statuses()), Counter(study.verdicts())
+    counts = {"bad": levels["bad"] - states["failed"], "doubtful": levels["doubtful"], "failed": states["failed"]}
+    named = listed([f"{number:,} {name}" for name, number in counts.items() if number], "and")
+    return f"Remarks on {named} runs" if named else "Remarks on the runs"
+
+
+def _listed(study: Study) -> Sequence[StudyPoint]:
+    """Return the points that the page lists: all, or the first ones of a study with a sample."""
+    return study.points[:_LISTED] if study.spec.has_table else study.points
+
+
+def _read(study: Study) -> Sequence[StudyPoint]:
+    """Return the points whose specs and provenance the page shows: all, or a few of a study with a sample."""
+    if not study.spec.has_table:
+        return study.points
+    first = [group.places[0] for group in sample_groups(study)]
+    last = len(study.points) - 1
+    return [study.points[place] for place in sorted({*first, *(last * k // (_READ - 1) for k in range(_READ))})]
+
+
+def runs_table(study: Study) -> Table:
+    """Return the table of the runs of a study: their values on the axes, status, verdict, measures and cost. Of a study
+    with a sample, only the first runs are listed.
+    """
+    points = _listed(study)
+    units = None
+    if study.spec.has_table:
+        units = {key: axis_unit(key, points) for key in dict.fromkeys(key for point in points for key in point.axes)}
+    usual = [*_COLUMNS, *(_TIMED if is_timed(points) else _TIMED_ONCE)]
+    asked = [
+        measure_column
+        for measure_column in measure_columns(study)
+        if measure_column[1] not in {name for _, name in usual}
+    ]
+    shown = [
+        (column, name)
+        for column, name in (*asked, *usual)
+        if any(not math.isnan(value(point, name)) for point in points)
+    ]
+    rows: list[tuple[Cell, ...]] = [
+        (*_named(point, units), point.status, point.verdict, *(_cell(point, name) for _, name in shown))
+        for point in points
+    ]
+    named = columns_of("run; family; values; status; verdict")
+    columns = (*named, *(column for column, _ in shown))
+    if len(study.families) == 1:
+        rows, columns = [(row[0], *row[2:]) for row in rows], (columns[0], *columns[2:])
+    if len(points) < len(study.points):
+        note = f"The index of the study has all {len(study.points)} runs; `mbdkit.load_study(...).to_frame()` shows it."
+        return Table("runs", f"The first {len(points)} runs", columns, tuple(rows), note)
+    return Table("runs", "All runs", columns, tuple(rows))
+
+
+def _named(point: StudyPoint, units: Mapping[str, str] | None) -> tuple[Cell, ...]:
+    return point.number, point.family, point_words(point, units)
+
+
+def _cell(point: StudyPoint, name: str) -> Cell:
+    found = value(point, name)
+    if math.isnan(found):
+        return None
+    return int(found) if name in OPERATIONS else found
+
+
+def _failures(study: Study) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (point.number, ": ".join(filter(None, [point.family, point_words(point) or "reference"])), point.reason)
+        for point in study.failures[: _LISTED if study.spec.has_table else None]
+    ]
+    text = f"The first {len(rows)} of {len(study.failures)}." if len(rows) < len(study.failures) else NO_FAILURES.note
+    columns = columns_of("run; member; reason")
+    return replace(NO_FAILURES, columns=columns, rows=tuple(rows), note=text)
+
+
+def _films(study: Study) -> Iterable[dict[str, Any]]:
+    """Yield one animation for each of the first families: of the run with the largest misalignment that is not rated
+    bad or, if all are rated bad, of the run with the smallest. Studies with a sample have no animations.
+    """
+    if study.spec.has_table:
+        return
+    for name in list(study.families)[:_FILMS]:
+        ranked = [point for point in study.family(name) if value(point, "misalignment_max") >= 0 and point.path]
+        ranked.sort(key=lambda point: -value(point, "misalignment_max"))
+        for point in ranked:
+            run = study.run(point)
+            assert run is not None
+            with run:
+                if run.misalignment_max <= MISALIGNMENT.bad * mechanism_size(run) or point is ranked[-1]:
+                    yield film_data(
+                        run, _NUMBERS, ": ".join(filter(None, [f"run {point.number}", name, point_words(point)]))
+                    )
+                    break
+
+
+def _specs(study: Study) -> list[dict[str, Any]]:
+    return [_spec_of(study, point) for point in (*_read(study), *study.references) if point.status != "left-out"]
+
+
+def _spec_of(study: Study, point: StudyPoint) -> dict[str, Any]:
+    """Return the canonical spec of a run. If a plugin is not installed, or the spec names a file, which is not read,
+    the spec is read from the archive or the block.
+    """
+    try:
+        return dict(json.loads(point.spec.canonical_json()))
+    except SpecError:
+        run = study.run(point)
+        if run is None:
+            raise
+        with run:
+            return dict(run.spec)
+
+
+def _environment(study: Study) -> Table:
+    """Return the table of the provenance of the runs that `_read` selects. Each entry lists its distinct values;
+    entries that always differ between runs are left out.
+    """
+    said: dict[str, dict[str, None]] = {}
+    for point in (*_read(study), *study.references):
+        run = study.run(point)
+        if run is None:
+            continue
+        with run:
+            for name, found in run.provenance.items():
+                if not name.startswith(_OF_A_RUN):
+                    said.setdefault(name, {})[str(found)] = None
+    return environment({name: listed(found) for name, found in said.items()}, {"study": Path(study.folder).name})
+
+
+@contextmanager
+def study_page(folder: Path, workers: int) -> Iterator[ReportPage]:
+    """Yield the report of the study in a folder; it is made by one process, so that `workers` has no effect."""
+    from mbdkit_studies.compute.carry_out import load_study
+
+    yield study_report(load_study(folder))

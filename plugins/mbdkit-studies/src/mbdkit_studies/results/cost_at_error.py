@@ -1,0 +1,149 @@
+"""The cost of runs at a given error, in studies with a reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.trust.criteria import KNOWN_POSITION
+from mbdkit_report.analysis.verdict import Cell, Column, Table
+from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies.results.point_selection import METHOD, OPERATIONS, value
+from mbdkit_studies.store.study_point import others_than, value_words
+
+if TYPE_CHECKING:
+    from mbdkit_studies.store.study_point import StudyPoint
+    from mbdkit_studies.study import Study
+
+ERROR = "end_error"
+"""Column of the error: the largest distance of a body from the reference at the end [m]."""
+
+FAVOURITES = (1e-6, 1e-3, 1e-9, 1e-12)
+"""Errors [m] in the table, the most relevant first.
+
+If none is in the range of the runs' errors, the table has the power of ten closest to the middle of this range, on a
+logarithmic scale, if this power is in the range.
+"""
+
+MOST = 3
+"""Largest number of errors in the table."""
+
+TIMED_ONCE = (
+    'Each run was timed once, in parallel with other work, so that wall times are uncertain: "repeats: 5" in the study '
+    "gives times that can be compared."
+)
+TIMED = "Wall times are the shortest of the repeated timings on this machine."
+
+
+def wall_time(point: StudyPoint) -> float:
+    """Return the shortest of the repeated timings of a run, or its single timing [s]; nan if the run is not
+    complete.
+    """
+    least = value(point, "wall_min_s")
+    return value(point, "wall_s") if math.isnan(least) else least
+
+
+def is_timed(points: Iterable[StudyPoint]) -> bool:
+    """Return whether any run was timed repeatedly; repeated timings are made while no other run is computed."""
+    return any(not math.isnan(value(point, "wall_min_s")) for point in points)
+
+
+def cost_at_error(study: Study) -> Table | None:
+    """Return a table of the cost at which each sequence of runs reaches some errors.
+
+    The runs of a sequence differ only in the value on their last numeric axis. The sequence that reaches the first
+    error with the fewest operations comes first. The result is None if the study has no reference, if fewer than two
+    sequences have two different errors, or if there is no power of ten in the range of the errors.
+    """
+    groups = _groups(study)
+    if len(groups) < 2:
+        return None
+    errors = [float(error) for points in groups.values() for point in points if (error := value(point, ERROR)) > 0]
+    wanted = _targets(errors)
+    if not wanted:
+        return None
+    rows = []
+    for name, points in groups.items():
+        cells: list[Cell] = [name]
+        found = [value(point, ERROR) for point in points]
+        works, times = [_operations(point) for point in points], [wall_time(point) for point in points]
+        for target in wanted:
+            work = work_for(works, found, target)
+            cells += [None, None] if math.isnan(work) else [round(work), at_equal_work(works, times, work)]
+        rows.append((work_for(works, found, wanted[0]), tuple(cells)))
+    rows.sort(key=lambda row: (math.isnan(row[0]), row[0]))
+    columns = [Column("runs")]
+    for target in wanted:
+        columns += [Column(f"operations for {target:.0e} m"), Column(f"wall time for {target:.0e} m", "s")]
+    note = (
+        "Errors are those at the end, against the reference. Costs are interpolated between the runs of a row; a row "
+        "whose cheapest run is more accurate has the cost of that run. Operations are evaluations of the right-hand "
+        f"side, evaluations of Jacobians and factorizations. {TIMED if is_timed(study.points) else TIMED_ONCE}"
+    )
+    listed = tuple(cells for _, cells in rows)
+    return Table("cost-at-error", "Cost at a given error", tuple(columns), listed, note)
+
+
+def error_headlines(study: Study) -> list[tuple[str, str]]:
+    """Return pairs of a name and a text about the errors against the reference; empty if no error is known.
+
+    The first pair gives the range of the errors and the number of runs that stay near the reference. The second pair
+    names the sequences of runs that need the fewest operations for a given error (see `cost_at_error`).
+    """
+    if not study.references:
+        return []
+    errors = np.array([value(point, ERROR) for point in study.points])
+    known = errors[np.isfinite(errors)]
+    if not known.size:
+        return []
+    told = f"{known.min():.2g} to {known.max():.2g} m at the end, against the reference"
+    path = np.array([value(point, "trajectory_error") / value(point, "mechanism_size") for point in study.points])
+    if np.any(np.isfinite(path)):
+        count = int(np.sum(path <= KNOWN_POSITION.doubtful))
+        limit = f"{KNOWN_POSITION.doubtful:.0%} of the mechanism's size"
+        told += f"; {count} of {len(errors)} runs stay within {limit} of it"
+    found = [("errors", told)]
+    table = cost_at_error(study)
+    if table is not None:
+        target = table.columns[1].label.removeprefix("operations for ")
+        reached = [row for row in table.rows if row[1] is not None][:3]
+        words = [f"{row[0]} ({row[1]})" for row in reached]
+        if words:
+            more = f", before {' and '.join(words[1:])}" if words[1:] else ""
+            found.append((f"fewest operations for an error of {target}", f"{words[0]}{more}"))
+    return found
+
+
+def _groups(study: Study) -> dict[str, list[StudyPoint]]:
+    """Return sequences of complete runs that differ only in their last numeric axis, such as the step.
+
+    The keys are the families and the values on the other axes, in words. Sequences in which all errors are equal are
+    left out.
+    """
+    found: dict[str, list[StudyPoint]] = {}
+    for point in study.points:
+        if math.isnan(value(point, ERROR)):
+            continue
+        numbers = [key for key, label in point.axes.items() if key != METHOD and isinstance(label, int | float)]
+        others = [value_words(key, point) for key in others_than((numbers or [""])[-1], point)]
+        found.setdefault(", ".join(filter(None, [point.family, *others])), []).append(point)
+    return {name: points for name, points in found.items() if len({value(one, ERROR) for one in points}) > 1}
+
+
+def _targets(errors: list[float]) -> list[float]:
+    """Return the errors of the table [m], which lie in the range of the errors of the runs."""
+    if not errors:
+        return []
+    low, high = min(errors), max(errors)
+    inside = [target for target in FAVOURITES if low <= target <= high]
+    if inside:
+        return inside[:MOST]
+    middle = 10.0 ** round(0.5 * (math.log10(low) + math.log10(high)))
+    return [middle] if low <= middle <= high else []
+
+
+def _operations(point: StudyPoint) -> float:
+    return sum(value(point, column) for column in OPERATIONS)

@@ -1,0 +1,92 @@
+"""Evaluation of a study by the verdict function that its spec names, and the lookup of this function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.plugin import PluginError, SpecError, StudyPlugin, did_you_mean, listed, with_place
+from mbdkit.plugin.specs import registry
+
+if TYPE_CHECKING:
+    from mbdkit.plugin.specs import Registered
+    from mbdkit_report.analysis.verdict import Verdict
+    from mbdkit_studies.spec.study_spec import StudySpec
+    from mbdkit_studies.study import Study
+
+
+def judge(study: Study) -> Verdict:
+    """Return the verdict on a study.
+
+    If the spec of the study names a packaged study as its ``verdict``, the verdict function of that study is called.
+    Otherwise, the general verdict is returned. Either is followed by the results of added methods.
+
+    Parameters
+    ----------
+    study
+        The study. It may be incomplete; claims that depend on missing runs remain open.
+
+    Raises
+    ------
+    SpecError
+        If there is no verdict with the name in the spec, or several distributions have one, or if the verdict function
+        requires other families and axes than those of the study.
+    PluginError
+        If the verdict function of another distribution fails or returns no Verdict.
+    """
+    name = study.spec.verdict
+    from mbdkit_studies.results.added_results import with_added_methods
+
+    if not name:
+        from mbdkit_studies.results.general_verdict import general_verdict
+
+        return with_added_methods(general_verdict(study), study)
+    item, function = find_verdict(study.spec)
+    try:
+        verdict: Any = function(study)
+    except (LookupError, ValueError) as error:
+        wrong = (
+            f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"
+        )
+        raise study.spec.placed(SpecError(wrong, key="verdict")) from error
+    except (Exception, SystemExit) as error:
+        if item.origin.distribution == "mbdkit":
+            raise
+        raise PluginError(f"the verdict of '{item.id}' raised {with_place(error)}") from error
+    return with_added_methods(_checked(verdict, item), study)
+
+
+def _checked(verdict: Any, item: Registered) -> Verdict:
+    from mbdkit_report.analysis.verdict import Verdict
+
+    if not isinstance(verdict, Verdict):
+        what = type(verdict).__name__
+        raise PluginError(
+            f"the verdict of '{item.id}' is an object of type {what}, not an mbdkit_report.analysis.verdict.Verdict"
+        )
+    return verdict
+
+
+def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Any], Any]]:
+    """Return the packaged study that a spec names as its verdict, and the verdict function of that study.
+
+    Raises
+    ------
+    SpecError
+        If there is no such verdict, or several distributions have one.
+    """
+    installed = registry()
+    studies = {item: item.plugin for item in installed.of_kind("study") if isinstance(item.plugin, StudyPlugin)}
+    judges = {item: study for item, study in studies.items() if study.has_verdict}
+    if any(spec.verdict in (item.name, item.id) for item in judges):
+        try:
+            found = installed.get("study", spec.verdict)
+        except SpecError as error:  # the name is ambiguous: several distributions use it
+            raise spec.placed(SpecError(error.message, key="verdict")) from None
+        judge = judges[found].verdict
+        assert judge is not None
+        return found, judge
+    names = [installed.accepted(item)[0] for item in judges]
+    hint, advice = did_you_mean(spec.verdict, names), installed.advice(spec.verdict)
+    message = f"there is no verdict '{spec.verdict}'{hint}; verdicts: {listed(names)}{advice}"
+    raise spec.placed(SpecError(message, key="verdict"))

@@ -1,0 +1,1 @@
+"""What a spec of a study says: axes, samples, measures, claims."""

@@ -1,0 +1,253 @@
+"""Loading of study specs from files, packaged studies and mappings, including their base specs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any, TypeAlias
+
+from mbdkit.plugin import SpecError, StudyPlugin, copied, did_you_mean, listed, path_text
+from mbdkit.plugin.files import Path
+from mbdkit.plugin.specs import (
+    Document,
+    Registered,
+    example_names,
+    kind_of,
+    parse_key,
+    read_file,
+    read_source,
+    read_text,
+    refused,
+    registry,
+    set_value,
+)
+from mbdkit.spec.loading import exists
+from mbdkit.spec.reading import read_assignment, read_stdin
+from mbdkit_studies.spec.sample_section import comparable
+from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.spec.value_sets import sets_together
+
+StudySource: TypeAlias = str | FilePath | Mapping[str, object] | StudySpec
+"""A file, the name of a packaged study, a mapping, or a validated spec."""
+
+
+def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
+    """Load and validate a study spec; the name or file of each base is replaced by the content, a mapping.
+
+    Parameters
+    ----------
+    source
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, a document that
+        was read, or a `StudySpec`. The file name of a base is relative to the folder of the study file.
+    assignments
+        Assignments with values in YAML. Keys of runs, as in ``"time.end=5"``, are set in the base of every run, after
+        the `overrides` of the study. Keys of the sample, as in ``"sample.n=64"``, are set in the sample.
+
+    Returns
+    -------
+    StudySpec
+        The validated spec, which is immutable; the specs of its runs are not validated yet.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the file, line and key path if known.
+    """
+    assignments = tuple(assignments)
+    given = source if isinstance(source, StudySpec) else None
+    if isinstance(source, StudySpec):
+        if source._document is not None and not assignments:
+            return source
+        source = source.model_dump(exclude_unset=True)
+    document, folder = document_of(
+        source, ("study", "studies"), _packaged_document, study_names, lambda name: registry().advice(name)
+    )
+    data = document.data
+    if "mbdkit" in data and "mbdkit_study" not in data:
+        message = "this is a run spec, which `mbdkit run` runs; a study spec begins with `mbdkit_study: 1`"
+        raise document.place(SpecError(message, key="mbdkit"))
+    if error := refused(data, "study"):
+        raise document.place(error)
+    try:
+        bases = _write_out_bases(data, folder)
+        for assignment in assignments:
+            _override(document, assignment)
+        spec = StudySpec(**data)
+    except SpecError as error:
+        raise document.place(error) from None
+    spec._document = document
+    spec._bases = bases
+    spec._folder = folder
+    if given is not None:
+        spec._folder, spec._columns = given._folder, given._columns
+    return spec
+
+
+def _override(document: Document, assignment: str) -> None:
+    """Set a key of the sample, or a key of the base of every run.
+
+    A key of the bases is set in the `overrides` of the study, and in those of each family that has any.
+    """
+    path, value = read_assignment(assignment)
+    if path[0] == "sample":  # not a key of runs
+        set_value(document, assignment)
+        return
+    key = path_text(path)
+    holders: dict[Path, dict[str, Any]] = {(): document.data}
+    _check_sample(document.data.get("sample"), path, assignment)
+    families = document.data.get("families")
+    for name, family in families.items() if isinstance(families, Mapping) else ():
+        if isinstance(family, dict):  # validation reports other types
+            holders["families", name] = family
+    for place, holder in holders.items():
+        _check_axes(holder.get("axes"), path, assignment)
+        given = holder.get("overrides")
+        if (place and not given) or not isinstance(given, Mapping | None):
+            continue
+        holder["overrides"] = {name: old for name, old in (given or {}).items() if name != key} | {key: value}
+        document.overridden[*place, "overrides", key] = assignment
+
+
+def _check_sample(sample: Any, path: Path, assignment: str) -> None:
+    """Raise SpecError if a sample sets the key of an assignment, which would have no effect."""
+    variables = sample.get("variables") if isinstance(sample, Mapping) else None
+    for key in variables if isinstance(variables, Mapping) else ():
+        if (drawn := comparable(parse_key(str(key)))) and comparable(path)[: len(drawn)] == drawn:
+            message = f"the sample of the study sets {key}, so this would have no effect"
+            raise SpecError(message, file=f"--set {assignment}")
+
+
+def _check_axes(axes: Any, path: Path, assignment: str) -> None:
+    """Raise SpecError if an axis sets the key of an assignment, which would have no effect."""
+    for axis in axes if isinstance(axes, list) else ():
+        for name, values in axis.items() if isinstance(axis, Mapping) else ():
+            together = sets_together(values) if isinstance(values, list) else []
+            for key in [key for _, keys in together for key in keys] if together else [name]:
+                if (set_by_axis := parse_key(key)) and path[: len(set_by_axis)] == set_by_axis:
+                    message = f"an axis of the study sets {key}, so this would have no effect"
+                    raise SpecError(message, file=f"--set {assignment}")
+
+
+def is_study_name(name: str) -> bool:
+    """Return whether a name is that of a packaged study, but not of a packaged spec of runs or of inverse dynamics."""
+    return name not in {*example_names("run"), *example_names("inverse")} and _packaged(name) is not None
+
+
+def study_names() -> list[str]:
+    """Return the names of the packaged studies, including those of plugins, as accepted by `load_study_spec`."""
+    return sorted(registry().names("study"))
+
+
+def _packaged(name: str) -> Registered | None:
+    """Return the packaged study with this short or full name, or None; raise SpecError if the name is ambiguous."""
+    installed = registry()
+    known = any(name in (item.name, item.id) for item in installed.of_kind("study"))
+    return installed.get("study", name) if known else None
+
+
+def document_of(
+    source: Any,
+    words: tuple[str, str],
+    packaged: Callable[[str], tuple[Document, FilePath] | None],
+    names: Callable[[], Sequence[str]],
+    advice: Callable[[str], str] = lambda name: "",
+) -> tuple[Document, FilePath]:
+    """Return the document of a study or design, and the folder to which file names in it are relative.
+
+    Parameters
+    ----------
+    words
+        Words for the source in messages, singular and plural.
+    packaged
+        Function that returns document and folder of the packaged study or design with a name; None if there is none.
+    names
+        Function that returns the names of the packaged studies or designs.
+    advice
+        Function that returns a clause of advice for an error about a name.
+    """
+    if isinstance(source, Mapping):
+        return Document(copied(source)), FilePath()
+    if isinstance(source, Document):
+        return source, FilePath(source.file).parent
+    word, many = words
+    if not isinstance(source, str | FilePath):
+        kinds = f"a file, the name of a packaged {word}, a dict or a {word.title()}Spec"
+        raise SpecError(f"a {word} is {kinds}, not {type(source).__name__}")
+    if source == "-":
+        return read_stdin(), FilePath()
+    path = FilePath(source)
+    if not os.path.isfile(path) and (document := packaged(str(source))) is not None:
+        return document
+    if not exists(path):
+        raise SpecError(
+            f"there is no such file, and no packaged {word} with this name{did_you_mean(str(source), names())}; "
+            f"{many}: {listed(names())}{advice(str(source))}",
+            file=str(source)[:200],
+        )
+    return read_file(path), path.parent
+
+
+def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
+    """Return the document of a packaged study, and its folder.
+
+    The verdict function of the study is used unless the spec names another one.
+    """
+    item = _packaged(name)
+    if item is None:
+        return None
+    assert isinstance(item.plugin, StudyPlugin)
+    path = item.plugin.spec
+    text = path.read_text("utf-8")
+    document = read_text(text, f"{item.spec_name} (packaged study)", path.suffix)
+    if item.plugin.has_verdict and "verdict" not in document.data:
+        document.data["verdict"] = item.spec_name
+    return document, path.parent
+
+
+def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Document]:
+    """Replace each base that is a name or a Python object by its data; return the documents of the bases by key
+    path.
+    """
+    documents: dict[Path, Document] = {}
+    holders: dict[Path, dict[str, Any]] = {(): data}
+    families = data.get("families")
+    if isinstance(families, Mapping):
+        data["families"] = families = dict(families)
+        for name, family in families.items():
+            if isinstance(family, Mapping):
+                families[name] = holders["families", name] = dict(family)
+    for path, holder in holders.items():
+        base = holder.get("base")
+        if base is None or isinstance(base, Mapping):
+            continue
+        if isinstance(base, str):
+            base = base_source(base, folder, path_text((*path, "base")), "study")
+        documents[*path, "base"] = document = read_source(base)
+        if (kind := kind_of(document.data)).run_kind not in ("forward", ""):
+            raise document.place(
+                SpecError(f"this is {kind.phrase}; the base of a study is a run spec", key=kind.marker)
+            )
+        holder["base"] = document.data
+    return documents
+
+
+def base_source(base: str, folder: FilePath, key: str, owner: str) -> str | FilePath:
+    """Return a source for `read_source`: the path of a file in the folder of its owner, or the name of an example.
+
+    Parameters
+    ----------
+    owner
+        ``study`` or ``design``, for error messages.
+    """
+    path = folder / base
+    names = [*example_names("run"), *example_names("inverse")]
+    if os.path.isfile(path) or base not in names:
+        if base == "-" or not exists(path):
+            raise SpecError(
+                f"there is no file '{base}' in the folder of the {owner}, and no packaged example with this "
+                f"name{did_you_mean(base, names)}; examples: {listed(names)}",
+                key=key,
+            )
+        return path
+    return base

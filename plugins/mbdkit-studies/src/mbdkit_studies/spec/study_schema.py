@@ -1,0 +1,24 @@
+"""JSON schema of study specs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbdkit.plugin.specs import DRAFT, Registry, described, run_schema
+from mbdkit_studies.spec.study_spec import StudySpec
+
+
+def study_schema(installed: Registry | None = None) -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of the study spec; its bases include the schema of the run spec.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
+    """
+    schema, run = described(StudySpec.model_json_schema()), run_schema(installed)
+    base = {"type": "object", "properties": run["properties"], "additionalProperties": False}
+    for place in (schema, schema["$defs"]["Family"]):
+        place["properties"]["base"]["anyOf"] = [{"type": "string"}, {"$ref": "#/$defs/Base"}]
+    schema["$defs"] |= run["$defs"] | {"Base": base}
+    return {"$schema": DRAFT, **schema}

@@ -1,0 +1,1 @@
+"""Where the results of points are kept: the index, blocks and archives of runs."""

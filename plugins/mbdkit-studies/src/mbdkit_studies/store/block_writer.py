@@ -1,0 +1,442 @@
+"""Blocks: HDF5 files that hold many runs of a study, with an axis ``run`` in front of the arrays of a run archive.
+
+Runs of one mechanism and method have the same arrays; they are a *structure* of the block. The groups of the first
+structure are those of a run archive, the groups of others are in ``structure-2``, ``structure-3`` and so on.
+`schemas/block.md` describes the format.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import h5py
+import numpy as np
+
+from mbdkit.archive.part_file import LIBVER, write_image
+from mbdkit.plugin import Array, Recorded
+from mbdkit.plugin.archives import (
+    COUNTERS,
+    FLOAT,
+    INTEGER,
+    KINDS,
+    TEXT,
+    TIMINGS,
+    FinishedRun,
+    attributes_sha256,
+    create,
+    data_sha256,
+    layout,
+    name_texts,
+    set_text,
+    sizes_of,
+    utc_now,
+)
+from mbdkit.plugin.files import canonical_text
+from mbdkit_studies.folder.columns import write_column, write_hashes
+
+FORMAT = "mbdkit-block"
+FORMAT_VERSION = "1.0"
+
+Store = Literal["hashes", "summary", "histories", "all"]
+STORES: tuple[Store, ...] = get_args(Store)
+
+HISTORIES = frozenset(
+    ["trajectory/time"]
+    + [array.path for kind in KINDS for array in kind.arrays if isinstance(array, Recorded) and array.is_history]
+)
+"""Paths of the arrays with rows that ``store: histories`` keeps; names are kept as well."""
+
+KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
+"""Values of `store` for which a study keeps recorded rows."""
+
+COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"))
+"""Axes of a run archive that grow during a run, each with the group in which a block stores its length by run."""
+
+
+def prefix(structure: int) -> str:
+    """Return the path, with a slash at the end, of the groups of a structure, counted from 0; empty for the first."""
+    return f"structure-{structure + 1}/" if structure else ""
+
+
+_BY_RUN = {
+    "status": "complete, failed, interrupted, missing or left-out",
+    "status_reason": "why it is not complete, or the event that ended it",
+    "verdict": "good, unknown, doubtful or bad; empty without results",
+    "worst_joint": "joint with the largest misalignment",
+    "base": "spec before the values of the run are set, JSON",
+    "plugins": "model, integrator and force laws with their versions, JSON",
+    "mechanism": "mechanism that was run, JSON; empty if mbdkit itself has its model and force laws",
+    "files": "name, size and SHA-256 of every file that was read, JSON; empty without files",
+}
+_OF_SUMMARY = {
+    "verdict_reasons": "reasons for the verdict, JSON",
+    "warnings": "warnings about spec and run, JSON",
+    "assembly": "how the start was made consistent",
+}
+_HASHES = {
+    "run_id": "identifier of the run",
+    "spec_sha256": "hash of its spec",
+    "data_sha256": "hash of all its arrays, kept or not",
+}
+
+_AXIS = {"time": "row", "interval": "interval", "event": "event", "impact": "impact"}
+"""Names in a block of the axes that grow during a run.
+
+The scale along such an axis numbers the rows, because the recorded times differ between runs.
+"""
+
+_UNSET = object()
+
+
+@dataclass(frozen=True, eq=False)
+class BlockRun:
+    """One run to be written into a block.
+
+    Parameters
+    ----------
+    number
+        Number of the run in the study, from 1.
+    base
+        The spec without the values that distinguish this run, as JSON.
+    values
+        The values that are set in `base` for this run, by dotted key.
+    status, reason
+        Status of the run, and why it is not complete or which event ended it; otherwise empty.
+    spec_sha256, run_id
+        Hash and identifier of the run's spec; empty if the spec is not valid.
+    plugins
+        Attributes of ``/provenance`` that depend on the spec, as JSON.
+    result
+        Results of the run; None if there are none.
+    measures
+        Values of the measures of the run, by name.
+    mechanism, files
+        The mechanism that was run and the files that were read, as JSON; empty if the spec alone determines them.
+    """
+
+    number: int
+    base: str
+    values: Mapping[str, Any]
+    status: str
+    reason: str
+    spec_sha256: str = ""
+    run_id: str = ""
+    plugins: str = ""
+    result: FinishedRun | None = None
+    measures: Mapping[str, float] | None = None
+    mechanism: str = ""
+    files: str = ""
+
+
+@dataclass(frozen=True)
+class BlockHeading:
+    """What all runs of a block have in common.
+
+    Parameters
+    ----------
+    study_sha256
+        Hash of the study spec.
+    store
+        Which arrays of each run are stored.
+    provenance
+        Attributes of ``/provenance``.
+    measures
+        Unit and description of each measure.
+    compress
+        Whether arrays are compressed.
+    """
+
+    study_sha256: str
+    store: Store
+    provenance: Mapping[str, str | int | float]
+    measures: Mapping[str, tuple[str, str]]
+    compress: bool = False
+
+
+def kept(finished: FinishedRun, store: Store) -> FinishedRun:
+    """Return a run with the arrays selected by `store` and the arrays of names.
+
+    Estimated errors are kept only if `store` is ``all``.
+    """
+    if store == "all":
+        return finished
+    arrays, keys = _KEPT.of(finished.layout, store)
+    return replace(finished, layout=arrays, arrays={key: finished.arrays[key] for key in keys}, accuracy=None)
+
+
+class _KeptArrays:
+    """Selects the arrays of a layout that a study stores.
+
+    Runs usually share their layout, so the last result is cached. Layouts are compared by identity, which is faster
+    than computing their hashes.
+    """
+
+    def __init__(self) -> None:
+        self._asked: tuple[tuple[Array, ...], Store] = ((), "all")
+        self._found: tuple[tuple[Array, ...], frozenset[str]] = ((), frozenset())
+
+    def of(self, recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
+        """Return the arrays selected by `store` together with the arrays of names, and the keys of the selected arrays
+        that have rows.
+        """
+        if self._asked[0] is not recorded or self._asked[1] != store:
+            wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
+            arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
+            self._found = arrays, frozenset(array.key for array in arrays if array.grows)
+            self._asked = recorded, store
+        return self._found
+
+
+_KEPT = _KeptArrays()
+
+
+def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> None:
+    """Write a block; an existing file at `path` is replaced.
+
+    Raises
+    ------
+    SpecError
+        If no file may be written at `path`.
+    ResourceError
+        If the file cannot be written, as on a full disk.
+    """
+    write_image(path, block_image(heading, runs), overwrite=True)
+
+
+def block_image(heading: BlockHeading, runs: Sequence[BlockRun]) -> bytes:
+    """Return the bytes of a block.
+
+    It is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
+    """
+    name = f"block-{next(_NUMBERS)}"
+    with h5py.File(name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
+        _Writer(file, heading, runs).write()
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    return image
+
+
+_NUMBERS = itertools.count(1)
+
+
+class _Writer:
+    def __init__(self, file: h5py.File, heading: BlockHeading, runs: Sequence[BlockRun]):
+        self.file, self.heading, self.runs = file, heading, runs
+        self.has_summary = heading.store != "hashes"
+        self.structures: dict[tuple[str, str, str], list[int]] = {}  # rows of the block by structure
+        rows: list[int] = []
+        last: FinishedRun | None = None
+        for row, run in enumerate(runs):
+            if run.result is not None:
+                if last is None or not _is_alike(last, run.result):
+                    rows = self.structures.setdefault(_structure(run.result), [])
+                rows.append(row)
+                last = run.result
+
+    def write(self) -> None:
+        heading, now = self.heading, utc_now()
+        for name, text in (
+            ("format", FORMAT),
+            ("format_version", FORMAT_VERSION),
+            ("created_utc", now),
+            ("study_sha256", heading.study_sha256),
+            ("store", heading.store),
+        ):
+            set_text(self.file, name, text)
+        provenance = self.file.create_group("provenance")
+        for name, value in heading.provenance.items():
+            provenance.attrs[name] = value
+        self.by_run()
+        self.values()
+        self.measures()
+        self.names_of_structures()
+        for number, rows in enumerate(self.structures.values()):
+            self.structure(prefix(number), rows)
+        set_text(self.file, "data_sha256", data_sha256(self.file))
+        set_text(self.file, layout.ATTRIBUTES_HASH, attributes_sha256(self.file))
+
+    def add(self, path: str, values: Any, dtype: str, units: str, what: str) -> h5py.Dataset:
+        """Write a column with one row for each run of the block; create its group, with the axis ``run``, if needed."""
+        group = path.partition("/")[0]
+        if group not in self.file:
+            self.scale("", group, "run", [run.number for run in self.runs], "number of the run in the study, from 1")
+        array = Array(path, ("run",), units, what, dtype)
+        return write_column(self.file, array, values, compress=self.heading.compress)
+
+    def scale(self, under: str, group: str, name: str, numbers: Sequence[int], what: str) -> None:
+        """Write `numbers` as the dimension scale `name` of a group, which is created if it does not exist."""
+        self.file.require_group(f"{under}{group}")
+        create(
+            self.file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under
+        )
+
+    def by_run(self) -> None:
+        """Write the columns with one row for each run."""
+        runs, results = self.runs, [run.result for run in self.runs]
+        worst = [_worst(result) if result else (np.nan, "") for result in results]
+        texts = {
+            "status": [run.status for run in runs],
+            "status_reason": [run.reason for run in runs],
+            "verdict": [result.judgement.level if result else "" for result in results],
+            "worst_joint": [joint for _, joint in worst],
+            "base": [run.base for run in runs],
+            "plugins": [run.plugins for run in runs],
+            "mechanism": [run.mechanism for run in runs],
+            "files": [run.files for run in runs],
+            "verdict_reasons": [_json_of(result.judgement.reasons if result else ()) for result in results],
+            "warnings": [_json_of(result.warnings if result else ()) for result in results],
+            "assembly": [result.assembly if result else "" for result in results],
+        }
+        for name, what in {**_BY_RUN, **(_OF_SUMMARY if self.has_summary else {})}.items():
+            self.add(f"runs/{name}", texts[name], TEXT, "1", what)
+        hashes = {
+            "run_id": [run.run_id for run in runs],
+            "spec_sha256": [run.spec_sha256 for run in runs],
+            "data_sha256": [result.data_sha256 if result else "" for result in results],
+        }
+        for name, what in _HASHES.items():
+            array = Array(f"runs/{name}", ("run",), "1", what)
+            write_hashes(self.file, array, hashes[name], compress=self.heading.compress)
+        self.add(
+            "runs/misalignment_max",
+            [largest for largest, _ in worst],
+            FLOAT,
+            "m",
+            "largest misalignment of any joint over every step",
+        )
+        structure, place = np.zeros((2, len(runs)), INTEGER)
+        for number, rows in enumerate(self.structures.values(), start=1):
+            structure[rows], place[rows] = number, np.arange(1, len(rows) + 1)
+        self.add("runs/structure", structure, INTEGER, "1", "number of its structure; 0 without results")
+        self.add("runs/place", place, INTEGER, "1", "number of the run in the arrays of its structure")
+        if self.has_summary:
+            stats: list[Mapping[str, float]] = [result.stats if result else {} for result in results]
+            for name in (*COUNTERS, *TIMINGS):
+                numbers = [one.get(name, np.nan) for one in stats]
+                self.add(f"stats/{name}", numbers, FLOAT, "s" if name in TIMINGS else "1", name.replace("_", " "))
+
+    def values(self) -> None:
+        """Write the values that distinguish the runs: numbers as numbers, anything else as JSON."""
+        for key in dict.fromkeys(key for run in self.runs for key in run.values):
+            given = [run.values.get(key, _UNSET) for run in self.runs]
+            path, what = f"values/{key.replace('/', '|')}", f"value of {key}"
+            kinds = {type(value) for value in given}
+            if kinds == {int} and all(-(2**63) <= value < 2**63 for value in given):
+                item = self.add(path, given, INTEGER, "1", what)
+            elif kinds <= {int, float}:
+                item = self.add(path, given, FLOAT, "1", what)
+            else:
+                texts = ["" if value is _UNSET else canonical_text(value) for value in given]
+                item = self.add(path, texts, TEXT, "1", f"{what}, JSON")
+            set_text(item, "key", key)
+
+    def measures(self) -> None:
+        """Write the value of each measure for each run; nan where a run has none."""
+        for name, (units, what) in self.heading.measures.items():
+            taken = [np.nan if run.measures is None else run.measures.get(name, np.nan) for run in self.runs]
+            self.add(f"measures/{name}", taken, FLOAT, units, what)
+
+    def names_of_structures(self) -> None:
+        """Write the names of bodies and joints, the recorded arrays, and the redundant joints of each structure."""
+        self.scale("", "structures", "structure", range(1, len(self.structures) + 1), "number of the structure")
+        for index, (name, what) in enumerate(
+            (
+                ("names", "names of bodies, joints and other elements, JSON"),
+                ("recorded", "paths of the arrays that the runs recorded, JSON"),
+                ("shared", "redundant joints, JSON"),
+            )
+        ):
+            array = Array(f"structures/{name}", ("structure",), "1", what, TEXT)
+            create(self.file, array, np.array([key[index] for key in self.structures], object))
+
+    def structure(self, under: str, rows: Sequence[int]) -> None:
+        """Write the groups of one structure, below the path `under`, for the runs in `rows` of the block."""
+        results = [result for row in rows if (result := self.runs[row].result) is not None]
+        numbers = [self.runs[row].number for row in rows]
+        first, count = results[0], len(results)
+        sizes = sizes_of(first.names)
+        texts = name_texts(first.names)
+        groups = dict.fromkeys(one.group for one in first.layout if self.has_summary)
+        growing = {
+            dim: next((one.key for one in first.layout if one.grows and one.dims[0] == dim), "") for dim in _AXIS
+        }
+        lengths = {dim: [len(one.arrays[key]) if key else 0 for one in results] for dim, key in growing.items()}
+        for group in groups:
+            self.scale(under, group, "run", numbers, "number of the run in the study, from 1")
+            for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
+                whole = range(1, max(lengths[dim]) + 1)
+                self.scale(under, group, _AXIS[dim], whole, f"number of the {_AXIS[dim]}, from 1")
+        for one in sorted(first.layout, key=lambda one: not one.is_scale):
+            if not one.grows and one.group in groups:
+                create(self.file, one, np.array(texts[one.path], object), under=under)
+        for one in first.layout:
+            if one.grows and (not one.is_scale or one.path in ("trajectory/time",)):
+                self.array(
+                    under, one, results, (count, max(lengths[one.dims[0]]), *(sizes[dim] for dim in one.dims[1:]))
+                )
+        if not self.has_summary:
+            return
+        for dim, group in COUNTS:
+            if any(one.grows and one.dims[0] == dim for one in first.layout):
+                counted = Array(f"{group}/rows", ("run",), "1", f"number of {_AXIS[dim]}s of the run", INTEGER)
+                write_column(self.file, counted, np.array(lengths[dim]), under=under)
+        largest = np.array([result.misalignment_max for result in results]).reshape(count, -1)
+        array = Array(
+            "joints/misalignment_max", ("run", "joint"), "m", "largest misalignment of the joint over every step"
+        )
+        write_column(self.file, array, largest, compress=self.heading.compress, under=under)
+        if first.shared is not None:
+            length = [result.shared.length if result.shared else np.nan for result in results]
+            array = Array("joints/characteristic_length", ("run",), "m", "length in the norm of redundant reactions")
+            write_column(self.file, array, np.array(length), under=under)
+
+    def array(self, under: str, one: Array, found: Sequence[FinishedRun], shape: tuple[int, ...]) -> None:
+        """Write one array of all runs of a structure; rows that a run does not have are nan, 0 or empty."""
+        empty: Any = {FLOAT: np.nan, INTEGER: 0}.get(one.dtype, "")
+        values = np.full(shape, empty, object if one.dtype == TEXT else one.dtype)
+        for index, result in enumerate(found):
+            mine = result.arrays[one.key]
+            values[index, : len(mine)] = mine
+        dims = ("run", _AXIS[one.dims[0]], *one.dims[1:])
+        stored = Array(one.path, dims, one.units, one.long_name, one.dtype, one.row_units)
+        if one.dtype == TEXT:
+            create(self.file, stored, values, under=under)
+        else:
+            write_column(self.file, stored, values, compress=self.heading.compress, under=under)
+
+
+def _structure(result: FinishedRun) -> tuple[str, str, str]:
+    shared = None if result.shared is None else asdict(result.shared) | {"length": 0.0}
+    return (
+        canonical_text(asdict(result.names)),
+        canonical_text([array.path for array in result.layout]),
+        canonical_text(shared),
+    )
+
+
+def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
+    """Return whether two runs share their names and layout as objects, and have no redundant joints.
+
+    Runs that are alike have one structure. The contents of the objects are not compared, to save time.
+    """
+    return one.names is other.names and one.layout is other.layout and one.shared is other.shared is None
+
+
+@lru_cache(maxsize=1024)
+def _json_of(texts: tuple[str, ...]) -> str:
+    return canonical_text(texts)
+
+
+def _worst(result: FinishedRun) -> tuple[float, str]:
+    """Return the largest misalignment of any joint, and the name of this joint; empty if it is 0 or nan."""
+    values = result.misalignment_max
+    if not len(values):
+        return 0.0, ""
+    place = int(values.argmax())
+    largest = float(values[place])
+    return (largest, result.names.joints[place]) if largest > 0.0 else (largest, "")

@@ -1,0 +1,128 @@
+"""The blocks of a study: the assignment of runs to blocks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mbdkit.archive.disk_space import row_bytes
+from mbdkit.plugin import MbdkitError, RunSpec
+from mbdkit.plugin.archives import archive_names
+from mbdkit.plugin.equations import compile_mechanism
+from mbdkit.runs.preparation import rows_expected
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.planned_points import PlannedPoints, number_of_points
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.spec.study_spec import LARGEST_TABLE, StudySpec
+from mbdkit_studies.store.block_writer import HISTORIES, Store
+
+MOST_FILES = 500
+"""Number of runs above which studies are stored in blocks, unless files are requested."""
+
+RUNS = 1000
+"""Default of the largest number of runs in a block."""
+
+BLOCKS, FEWEST = 8, 64
+"""Number of blocks of studies with fewer than `BLOCKS` times `RUNS` runs, so that all processes have work, and smallest
+number of runs in each of them, which vectorized runs need; both are defaults.
+"""
+
+BYTES = 1 << 26
+"""Largest size of the arrays of a block [bytes], which must fit in memory; blocks of large runs have fewer runs."""
+
+ROWS = 1000
+"""Assumed number of recorded rows of a run if it depends on step-size control."""
+
+
+def with_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
+    """Return a study whose `store` is set if its runs are to be stored in blocks.
+
+    If the study does not set `store`, the value is that of the same study in the folder. Without such a study, the
+    value is ``all`` for a sample, a table of members, or a large study. `store` remains unset for other studies, which
+    store an archive for each run.
+    """
+    if spec.store is not None:
+        return spec
+    if folder.spec.is_file() and not overwrite:
+        try:
+            there = load_study_spec(folder.spec)
+        except MbdkitError:
+            return spec  # the error is reported when the folder is checked
+        return spec.stored_as(there.store) if there.stored_as(None).sha256() == spec.sha256() else spec
+    return spec.stored_as("all") if is_for_blocks(spec) else spec
+
+
+def is_for_blocks(spec: StudySpec) -> bool:
+    """Return whether a study is stored in blocks, on request or because it is large."""
+    if spec.store is not None:
+        return spec.in_blocks
+    return spec.has_table or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
+
+
+@dataclass(frozen=True)
+class StudyBlocks:
+    """The division of the runs of a study into blocks.
+
+    Parameters
+    ----------
+    runs
+        Number of runs of the study.
+    size
+        Number of runs in each block but the last.
+    """
+
+    runs: int
+    size: int
+
+    @classmethod
+    def of(cls, spec: StudySpec, points: PlannedPoints) -> StudyBlocks:
+        """Return the blocks of a study.
+
+        Unless the spec sets the size of the blocks, the size depends on the first valid spec among those of the first
+        ten runs, so that all processes that compute the study use the same blocks.
+        """
+        if spec.block is not None:
+            return cls(len(points), min(spec.block, LARGEST_TABLE))
+        for point in points[:10]:
+            if point.lacking:
+                continue
+            try:
+                row = _bytes(point.spec, stored(spec))
+            except MbdkitError:
+                continue
+            return cls(len(points), max(1, min(_most_runs(len(points)), BYTES // max(1, row))))
+        return cls(len(points), _most_runs(len(points)))
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return math.ceil(self.runs / self.size)
+
+    def places(self, block: int) -> range:
+        """Return the indices of the runs of a block; runs and blocks are numbered from 0."""
+        return range(block * self.size, min(self.runs, (block + 1) * self.size))
+
+    def block_of(self, place: int) -> int:
+        """Return the number of the block that contains the run with this index; both are counted from 0."""
+        return place // self.size
+
+
+def _most_runs(runs: int) -> int:
+    """Return the largest number of runs in a block of a study with `runs` runs."""
+    return min(RUNS, max(FEWEST, math.ceil(runs / BLOCKS)))
+
+
+def stored(spec: StudySpec) -> Store:
+    """Return the value of `store`: which data of each run the blocks of a study contain."""
+    assert spec.store is not None
+    assert spec.store != "files"
+    return spec.store
+
+
+def _bytes(spec: RunSpec, store: Store) -> int:
+    """Return the estimated size of the arrays that are stored for a run [bytes]."""
+    if store in ("hashes", "summary"):
+        return 0
+    names = archive_names(compile_mechanism(spec.mechanism()))
+    row = row_bytes(names, spec.output.recorded, None if store == "all" else HISTORIES)
+    return row * (rows_expected(spec) or ROWS)

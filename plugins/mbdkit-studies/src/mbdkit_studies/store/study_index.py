@@ -1,0 +1,423 @@
+"""The index of a study: columns with one value per run in an HDF5 file, readable as netCDF-4 and written atomically.
+
+The index of a study with an archive for each run has format 1.x, in which texts are stored directly. The index of a
+study in blocks, which may have millions of runs, has format 2.x: texts are coded, hashes are bytes, and the names and
+positions of columns are attributes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+import mbdkit
+from mbdkit import ArchiveError
+from mbdkit.archive.part_file import LIBVER
+from mbdkit.plugin import Array, SpecError
+from mbdkit.plugin.archives import (
+    ATTRIBUTES_HASH,
+    COUNTERS,
+    FLOAT,
+    INTEGER,
+    TEXT,
+    TIMINGS,
+    attributes_sha256,
+    create,
+    data_sha256,
+    open_hdf5,
+    reading,
+    set_text,
+)
+from mbdkit.plugin.files import replacing
+from mbdkit.plugin.measures import Description
+from mbdkit_studies.folder.columns import read_column, write_column, write_hashes
+from mbdkit_studies.points.planned_points import Label
+from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND
+from mbdkit_studies.spec.study_spec import StudySpec
+
+FORMAT = "mbdkit-study"
+FILES_VERSION, BLOCKS_VERSION = "1.0", "2.0"
+"""Versions of the index format: for a study with an archive for each run, and for a study in blocks."""
+
+STATUSES = ("complete", "failed", "missing", "left-out")
+
+#: Value of the attribute `role` of a column with a measure that the study defines.
+DEFINED = "measure"
+
+#: Columns with the minimum, quartiles and median of repeated timings, and their probabilities.
+QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
+
+TEXTS = {
+    "family": "family of the run",
+    "run_id": "identifier of the run, and name of its file in runs/",
+    "reference_id": "reference run for its errors",
+    "status": "complete, failed, missing or left-out",
+    "status_reason": "why it is not complete",
+    "verdict": "good, unknown, doubtful or bad; empty without an archive",
+    "verdict_reasons": "reasons for the verdict, joined by spaces",
+    "second_run": "complete if a second run for measures was made, or the reason why it has no result; else empty",
+    "worst_joint": "joint with the largest misalignment",
+    "data_sha256": "hash of the recorded data",
+    "file_sha256": "hash of the bytes of the archive",
+}
+
+#: Units and descriptions of the numeric columns that the index of any study may have, in addition to measures that the
+#: study defines.
+NUMBERS: Mapping[str, Description] = {
+    **{name: Description(one.units, one.long_name) for name, one in {**MEASURES, **OF_CHECKED_RUNS}.items()},
+    **{name: Description(*told) for name, told in SECOND.items()},
+    **{name: Description("1", f"counter of the run: {name.replace('_', ' ')}") for name in COUNTERS},
+    **{name: Description("s", f"time of the run: {name.removesuffix('_s')}") for name in TIMINGS},
+    **{
+        name: Description("s", f"wall time of the steps, {name.split('_')[1]} of the serial timings")
+        for name in QUARTILES
+    },
+}
+
+HASHES = ("run_id", "data_sha256")
+"""Columns of hashes in the index of a study in blocks."""
+
+BETWEEN_REASONS = "  "
+"""Separates the reasons for a verdict: two spaces, because a reason may have several sentences."""
+
+REPEATS = "wall_repeats_s"
+
+#: All columns except those of the axes.
+COLUMNS = frozenset((*TEXTS, *NUMBERS, "run", "reference", "repeat", REPEATS))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run in the index.
+
+    Parameters
+    ----------
+    status
+        ``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed.
+    status_reason
+        Reason why the run is not complete: a code and a sentence.
+    family, axes, reference_id
+        Family, axis labels and reference run; empty for a reference.
+    worst_joint, data_sha256
+        Joint with the largest misalignment, and hash of the recorded data, from the archive.
+    values
+        Measures, counters and timings by column.
+    repeats
+        Wall times of the repeated timings, which are made one after another [s].
+    file_sha256
+        Hash of the bytes of the archive; empty without an archive.
+    second_run
+        ``complete`` if measures were computed by a second run, or the reason why this failed; empty if there was none.
+    verdict, verdict_reasons
+        Verdict on the run and its reasons, from the archive; empty without an archive.
+    """
+
+    run_id: str
+    status: str
+    status_reason: str = ""
+    family: str = ""
+    axes: Mapping[str, Label] = field(default_factory=dict)
+    reference_id: str = ""
+    worst_joint: str = ""
+    data_sha256: str = ""
+    values: Mapping[str, float] = field(default_factory=dict)
+    repeats: tuple[float, ...] = ()
+    file_sha256: str = ""
+    second_run: str = ""
+    verdict: str = ""
+    verdict_reasons: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Index:
+    """The columns of a study.
+
+    Parameters
+    ----------
+    runs
+        (N,) values by name, in the order of the table: families and axes, results, measures, counters, hashes.
+    described
+        Unit and description of each numeric column that is not an axis.
+    references
+        The same columns, without axes, for the reference runs; empty if the study has none.
+    axes
+        Names of the columns that are axes of the study.
+    defined
+        Names of the columns of measures that the study defines.
+    states
+        (B, 4) states of the files of blocks, see `mbdkit_studies.compute.run_blocks`; zero if unknown. None for a
+        study with an archive for each run.
+    study_sha256, version
+        Hash of the study, and version of mbdkit that wrote the index.
+    """
+
+    runs: Mapping[str, np.ndarray]
+    described: Mapping[str, Description]
+    references: Mapping[str, np.ndarray] = field(default_factory=dict)
+    axes: frozenset[str] = frozenset()
+    defined: frozenset[str] = frozenset()
+    states: np.ndarray | None = None
+    study_sha256: str = ""
+    version: str = ""
+
+    @classmethod
+    def of_rows(cls, runs: Sequence[Row], references: Sequence[Row], defined: Mapping[str, Description]) -> Index:
+        """Return the index of runs that have one archive each.
+
+        Parameters
+        ----------
+        defined
+            Units and descriptions of the measures that the study defines.
+        """
+        names = dict.fromkeys(name for row in (*runs, *references) for name in row.values)
+        described = {name: defined.get(name) or NUMBERS[name] for name in names}
+        axes = frozenset(key for row in runs for key in row.axes)
+        return cls(_columns(runs), described, _columns(references), axes, frozenset(defined))
+
+    def __len__(self) -> int:
+        return len(self.runs["status"])
+
+    def rows(self) -> list[Row]:
+        """Return the rows of all reference runs, then those of all runs; see `row`."""
+        rows = [self.row(place, of_references=True) for place in range(len(self.references.get("status", ())))]
+        return rows + [self.row(place) for place in range(len(self))]
+
+    def row(self, place: int, *, of_references: bool = False) -> Row:
+        """Return the row of a run, or of a reference run, without axis labels, which follow from the study spec."""
+        columns = self.references if of_references else self.runs
+        texts: dict[str, Any] = {name: str(columns[name][place]) for name in TEXTS if name in columns}
+        return Row(
+            **texts,
+            values={name: float(columns[name][place]) for name in self.described if name in columns},
+            repeats=tuple(float(value) for value in columns[REPEATS][place] if not math.isnan(value))
+            if REPEATS in columns
+            else (),
+        )
+
+
+def _columns(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Return the columns of rows: texts, axes, numbers, and repeated timings."""
+    columns = {name: np.array([getattr(row, name) for row in rows], object) for name in TEXTS}
+    for key in dict.fromkeys(key for row in rows for key in row.axes):
+        labels = [row.axes.get(key) for row in rows]
+        is_text = any(isinstance(label, str) for label in labels)
+        columns[key] = np.array(labels, object if is_text else FLOAT)  # None becomes nan
+    for name in dict.fromkeys(name for row in rows for name in row.values):
+        columns[name] = np.array([row.values.get(name, math.nan) for row in rows], FLOAT)
+    if count := max((len(row.repeats) for row in rows), default=0):
+        columns[REPEATS] = np.array([[*row.repeats, *[math.nan] * (count - len(row.repeats))] for row in rows])
+    return columns
+
+
+def axis_column(key: str) -> str:
+    """Return the name of the column of an axis; HDF5 would interpret a slash in the name of the axis as a group."""
+    return key.replace("/", "|")
+
+
+def quartiles(repeats: Sequence[float]) -> dict[str, float]:
+    """Return minimum, quartiles and median of repeated timings, by column; nan if there are none."""
+    if not len(repeats):
+        return dict.fromkeys(QUARTILES, math.nan)
+    return {name: float(np.quantile(repeats, share)) for name, share in QUARTILES.items()}
+
+
+def write(path: Path, spec: StudySpec, index: Index) -> None:
+    """Write an index, and replace the previous one atomically.
+
+    Parameters
+    ----------
+    path
+        Final path; it is replaced when the new index is complete.
+
+    Raises
+    ------
+    SpecError
+        If the index cannot be written, as on a full disk. The previous index then remains unchanged.
+    """
+    in_blocks = index.states is not None
+    # The file is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
+    with h5py.File(f"index-{id(index)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
+        set_text(file, "format", FORMAT)
+        set_text(file, "format_version", BLOCKS_VERSION if in_blocks else FILES_VERSION)
+        set_text(file, "mbdkit", mbdkit.__version__)
+        set_text(file, "study", spec.canonical_json())
+        set_text(file, "study_sha256", spec.sha256())
+        _Table(file, "runs", "run", index).write(index.runs)
+        if index.states is None:
+            _Table(file, "references", "reference", index).write(index.references)
+        else:
+            _write_states(file, index.states)
+        set_text(file, "data_sha256", data_sha256(file))
+        if in_blocks:
+            set_text(file, ATTRIBUTES_HASH, attributes_sha256(file))
+        file.flush()
+        image = file.id.get_file_image()
+    with replacing(path) as temporary:
+        temporary.write_bytes(image)
+
+
+def _write_states(file: h5py.File, states: np.ndarray) -> None:
+    file.create_group("blocks")
+    for name, size in zip(("block", "property"), states.shape, strict=True):
+        scale = Array(f"blocks/{name}", (name,), "1", f"number of the {name}", INTEGER)
+        create(file, scale, np.arange(size))
+    what = "size, times [ns] and number of the file"
+    create(file, Array("blocks/file_state", ("block", "property"), "1", what, INTEGER), states)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Writes a group of the index, whose columns have one value for each run or reference run."""
+
+    file: h5py.File
+    group: str
+    dim: str
+    index: Index
+
+    def write(self, columns: Mapping[str, np.ndarray]) -> None:
+        """Write the columns."""
+        self.file.create_group(self.group)
+        count = len(columns["status"])
+        self._create(self.dim, range(1, count + 1), INTEGER, Description("1", "number of the run"))
+        for index, (name, values) in enumerate(columns.items(), start=1):
+            if name == REPEATS:
+                self._create("repeat", range(1, values.shape[1] + 1), INTEGER, _NUMBER_OF_TIMING, ("repeat",))
+                self._create(name, values, FLOAT, _TIMINGS_OF_RUN, (self.dim, "repeat"))
+            elif self.index.states is None:
+                self._plain(name, values)
+            else:
+                self._coded(name, index, values)
+
+    def _described(self, name: str) -> Description:
+        what = TEXTS.get(name, f"axis of the study: {name} of the run spec")
+        return self.index.described.get(name) or Description("1", what)
+
+    def _create(
+        self, name: str, values: Iterable[Any], dtype: str, told: Description, dims: tuple[str, ...] = ()
+    ) -> h5py.Dataset:
+        array = Array(f"{self.group}/{name}", dims or (self.dim,), told.units, told.long_name, dtype)
+        return create(self.file, array, np.array(values, object if dtype == TEXT else dtype))
+
+    def _plain(self, name: str, values: np.ndarray) -> None:
+        """Write a column of format 1.x."""
+        is_text = values.dtype == object
+        dataset = self._create(
+            axis_column(name), _texts(values) if is_text else values, TEXT if is_text else FLOAT, self._described(name)
+        )
+        if name in self.index.axes or name in self.index.defined:
+            set_text(dataset, "role", "axis" if name in self.index.axes else DEFINED)
+
+    def _coded(self, name: str, place: int, values: np.ndarray) -> None:
+        """Write a column of format 2.x."""
+        described, path = self._described(name), f"{self.group}/{axis_column(name)}"
+        array = Array(path, (self.dim,), described.units, described.long_name)
+        if name in HASHES:
+            write_hashes(self.file, array, [str(value) for value in values])
+        elif values.dtype == object:
+            write_column(self.file, replace(array, dtype=TEXT), _texts(values))
+        else:
+            write_column(self.file, replace(array, dtype=INTEGER if values.dtype.kind == "i" else FLOAT), values)
+        dataset = self.file[path]
+        dataset.attrs["place"] = np.int64(place)
+        set_text(dataset, "name", name)
+        is_axis, is_number = name in self.index.axes, name in self.index.described
+        set_text(dataset, "role", "axis" if is_axis else "number" if is_number else "text")
+
+
+_NUMBER_OF_TIMING = Description("1", "number of the timing")
+_TIMINGS_OF_RUN = Description("s", "wall time of each serial timing")
+
+
+def _texts(values: np.ndarray) -> list[str]:
+    return ["" if value is None else str(value) for value in values]
+
+
+def read(path: Path) -> Index:
+    """Read an index of format 1.x or 2.x; an index of format 1.x is returned without axis labels.
+
+    Raises
+    ------
+    SpecError
+        If there is no index.
+    ArchiveError
+        If it is damaged, or this version cannot read it.
+    """
+    if not path.exists():
+        raise SpecError("there is no index.h5; run `mbdkit study` to write it", file=path.parent)
+    hint = "run `mbdkit study` to write it again"
+    with reading("the index", path, hint=hint), open_hdf5(path, "study index", hint=hint) as file:
+        if file.attrs.get("format") != FORMAT:
+            raise ArchiveError("this is not the index of a study", file=path)
+        written = str(file.attrs["format_version"])
+        major = written.partition(".")[0]
+        known = [number.partition(".")[0] for number in (FILES_VERSION, BLOCKS_VERSION)]
+        if major not in known:
+            ours = " and ".join(f"{number}.x" for number in known)
+            raise ArchiveError(f"this index has format version {written}, this mbdkit reads {ours}", file=path)
+        if file.attrs["data_sha256"] != data_sha256(file):
+            raise ValueError("data_sha256 does not match")
+        index = _read_plain(file) if major == known[0] else _read_coded(file)
+        lengths = (
+            {len(column) for column in index.runs.values()},
+            {len(reference) for reference in index.references.values()},
+        )
+        if max(map(len, lengths)) > 1:
+            raise ValueError("its columns have different lengths")
+        return index
+
+
+def _read_plain(file: h5py.File) -> Index:
+    """Return an index of format 1.x."""
+    runs = file["runs"]
+    defined = {name: item for name, item in runs.items() if item.attrs.get("role") == DEFINED}
+    described = {
+        name: Description(str(runs[name].attrs["units"]), str(runs[name].attrs["long_name"]))
+        if name in defined
+        else NUMBERS[name]
+        for name in (*defined, *NUMBERS)
+        if name in runs or name in file["references"]
+    }
+    columns = [
+        _plain_columns(file["runs"], "run", described),
+        _plain_columns(file["references"], "reference", described),
+    ]
+    return Index(
+        columns[0],
+        described,
+        columns[1],
+        defined=frozenset(defined),
+        study_sha256=str(file.attrs["study_sha256"]),
+        version=str(file.attrs["mbdkit"]),
+    )
+
+
+def _plain_columns(group: h5py.Group, dim: str, numbers: Iterable[str]) -> dict[str, np.ndarray]:
+    texts = {name: group[name].asstr()[:] for name in TEXTS}
+    return texts | {name: group[name][:] for name in (*numbers, REPEATS) if name in group}
+
+
+def _read_coded(file: h5py.File) -> Index:
+    """Return an index of format 2.x."""
+    if file.attrs[ATTRIBUTES_HASH] != attributes_sha256(file):
+        raise ValueError("attributes_sha256 does not match")
+    items = [item for item in file["runs"].values() if "role" in item.attrs]
+    items.sort(key=lambda item: int(item.attrs["place"]))
+    by_name = {str(item.attrs["name"]): item for item in items}
+    return Index(
+        {name: read_column(item) for name, item in by_name.items()},
+        {
+            name: Description(str(item.attrs["units"]), str(item.attrs["long_name"]))
+            for name, item in by_name.items()
+            if item.attrs["role"] == "number"
+        },
+        axes=frozenset(name for name, item in by_name.items() if item.attrs["role"] == "axis"),
+        states=file["blocks/file_state"][:] if "blocks/file_state" in file else np.zeros((0, 4), np.int64),
+        study_sha256=str(file.attrs["study_sha256"]),
+        version=str(file.attrs["mbdkit"]),
+    )

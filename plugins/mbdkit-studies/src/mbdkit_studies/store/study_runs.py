@@ -1,0 +1,313 @@
+"""The runs of a study: how they are read from its folder, and integrated again."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+import mbdkit
+from mbdkit.archive.measured_values import ERROR
+from mbdkit.measures.take import with_error
+from mbdkit.plugin import MbdkitError, Run, SpecError, did_you_mean, listed, load, simulate
+from mbdkit.plugin.archives import COUNTERS, MeasuredValues, NotStoredError
+from mbdkit.plugin.files import FileRead, only_known
+from mbdkit.plugin.measures import Description
+from mbdkit.spec.study_measures import expressions_of
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS
+from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.store.block_writer import KEEPING_TIMES
+from mbdkit_studies.store.blocks import Block
+from mbdkit_studies.store.study_blocks import StudyBlocks
+from mbdkit_studies.store.study_index import Index
+from mbdkit_studies.store.study_point import StudyPoint
+
+
+class StudyRuns:
+    """Base class of `Study`: its families of points, and the run of each point."""
+
+    spec: StudySpec
+    points: Sequence[StudyPoint]
+    references: tuple[StudyPoint, ...]
+    _files: StudyFolder
+    _index: Index
+    _planned: PlannedPoints
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the study."""
+        return self._files.path
+
+    @property
+    def families(self) -> dict[str, str]:
+        """Titles of the families by name; a study without families has a single one with an empty name."""
+        return {name: family.title for name, family in self.spec.families.items()} or {"": self.spec.title}
+
+    def family(self, name: str) -> tuple[StudyPoint, ...]:
+        """Return the points of one family.
+
+        Raises
+        ------
+        MbdkitError
+            If there is no family with this name.
+        """
+        name = self._family(name)
+        return tuple(point for point in self.points if point.family == name)
+
+    def _family(self, name: str | None) -> str:
+        """Return the name of a family; None stands for the only family."""
+        if name is None and len(self.families) > 1:
+            raise MbdkitError(f"the study has several families; name one: {listed(self.families)}")
+        chosen = next(iter(self.families)) if name is None else name
+        if chosen not in self.families:
+            hint = did_you_mean(chosen, self.families)
+            raise MbdkitError(f"the study has no family '{chosen}'{hint}; families: {listed(self.families)}")
+        return chosen
+
+    def run(self, point: StudyPoint | int | None = None, *, number: int | None = None) -> Run | None:
+        """Return the run of a point with the arrays that the study stores, or None if it has no results.
+
+        Close the run, or use it in a `with` block.
+
+        Parameters
+        ----------
+        point
+            A point, or its index among the points, counted from 0 as in `points` and in the table of `to_frame`.
+        number
+            Number of the run instead, counted from 1 as in answers, reports, messages and the column ``number``.
+
+        Raises
+        ------
+        SpecError
+            If the file contains another run, of this or of another study, or if its data differ from those in the
+            index.
+        MbdkitError
+            If there is no such run, or not exactly one of `point` and `number` is given.
+        """
+        chosen = self._point(point, number)
+        path = self._path(chosen)
+        if path is None or (self.spec.in_blocks and not chosen.row.data_sha256):
+            return None
+        if self.spec.in_blocks:
+            with Block(path, self._sha256) as block:
+                run = block.run(chosen.number)
+        else:
+            run = load(path)
+        if run is not None:
+            try:
+                _check_stored(run, chosen, path)
+            except BaseException:
+                run.close()
+                raise
+            self._add_measures(run, chosen)
+        return run
+
+    def _add_measures(self, run: Run, point: StudyPoint) -> None:
+        """Add to a run the measures that the study defines and that the spec of the run does not define."""
+        known, values = run.measures, point.values
+        own = [one.name for one in self.spec.defined_measures() if not one.of_base and one.name in values]
+        if own:
+            run.measures = MeasuredValues(
+                {**known, **{name: values[name] for name in own}},
+                {**known.units, **{name: self.measures[name].units for name in own}},
+                known.reasons,
+                {**known.errors, **{name: values.get(name + ERROR, np.nan) for name in own}},
+                known.remarks,
+            )
+
+    def _path(self, point: StudyPoint) -> Path | None:
+        """Return the file that contains a run: its archive, or a block; None if the archive does not exist."""
+        return self._files.block(self._blocks.block_of(point.number - 1)) if self.spec.in_blocks else point.path
+
+    @cached_property
+    def _sha256(self) -> str:
+        return self.spec.sha256()
+
+    @cached_property
+    def _blocks(self) -> StudyBlocks:
+        """The division of the runs into blocks, if they are stored in blocks."""
+        first = self._files.block(0)
+        if self.spec.block is None and first.exists():  # without it, a run must be built, which may read a file
+            with Block(first) as block:
+                return StudyBlocks(len(self._planned), len(block.numbers))
+        with only_known((), allowed=False):
+            return StudyBlocks.of(self.spec, self._planned)
+
+    def remake(self, point: StudyPoint | int | None = None, *, number: int | None = None, files: bool = False) -> Run:
+        """Integrate the run of a point again, and return it with all of its arrays, in memory.
+
+        Parameters
+        ----------
+        point, number
+            See `run`.
+        files
+            Whether files that the spec names may be read, such as a model of another program; they must have the
+            SHA-256 with which the run was computed.
+
+        Raises
+        ------
+        MbdkitError
+            If there is no such run, if it has no results, if its spec names files that may not be read, if its file
+            contains another run, or if its data, measures, counters and verdict are not bitwise identical to those in
+            the index. Timings and measures of second runs are not compared.
+        """
+        chosen = self._point(point, number)
+        if not chosen.row.data_sha256:
+            raise MbdkitError(
+                f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
+            )
+        (written, read), now = self._written_by(chosen), mbdkit.__version__
+        why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
+        reference = self.reference(chosen)
+        try:
+            with only_known(read, allowed=files):
+                run = _remake(self.spec, chosen, reference, why)
+        finally:
+            if reference is not None:
+                reference.close()
+        self._add_measures(run, chosen)
+        return run
+
+    def _point(self, point: StudyPoint | int | None, number: int | None) -> StudyPoint:
+        if (point is None) == (number is None):
+            raise MbdkitError(
+                "give a run by its index from 0, as in study.run(4), or by its number, study.run(number=5)"
+            )
+        if isinstance(point, StudyPoint):
+            return point
+        count = len(self.points)
+        if point is None:
+            assert number is not None
+            if not 1 <= operator.index(number) <= count:
+                raise MbdkitError(f"the study has no run number {number}; its runs have the numbers 1 to {count}")
+            return self.points[operator.index(number) - 1]
+        if not -count <= operator.index(point) < count:
+            hint = f"; study.run(number={count}) is the last run" if point == count else ""
+            raise MbdkitError(f"the study has no run with index {point}; indices are 0 to {count - 1}{hint}")
+        return self.points[operator.index(point)]
+
+    def _written_by(self, point: StudyPoint) -> tuple[str, Sequence[FileRead] | None]:
+        """Return the version of mbdkit that computed the run of a point, after checking its file, and the files that
+        were read for the run; "unknown" and None without a file.
+        """
+        path = self._path(point)
+        run = self.run(point) if path is not None and path.exists() else None
+        if run is None:
+            return "unknown", None
+        with run:
+            return str(run.provenance.get("mbdkit", "unknown")), run.files
+
+    def reference(self, point: StudyPoint) -> Run | None:
+        """Open the archive of the reference run of a point, or return None if it has none."""
+        return next((self.run(other) for other in self.references if other.run_id == point.reference_id), None)
+
+    def runs(self, family: str | None = None) -> Iterator[tuple[StudyPoint, Run | None]]:
+        """Yield each point of one family, or of the whole study, with its run, or None if it has no results.
+
+        Close each run, or use it in a `with` block.
+        """
+        for point in self.points if family is None else self.family(family):
+            yield point, self.run(point)
+
+    @property
+    def measures(self) -> dict[str, Description]:
+        """Units and descriptions, by column, of the measures that the study defines by expressions or plugins."""
+        return {measure.name: self._index.described[measure.name] for measure in self.spec.defined_measures()}
+
+    def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
+        """Yield runs that join the rows of one or more runs of the study.
+
+        Each item is a joined run, the numbers of its runs in the study, and the number of rows of each of its runs. A
+        joined run has the histories of all of its runs, but only the spec and the name of the first one.
+        """
+        if not self.spec.in_blocks:
+            for point, run in self.runs():
+                if run is not None:
+                    with run:
+                        yield run, [point.number], np.array([len(run.time)])
+            return
+        if self.spec.store not in KEEPING_TIMES:
+            raise NotStoredError("values over time", str(self.spec.store))
+        for path in filter(Path.exists, map(self._files.block, range(self._blocks.count))):
+            with Block(path, self._sha256) as block:
+                for run, numbers, counts in block.joined_runs():
+                    yield run, numbers.tolist(), counts
+
+
+def _check_stored(run: Run, point: StudyPoint, path: Path) -> None:
+    """Check that a stored run is the one that the study plans, and that its data are those in the index.
+
+    Parameters
+    ----------
+    path
+        File of the run, which may have been replaced since the study was indexed.
+
+    Raises
+    ------
+    SpecError
+        If the spec of the run is not that of the point, or if its identifier or data differ from those in the index.
+    """
+    which = f"the reference run {point.run_id}" if point.is_reference else f"run {point.number}"
+    another = run.run_id != point.run_id
+    # The plugin of the model may not be installed, and files that the spec names are not read.
+    with suppress(MbdkitError), only_known((), allowed=False):
+        another = another or run.run_spec.sha256() != point.spec.sha256()
+    if another:
+        message = f"this file contains another run in place of {which} of the study"
+        raise SpecError(f"{message}; move it to another folder, and run `mbdkit study` again", file=path)
+    if run.data_sha256 != point.row.data_sha256:
+        message = f"the data of {which} are not those that the study has indexed: data_sha256 differs"
+        raise SpecError(f"{message}; run `mbdkit study` again to index what is in the folder", file=path)
+
+
+def _remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str) -> Run:
+    """Integrate the run of a point again, and compare it with its row in the index.
+
+    Parameters
+    ----------
+    reference
+        Stored reference run against which errors are computed, if there is one.
+    why
+        Explanation of possible differences, which is appended to messages.
+
+    Raises
+    ------
+    MbdkitError
+        If data, measures, counters or verdict differ from those in the index.
+    """
+    run = simulate(point.spec, measures=expressions_of(study.defined_measures()))
+    if run.data_sha256 != point.row.data_sha256:
+        message = f"run {point.number}, computed again, has other data than the stored run"
+        raise MbdkitError(f"{message}{why}")
+    differing = [
+        name
+        for name, value in _numbers_of(study, point, run, reference)
+        if not (value == point.values[name] or (math.isnan(value) and math.isnan(point.values[name])))
+    ]
+    if run.verdict != (point.verdict or run.verdict):
+        differing.append("verdict")
+    if differing:
+        message = f"run {point.number}, computed again, has the same data, but the index has other values of"
+        raise MbdkitError(f"{message} {listed(differing)}{why}")
+    return run
+
+
+def _numbers_of(study: StudySpec, point: StudyPoint, run: Run, reference: Run | None) -> Iterator[tuple[str, float]]:
+    """Yield the numbers in the row of a point that are computed from its run and its reference run."""
+    known: Mapping[str, float] = point.values
+    for name, measure in (MEASURES if run.accuracy is None else {**MEASURES, **OF_CHECKED_RUNS}).items():
+        if name in known and (reference is not None or not measure.needs):
+            yield name, measure.of(run, reference)
+    for defined in study.defined_measures():
+        if defined.name in known:
+            yield from with_error(defined, run, run.run_spec).items()
+    for name in COUNTERS:
+        if name in known and name in run.stats:
+            yield name, float(run.stats[name])
