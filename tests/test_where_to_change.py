@@ -14,8 +14,7 @@ import pytest
 from mbdkit.registry.manager import registry
 from mbdkit.spec.yaml_reader import read_data
 from mbdkit_testing.item_places import whereabouts
-from tests.first_party import PACKAGES, ROOT
-from tests.test_map import MAPS
+from tests.first_party import MAPS, PACKAGES, ROOT
 
 QUESTIONS = read_data((Path(__file__).parent / "where_to_change.yaml").read_text(encoding="utf-8"))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import get_args
 
 from mbdkit.archive.layout import (
@@ -13,8 +12,7 @@ from mbdkit.archive.layout import (
 from mbdkit.quantities.entries import ChosenGroup
 from mbdkit.quantities.registered_kinds import groups
 from mbdkit_testing import history_columns, layout_document
-
-DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
+from tests.archive.making import DOCUMENT
 
 LAYOUT = every_array()
 BY_PATH = {array.path: array for array in LAYOUT}

@@ -15,9 +15,9 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 from mbdkit_studies.lanes.lane_runs import why_alone
 from tests.engine.random_mechanisms import flexible
+from tests.integrators.pendulums_on_joints import JOINT, KINDS, forced_pendulum, lagrange
 
 from .running import EPS, assert_same_end
-from .test_joint_coordinates import JOINT, KINDS, forced_pendulum, lagrange
 
 RADAU: dict[str, Any] = {"name": "radau-iia"}
 

@@ -14,9 +14,9 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 from mbdkit_report.plot.caption import plain_name
 from tests.engine.random_mechanisms import ladder
+from tests.integrators.pendulums_on_joints import KINDS
 
 from .running import EPS, assert_same_end
-from .test_joint_coordinates import KINDS
 
 LOOPS = {"index-2": ("velocity",), "index-3": ("position",), "ggl": ("position", "velocity")}
 """Levels at which cut joints hold."""

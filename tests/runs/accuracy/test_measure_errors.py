@@ -19,7 +19,7 @@ from mbdkit.spec import load_spec
 from mbdkit.trust.measure_error import measure_error
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.statistics.sensitivity import sensitivity
-from tests.runs.test_continuous_measures import EXACT, TEXTS, oscillator
+from tests.runs.oscillator import EXACT, TEXTS, oscillator
 
 STOP = {"stop": {"when": "slider.x + 0.5", "action": "stop"}}
 

@@ -22,7 +22,7 @@ import mbdkit
 import mbdkit.runs.run_checkpoint
 from mbdkit.archive import writer
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.checkpoint import Checkpoint, StoredRows
+from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.cli import app
@@ -30,6 +30,7 @@ from mbdkit.integrators import interface
 from mbdkit.runs import provenance
 from mbdkit.runs.run_checkpoint import Parts
 from mbdkit_studies.compute import worker as study_worker
+from tests.runs.resuming.checkpoints import NONE, checkpoint_of
 
 from .killed_runs import killed, make_frequent
 
@@ -66,14 +67,6 @@ EVENTS = {"up": {"when": "rod2.y", "direction": "any"}, "pull": {"when": "J1.for
 def spec_of(integrator: dict[str, Any], time: dict[str, Any], model: Any = PENDULUM, **more: Any) -> dict[str, Any]:
     return {"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **more}
 
-
-def checkpoint_of(state: Any) -> Checkpoint:
-    head = {"spec": "{}", "run_id": "a", "created_utc": "now", "provenance": {"mbdkit": "1"}}
-    arrays = {"energy/total": StoredRows((), 4, np.array([8, 99]), ()), "events/name": StoredRows((), 1, NONE, ("up",))}
-    return Checkpoint(head, 7, {"time": 5}, ("line",), arrays, state)
-
-
-NONE = np.zeros(0, np.int64)
 
 GAUSS = {"name": "gauss", "stages": 2}
 
