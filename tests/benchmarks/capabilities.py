@@ -37,7 +37,7 @@ from mbdkit_studies.lanes.lane_runs import LaneRuns, why_alone
 from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.benchmarks.state_orders import MODEL as MOTOR
-from tests.installing import install_templates
+from tests.benchmarks.templates import install_templates
 from tests.runs.rotor import FIRES, rotor
 
 PAGE = Path(mbdkit.__file__).parent / "guide" / "capabilities.md"

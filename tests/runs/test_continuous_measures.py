@@ -11,10 +11,6 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.spec import RunSpec
-from mbdkit_gradients.derived_values import Value, of_operands
-from mbdkit_studies.compute.batch import simulate_batch
-from mbdkit_studies.lanes.lane_runs import why_alone
 from tests.runs.oscillator import END, EXACT, TEXTS, A, W, oscillator, path, turns
 
 
@@ -51,17 +47,11 @@ def test_adaptive_methods_reach_their_tolerance(integrator: dict[str, Any], outp
     assert np.max(np.abs(measures(mbdkit.run(oscillator(integrator, None, measures=TEXTS, output=output))))) < 2e-7
 
 
-def test_recorded_rows_and_lanes_do_not_matter() -> None:
+def test_recorded_rows_do_not_matter() -> None:
     spec = oscillator({"name": "rk4"}, 0.05, measures=TEXTS)
     every = mbdkit.run(spec)
     assert mbdkit.run(spec | {"output": {"every": 1000}}).integrals == every.integrals
     assert mbdkit.run(spec | {"output": {"every": 7}}).integrals == every.integrals
-    extrema = RunSpec(**spec | {"measures": {name: TEXTS[name] for name in ("peak", "lowest", "kinked", "moment")}})
-    assert why_alone(extrema) == ""
-    (in_lane,) = simulate_batch([extrema])
-    assert in_lane.integrals == {text: every.integrals[text] for text in in_lane.integrals}
-    assert len(in_lane.integrals) == 4
-    assert "integrals" in why_alone(RunSpec(**spec))
 
 
 def test_a_motion_that_stops_at_an_event_ends_there() -> None:
@@ -171,22 +161,6 @@ def test_values_at_times_of_events_and_other_results_are_those_of_the_motion(out
     assert gradient.check is not None
     assert gradient.check.is_passed
     assert gradient.doubts == ()
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_products_of_vectors_and_numbers_pair_their_own_axes(count: int) -> None:
-    # expected: the product rule, component by component
-    rng = np.random.default_rng(1)
-    x, y = (
-        Value(rng.normal(size=(2, 5)), rng.normal(size=(count, 2, 5))),
-        Value(rng.normal(size=5), rng.normal(size=(count, 5))),
-    )
-    for one, other in ((x, y), (y, x)):
-        found = of_operands("mul", 0.0, one, other)
-        assert found.value == pytest.approx(x.value * y.value)
-        for k in range(count):
-            for i in range(2):
-                assert found.slope[k, i] == pytest.approx(x.slope[k, i] * y.value + x.value[i] * y.slope[k])
 
 
 def test_peaks_of_many_blocks_of_steps_are_compared() -> None:
