@@ -15,6 +15,9 @@ PARTS = {
 PACKAGES = {"mbdkit": ROOT / "mbdkit", **PARTS}
 """Source folder of each package by its name."""
 
+MAPS = {name: (folder if name == "mbdkit" else folder.parents[1]) / "README.md" for name, folder in PACKAGES.items()}
+"""Map of the code of each package by its name."""
+
 
 def modules() -> dict[str, Path]:
     """Return the files of all packages by the names of their modules."""

@@ -24,7 +24,7 @@ from mbdkit.cli import app
 from tests.first_party import PARTS, ROOT
 
 if PARTS:
-    pytest_plugins = ["tests.fixtures_of_parts"]
+    pytest_plugins = ["tests.studies.fixtures_of_parts"]
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -34,26 +34,6 @@ def install_project(site: Path, folder: Path) -> None:
     announce(site, project["name"], project["entry-points"]["mbdkit"], project["version"])
 
 
-def install_templates(folder: Path) -> dict[str, str]:
-    """Generate the templates of integrators in a folder, and put them on the path of this process.
-
-    Returns
-    -------
-    dict
-        Name of each integrator, by the kind of its template.
-    """
-    from mbdkit.registry.manager import forget  # a copy of the core alone has no templates
-    from mbdkit_testing.scaffold.new_plugin import LIKE, new_project
-
-    sys.path.append(str(folder / "site"))
-    for like in LIKE:
-        project = new_project(f"mbdkit-new-{like}", "integrator", folder, like)
-        install_project(folder / "site", project)
-        sys.path.append(str(project / "src"))
-    forget()
-    return {like: f"new-{like}" for like in LIKE}
-
-
 def python(*arguments: str, path: tuple[Path, ...], cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run Python with these folders first on its path; ``-m mbdkit`` in a fork that has imported mbdkit already."""
     folders = [*map(str, path), *filter(None, [os.environ.get("PYTHONPATH")])]

@@ -16,9 +16,8 @@ import pytest
 from typer.testing import CliRunner
 
 from mbdkit.cli import app
-from mbdkit.runs import simulated_run
-from mbdkit.trust.criteria import Judgement, judge
-from mbdkit_studies.lanes import lane_runs
+from mbdkit.trust import criteria
+from mbdkit.trust.criteria import Judgement
 
 
 class Block(NamedTuple):
@@ -51,13 +50,12 @@ def run_blocks(blocks: list[Block], folder: Path) -> list[Judgement]:
     names: dict[str, Any] = {"__name__": "guide"}
     judged: list[Judgement] = []
 
-    def judge_and_keep(*arguments: Any) -> Judgement:
-        judged.append(judge(*arguments))
+    def make_and_keep(*arguments: Any) -> Judgement:
+        judged.append(Judgement(*arguments))
         return judged[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (simulated_run, lane_runs):
-            patch.setattr(module, "judge", judge_and_keep)
+        patch.setattr(criteria, "Judgement", make_and_keep)
         _run_in_order(blocks, folder, names)
     return judged
 

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.first_party import PACKAGES, PARTS, ROOT, modules
+from tests.first_party import MAPS, PACKAGES, PARTS, ROOT, modules
 
 CORE = (ROOT / "mbdkit" / "README.md").read_text(encoding="utf-8")
-MAPS = {name: (folder if name == "mbdkit" else folder.parents[1]) / "README.md" for name, folder in PACKAGES.items()}
 ROWS = {"mbdkit": 80} | dict.fromkeys(PARTS, 20)
 """Largest number of rows of each map."""
 

@@ -11,7 +11,6 @@ import pytest
 
 import mbdkit
 from mbdkit.registry.manager import registry
-from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import mechanism_doubts
 
 from .installing import install_module, install_project, python
 
@@ -47,14 +46,6 @@ def block(heading: str, language: str) -> str:
     found = re.search(rf"^```{language}\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL)
     assert found is not None
     return found[1]
-
-
-def test_a_model_says_what_it_leaves_out_as_printed() -> None:
-    section = GUIDE.split("# A model in twenty lines\n", 1)[1].split("\n#", 1)[0]
-    m = mbdkit.Mechanism()
-    exec(re.findall(r"^```python\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL)[1], {"m": m})
-    assert [one.criterion for one in mechanism_doubts(m)] == ["left-out"]
-    assert len(m.warnings) == 1
 
 
 @pytest.mark.end_to_end

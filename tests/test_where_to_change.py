@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable
 from fnmatch import fnmatch
@@ -10,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from mbdkit.cli import app
 from mbdkit.registry.manager import registry
 from mbdkit.spec.yaml_reader import read_data
-from mbdkit_testing.item_places import whereabouts
-from tests.first_party import PACKAGES, ROOT
-from tests.test_map import MAPS
+from tests.first_party import MAPS, PACKAGES, ROOT
 
 QUESTIONS = read_data((Path(__file__).parent / "where_to_change.yaml").read_text(encoding="utf-8"))
 
@@ -43,10 +44,17 @@ def of_maps() -> frozenset[Path]:
     return frozenset().union(*(of_map(MAPS[name].read_text(encoding="utf-8"), PACKAGES[name]) for name in PACKAGES))
 
 
+@cache
+def where(name: str) -> dict[str, Any]:
+    """Return what `mbdkit plugins where` prints."""
+    found: dict[str, Any] = json.loads(CliRunner().invoke(app, ["plugins", "where", name, "--json"]).stdout)
+    return found
+
+
 def of_items(question: str) -> set[Path]:
     """Return the files that `mbdkit plugins where` prints for the names that a question contains."""
     names = {item.name for item in registry().items}
-    found = [whereabouts(name) for name in names if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", question)]
+    found = [where(name) for name in names if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", question)]
     return {Path(place["file"]).resolve() for one in found for item in one["items"] for place in item["places"]}
 
 

@@ -138,3 +138,6 @@ def make(
     into = writer(path, named, **options)
     fill(into, count, named, piece, getattr(into, after) if after else None)
     return into.finish(Ending(status, reason, STATS, largest(count, named)))
+
+
+DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"

@@ -19,9 +19,9 @@ from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.archive.layout import every_array, is_timing
 from mbdkit.archive.run_writer import Ending, SharedForces
 from mbdkit.quantities.array import TEXT
+from tests.archive.making import DOCUMENT
 
 from .making import fill, largest, make, names, rows, steps, writer
-from .test_layout import DOCUMENT
 
 
 @pytest.mark.parametrize("sizes", [(11, 2, 2, 4), (0, 1, 0, 0)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import get_args
 
 from mbdkit.archive.layout import (
@@ -12,9 +11,6 @@ from mbdkit.archive.layout import (
 )
 from mbdkit.quantities.entries import ChosenGroup
 from mbdkit.quantities.registered_kinds import groups
-from mbdkit_testing import history_columns, layout_document
-
-DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
 
 LAYOUT = every_array()
 BY_PATH = {array.path: array for array in LAYOUT}
@@ -72,13 +68,3 @@ def test_specs_choose_groups_of_the_table() -> None:
 
 def test_elapsed_time_is_the_only_timing() -> None:
     assert [array.path for array in LAYOUT if is_timing(array.path)] == ["trajectory/elapsed_s"]
-
-
-def test_declarations_of_columns_are_fresh() -> None:
-    text = history_columns.TARGET.read_text(encoding="utf-8")
-    assert history_columns.declarations() == text, "run: python -m mbdkit_testing.history_columns"
-
-
-def test_document_is_fresh() -> None:
-    text = DOCUMENT.read_text(encoding="utf-8")
-    assert layout_document.renewed(text) == text, "run: python -m mbdkit_testing.layout_document schemas/archive.md"

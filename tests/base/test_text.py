@@ -7,7 +7,6 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,7 +16,6 @@ from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.terminal import PlainStream
 from mbdkit.base.text import csv_cell, markdown, shown, table
 from mbdkit.spec import load_spec
-from mbdkit_studies.report.study_summary import summary
 
 
 @pytest.mark.parametrize(
@@ -50,14 +48,6 @@ def test_keys_and_values_of_a_spec_do_not_add_lines(sections: dict[str, Any]) ->
         load_spec("pendulum", **sections)
     assert "all is well" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_reasons_in_the_summary_of_a_study_do_not_add_lines() -> None:
-    spec = SimpleNamespace(title="", defined_measures=tuple, has_table=False)
-    study: Any = SimpleNamespace(points=(), references=(), failures=(), spec=spec, computed=0, folder="out")
-    study.unfinished, study.statuses, study.verdicts = (FORGED,), list, list
-    study.columns = lambda: dict.fromkeys(("status", "status_reason", "verdict", "verdict_reasons"), ())
-    assert summary(study).splitlines()[-1] == "unfinished 1 time: x\\nall is well"
 
 
 def test_a_stream_for_the_terminal_keeps_lines_and_valid_json() -> None:

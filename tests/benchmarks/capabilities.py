@@ -37,8 +37,8 @@ from mbdkit_studies.lanes.lane_runs import LaneRuns, why_alone
 from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.benchmarks.state_orders import MODEL as MOTOR
-from tests.installing import install_templates
-from tests.runs.test_events_set_states import FIRES, rotor
+from tests.benchmarks.templates import install_templates
+from tests.runs.rotor import FIRES, rotor
 
 PAGE = Path(mbdkit.__file__).parent / "guide" / "capabilities.md"
 MARK = "<!-- The rest is written by `python -m tests.benchmarks.capabilities --write`; do not edit. -->"

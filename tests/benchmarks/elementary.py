@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from tests.builder.elementary_cases import CASES, largest_error
+from tests.builder.elementary_code import C_LIBRARY, LANES, NUMBERS, built, evaluate
 
 from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.levels import Level, chosen_level
 from tests.benchmarks.timing import take_turns
-from tests.engine.elementary_cases import CASES, largest_error
-from tests.engine.elementary_code import C_LIBRARY, LANES, NUMBERS, built, evaluate
 
 CHUNK = 200_000
 TIMED, REPEATS = 4096, 200

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from tests.inverse_dynamics.test_ends_and_gaps import DEVIATION, FILTER, TIME, chain_with_gap, measured, start, swing
+from tests.inverse_dynamics.chain_with_gaps import DEVIATION, FILTER, TIME, chain_with_gap, measured, start, swing
 
 import mbdkit
 

@@ -13,9 +13,9 @@ import h5py
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from tests.studies.clusters import Cluster, LocalJobs, dask_cluster, disturbed
 
 import mbdkit
-from tests.clusters import Cluster, LocalJobs, dask_cluster, disturbed
 
 RUNS = 20_000
 

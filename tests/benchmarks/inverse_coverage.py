@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from tests.inverse_dynamics.drawn_coverage import coverage
+from tests.inverse_dynamics.moved_linkages import moved
 from tests.inverse_dynamics.noisy import CUTOFF, Truth, covered
-from tests.inverse_dynamics.test_closed_loops import moved
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from tests.trust.mechanisms import spec, two_cranks
-from tests.trust.test_stiff_steps import HOLDS, METHODS, tilt_after_a_second
+from tests.trust.stiff_rods import HOLDS, METHODS, tilt_after_a_second
 
 LIMITS = {"wall_time": 10.0}
 CLEAN = 1e-3

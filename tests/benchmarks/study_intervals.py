@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.stats
-from tests.analysis.test_sobol_indices import FIRST, TAIL_SHARES, TOTAL, ishigami, tail
+from tests.analysis.ishigami import FIRST, TAIL_SHARES, TOTAL, ishigami, tail
 
 from mbdkit_studies.points.sampled_values import sampled_values
 from mbdkit_studies.spec.sample_section import Sample

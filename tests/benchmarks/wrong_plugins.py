@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from tests.testing.test_corpus import RIGHT, WRONG, outcome
+from tests.testing.corpus_of_wrong_plugins import RIGHT, WRONG, outcome
 
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from tests.studies.clusters import DaskCluster, LocalJobs, dask_cluster
 
 import mbdkit
-from tests.clusters import DaskCluster, LocalJobs, dask_cluster
 
 from .attack import Attack
 from .specs import pendulum

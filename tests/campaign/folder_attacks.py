@@ -17,11 +17,11 @@ from typing import Any
 
 import h5py
 import numpy as np
+from tests.studies.pool_in_this_process import PoolInThisProcess
 
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit_studies.compute import executor_pool
-from tests.pool_in_this_process import PoolInThisProcess
 
 from .archive_attacks import command_in_child, small_archive
 from .attack import LONGEST_MESSAGE, Attack, Ending, in_child

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import mbdkit
-from tests.installing import install_templates
+from tests.benchmarks.templates import install_templates
 from tests.runs.resuming.killed_runs import killed
 
 from .attack import Attack

@@ -13,7 +13,6 @@ import mbdkit
 from mbdkit.base.errors import MbdkitError
 from mbdkit.registry.catalogue import SEPARATE, Registry
 from mbdkit.spec import load_spec
-from mbdkit_report.export import suffix_of
 
 PAGE = Path(__file__).with_name("messages_that_lead_on.md")
 MESSAGES = dict(re.findall(r"^## (.+?)\n\n((?:> .*\n?)+)", PAGE.read_text("utf-8"), re.MULTILINE))
@@ -41,7 +40,6 @@ CAUSES: dict[str, Callable[[], Any]] = {
     "Forces on a model that builds its own": lambda: load_spec(
         _crank(model={"name": "single-pendulum", "forces": {"spring": {}}})
     ),
-    "A table of OpenSim under its other suffix": lambda: suffix_of("mot"),
 }
 
 

@@ -12,8 +12,7 @@ import mbdkit
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.kernels.angles import FAR
 from mbdkit.engine.kernels.observe import constraints_at
-from mbdkit.spec import load_spec
-from mbdkit_studies.compute.batch import simulate_batch
+from tests.engine.drawn_angles import drawn
 
 BODIES = 100
 
@@ -32,15 +31,6 @@ def evaluated(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         constraints_at(workspace.mechanism.topology, scratch, 0.0, q, np.zeros_like(q))
         found[:, first : first + len(part)] = scratch.cs[: len(part)].T
     return found[0], found[1]
-
-
-def drawn(scale: float, count: int = 2000) -> np.ndarray:
-    """Return random angles up to `scale`; half of them near multiples of pi/2, where cosine or sine vanishes."""
-    rng = np.random.default_rng(1)
-    x = rng.uniform(-scale, scale, count)
-    near = np.round(x[::2] / (np.pi / 2)) * (np.pi / 2)
-    x[::2] = near + rng.uniform(-1, 1, len(near)) * 10.0 ** rng.uniform(-20, 0, len(near))
-    return np.clip(x, -FAR, FAR)
 
 
 def error(function: Any, x: float, value: float) -> float:
@@ -70,12 +60,3 @@ def test_larger_angles_are_reduced_as_exactly() -> None:
 def test_angles_that_are_not_finite_have_no_cosine() -> None:
     for values in evaluated(np.array([np.inf, -np.inf, np.nan])):
         assert np.all(np.isnan(values))
-
-
-def test_lanes_have_the_bits_of_numbers() -> None:
-    # near and far angles side by side in one vector as well
-    angles = [*np.concatenate([drawn(scale, 8) for scale in (1e-6, 10.0, 1e3, FAR)]).tolist(), 1e7, 0.3, -2e9, 1.0]
-    time = {"end": 0.02, "step": 0.01}
-    specs = [load_spec("pendulum", (f"model.angle={x!r}",), integrator={"name": "rk4"}, time=time) for x in angles]
-    for spec, together in zip(specs, simulate_batch(specs), strict=True):
-        assert together.data_sha256 == mbdkit.run(spec).data_sha256

@@ -19,7 +19,7 @@ from mbdkit.integrators.start import start_method
 from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
-from tests.engine.test_equations_of_motion import parallelogram, slider_crank
+from tests.engine.linkages_in_sympy import parallelogram, slider_crank
 from tests.integrators.running import driven_chain
 
 ALPHA, BETA = 3.0, 4.0

@@ -13,7 +13,7 @@ import mbdkit
 from mbdkit import EquationsOfMotion, StepError
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.spec import load_spec
-from tests.engine.test_equations_of_motion import MECHANISMS, parallelogram, slider_crank, somewhere, symbolic
+from tests.engine.linkages_in_sympy import MECHANISMS, parallelogram, slider_crank, somewhere, symbolic
 
 T = 0.3
 WEIGHTS = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))

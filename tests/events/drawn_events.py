@@ -16,9 +16,9 @@ from random import Random
 from typing import Any
 
 import mbdkit
+from tests.integrators.python_methods import Pair, Rk45
+from tests.integrators.python_methods import run_with as run_with_python
 from tests.integrators.step_methods import Remembering, RungeKutta
-from tests.integrators.test_step_host import Pair, Rk45
-from tests.integrators.test_step_host import run_with as run_with_python
 
 G = 9.81
 END = 3.0

@@ -10,6 +10,7 @@ import numpy as np
 import mbdkit
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Stepper
 from mbdkit.mechanism.mechanism import Mechanism
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
@@ -36,6 +37,17 @@ def spec_run(model: Any, integrator: dict[str, Any], time: dict[str, Any], **sec
 def workspace_of(m: Mechanism, t0: float = 0.0) -> Workspace:
     """Return the workspace of a mechanism at its assembled start."""
     return workspace_at_start(m, t0)[0]
+
+
+def end_of(stepper: Stepper) -> tuple[np.ndarray, np.ndarray]:
+    """Advance a stepper to its end; return positions and velocities there, ground last."""
+    q = v = np.zeros(0)
+    while not stepper.finished:
+        assert stepper.failure is None
+        stretch = stepper.advance()
+        if len(stretch.time):
+            q, v = stretch.q[-1], stretch.v[-1]
+    return q, v
 
 
 def assert_same_end(ours: mbdkit.Run, theirs: mbdkit.Run) -> float:

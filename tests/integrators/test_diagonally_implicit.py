@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.testing import corpus
 
 import mbdkit
 from mbdkit import ButcherTableau, ImplicitRungeKutta
@@ -18,41 +17,9 @@ from mbdkit.methods import gauss
 from mbdkit.methods.tableau import TableauError
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
-from mbdkit_testing import checks_of
-from mbdkit_testing.integrator_under_test import drive
-from mbdkit_testing.kit import plugin_under_test
+from tests.integrators.diagonal_tableaus import TABLEAUS
+from tests.integrators.running import end_of
 
-G, K = "(2 - sqrt(2))/2", "(3 + sqrt(3))/6"
-TABLEAUS = {
-    # Alexander (1977), SIAM J. Numer. Anal. 14, two stages, stiffly accurate, L-stable
-    "alexander-2": ButcherTableau("alexander-2", [[G], ["sqrt(2)/2", G]], ["sqrt(2)/2", G], [G, 1], 2),
-    # Crouzeix (1975), thesis, and Norsett (1974): two stages, A-stable
-    "crouzeix-3": ButcherTableau(
-        "crouzeix-3", [[K], ["-sqrt(3)/3", K]], ["1/2", "1/2"], [K, "(3 - sqrt(3))/6"], 3
-    ),
-    # Hairer and Wanner (1996), table IV.6.5: five stages, L-stable
-    "sdirk-4": ButcherTableau(
-        "sdirk-4",
-        [
-            ["1/4"],
-            ["1/2", "1/4"],
-            ["17/50", "-1/25", "1/4"],
-            ["371/1360", "-137/2720", "15/544", "1/4"],
-            ["25/24", "-49/48", "125/16", "-85/12", "1/4"],
-        ],
-        ["25/24", "-49/48", "125/16", "-85/12", "1/4"],
-        ["1/4", "3/4", "11/20", "1/2", "1"],
-        4,
-    ),
-    # Bank et al. (1985), as a tableau with an explicit first stage: Hosea and Shampine (1996)
-    "tr-bdf2": ButcherTableau(
-        "tr-bdf2",
-        [[0], [G, G], ["sqrt(2)/4", "sqrt(2)/4", G]],
-        ["sqrt(2)/4", "sqrt(2)/4", G],
-        [0, "2 - sqrt(2)", 1],
-        2,
-    ),
-}  # fmt: skip
 SWING = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
 
 
@@ -61,7 +28,7 @@ def final(method: ImplicitRungeKutta, steps: int) -> np.ndarray:
     time = {"end": 1.0, "step": 0.1}
     workspace = build(load_spec({"mbdkit": 1, "model": SWING, "integrator": {"name": "rk4"}, "time": time}))[0]
     table = Timetable(start=0.0, end=1.0, step=1.0 / steps, steps=steps, every=10**9, max_steps=10**7, single=False)
-    return np.concatenate(drive(start_method(method, workspace, table)))
+    return np.concatenate(end_of(start_method(method, workspace, table)))
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +60,7 @@ def test_a_step_of_a_linear_oscillator_is_that_of_the_stability_function() -> No
     for tableau in TABLEAUS.values():
         workspace = build(spec)[0]
         table = Timetable(start=0.0, end=h, step=h, steps=1, every=1, max_steps=10, single=False)
-        q, v = drive(start_method(ImplicitRungeKutta(tableau), workspace, table))
+        q, v = end_of(start_method(ImplicitRungeKutta(tableau), workspace, table))
         a, b, _ = tableau.floats()
         z, s = h * np.array([[0.0, 1.0], [-w * w, 0.0]]), tableau.stages
         stages = np.linalg.solve(np.eye(2 * s) - np.kron(a, z), np.kron(np.ones((s, 1)), np.eye(2)))
@@ -117,16 +84,6 @@ def test_work_is_booked_by_the_weights_of_the_method() -> None:
     rate = 2.0 * 1.5  # the integral of 1 + t, by the inertia
     assert stretch.v[-1, 2] == pytest.approx(rate, rel=1e-12)
     assert stretch.work[-1] == pytest.approx(0.25 * rate**2, rel=1e-9)
-
-
-def test_a_plugin_with_such_a_tableau_is_verified() -> None:
-    tableau = TABLEAUS["alexander-2"]
-    offered = corpus.offer(lambda options: ImplicitRungeKutta(tableau), order=2, stages=2, needs=("tangents",))
-    integrator = plugin_under_test("integrator", "mine", {}, offered)
-    wanted = ("contract.", "tableau.", "counters.", "newton.tolerance")
-    found = [check.run(integrator) for check in checks_of("integrator", quick=True) if check.name.startswith(wanted)]
-    assert len(found) > 12
-    assert [result for result in found if result.outcome == "fail"] == []
 
 
 def test_formulations_that_it_cannot_solve_are_refused() -> None:

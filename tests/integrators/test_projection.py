@@ -17,7 +17,7 @@ from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.start import start_method
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
-from tests.engine.test_equations_of_motion import parallelogram
+from tests.engine.linkages_in_sympy import parallelogram
 
 from .running import DOUBLE, driven_chain, spec_run
 from .step_methods import Remembering, RungeKutta, run_with

@@ -13,7 +13,7 @@ import mbdkit
 from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
 from mbdkit.integrators import interface
 from mbdkit.spec.run_spec import spec_type
-from tests.engine.test_equations_of_motion import parallelogram
+from tests.engine.linkages_in_sympy import parallelogram
 
 from .running import DOUBLE, driven_chain, spec_run
 from .step_methods import Failing, Remembering, RungeKutta, offering, run_with

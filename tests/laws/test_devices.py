@@ -12,11 +12,9 @@ from scipy.integrate import quad
 import mbdkit
 from mbdkit import Mechanism, SpecError
 from mbdkit.spec import load_spec
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
-from mbdkit_report.figures.mechanism_drawing import NamedPose, mechanism_svg
+from tests.laws.walker import SWEEP, walker
 
 T = np.linspace(0.0, 1.0, 101)
-SWEEP = {"end": 1.0, "step": 0.01}
 
 
 def sweep(law: str, first: float, last: float, **options: Any) -> mbdkit.Run:
@@ -168,15 +166,6 @@ def test_a_wrong_cable_is_refused_with_line_and_key(
     assert words in str(caught.value)
 
 
-def walker() -> Mechanism:
-    m = Mechanism(gravity=(0.0, -9.81))
-    m.body("thigh", mass=8.0, inertia=0.12, position=(0.0, -0.2), angle=-np.pi / 2)
-    m.body("shank", mass=4.0, inertia=0.06, position=(0.0, -0.6), angle=-np.pi / 2)
-    m.revolute("hip", m.ground, "thigh", at=(0, 0))
-    m.revolute("knee", "thigh", "shank", at=(0, -0.4))
-    return m
-
-
 def test_a_cable_in_a_spec_is_the_cable_of_the_builder() -> None:
     m = walker()
     m.cable("tendon", {"hip": 0.05, "knee": -0.03}, stiffness=1e4, free_length=0.08, acts="tension", length=0.01)
@@ -202,24 +191,3 @@ def test_devices_take_their_torques_from_the_actuators_of_a_measured_motion() ->
     for name, others in (("hip", 0.0), ("knee", brace)):
         expected = without.actuators[name].value - radii[name] * tension - others
         np.testing.assert_allclose(found.actuators[name].value, expected, rtol=0, atol=1e-9 * np.max(abs(expected)))
-
-
-def test_a_cable_is_drawn_beside_its_joints() -> None:
-    # expected: thigh and shank hang straight down from the hip at the origin. To raise the angle of the hip, the cable
-    # passes it on the side of +x: there its pull up along the thigh turns the thigh counter-clockwise.
-    m = walker()
-    m.cable("tendon", {"hip": 0.05, "knee": -0.03}, stiffness=1e4, acts="tension")
-    drawing = draw_mechanism(m)
-    assert len(drawing.springs) == 2
-    ends = drawing.world(np.array([[0, -0.2, -np.pi / 2], [0, -0.6, -np.pi / 2]]))[np.array(drawing.springs)]
-    np.testing.assert_allclose(ends, [[[0.05, 0], [-0.03, -0.4]], [[-0.03, -0.4], [-0.03, -0.6]]], atol=1e-15)
-
-
-def test_the_report_draws_and_names_a_cable() -> None:
-    m = walker()
-    m.cable("tendon", {"hip": 0.05, "knee": -0.03}, stiffness=1e4, acts="tension")
-    run = mbdkit.run(m, integrator={"name": "rk4"}, time=SWEEP)
-    pose = run.array("trajectory/position")[0]
-    drawn = str(mechanism_svg(NamedPose.of(m, run.bodies, pose, run.time), 600.0))
-    assert "tendon" in drawn
-    assert drawn.count('class="spring') == 2

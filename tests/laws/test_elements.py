@@ -14,7 +14,6 @@ import mbdkit
 from mbdkit import Mechanism
 from mbdkit.spec import load_spec
 from mbdkit.spec.schema import run_schema
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
 
 TIME = {"end": 0.1, "step": 0.01}
 
@@ -64,13 +63,6 @@ def test_an_archive_says_which_laws_it_used(tmp_path: Path) -> None:
     plain = Mechanism()
     plain.body("ball", mass=1.0)
     assert "force_laws" not in mbdkit.run(plain, integrator={"name": "rk4"}, time=TIME).provenance
-
-
-def test_laws_between_two_points_are_drawn_as_springs() -> None:
-    drawing = draw_mechanism(mechanism())
-    assert len(drawing.springs) == 2
-    ends = drawing.world(np.array([[0.5, 0.0, 0.0], [1.0, 0.5, 0.0]]))[np.array(drawing.springs)]
-    np.testing.assert_allclose(ends, [[[0, 1], [0.5, 0]], [[0, 0], [1, 0.5]]], atol=1e-15)
 
 
 def test_the_schema_has_the_options_of_every_installed_law() -> None:

@@ -11,25 +11,9 @@ import mbdkit
 from mbdkit.base.errors import RunError
 from mbdkit.mechanism.law_parameters import law_range
 from mbdkit.registry.manager import registry
-from mbdkit.spec import load_spec
-from mbdkit_studies.compute.batch import simulate_batch
-from mbdkit_studies.lanes.lane_runs import why_alone
+from tests.laws.thrown_mass import FREE, GAUSS, thrown
 
 G = 9.81
-FREE = {"table": [[-3.0, 0.45], [0.0, 0.0]], "law": "table"}
-"""A law without force that holds up to 0.45 m."""
-GAUSS = {"name": "gauss", "stages": 2}
-
-
-def thrown(law: dict[str, Any] | None = None, speed: float = 3.0, **sections: Any) -> dict[str, Any]:
-    """Return the spec of a mass that is thrown upwards, whose height is the length of a law."""
-    pathway = {"type": "coordinate", "coordinate": "y", "bodies": ["ground", "mass"]}
-    model = {
-        "name": "mechanism",
-        "bodies": {"mass": {"mass": 1.0, "position": [0.0, 0.0], "velocity": [0.0, speed]}},
-        "forces": {"spring": {"type": "law", "pathway": pathway, **(law or FREE)}},
-    }
-    return {"mbdkit": 1, "model": model, "integrator": GAUSS, "time": {"end": 0.6, "step": 0.04}} | sections
 
 
 def settings(method: dict[str, Any]) -> dict[str, Any]:
@@ -139,18 +123,6 @@ def test_a_gas_spring_beyond_its_stroke_or_its_extended_length_is_doubtful() -> 
     strut = {"law": "gas-spring", "preload": 10.0, "progression": 1.3, "extended_length": 0.4, "stroke": 0.5}
     told = mbdkit.run(thrown(strut)).warnings[0]
     assert "mbdkit:gas-spring holds, from -0.1 m to 0.4 m" in told
-
-
-def test_lanes_tell_the_same_as_single_runs() -> None:
-    specs = [
-        thrown(speed=speed, output={"every": 1}, integrator={"name": "rk4"}) for speed in (2.5, 2.9, 3.0, 3.4, 3.8)
-    ]
-    alone = [mbdkit.run(spec) for spec in specs]
-    together = list(simulate_batch([load_spec(spec) for spec in specs]))
-    assert [list(one.warnings) for one in together] == [list(one.warnings) for one in alone]
-    assert not why_alone(load_spec(specs[0]))
-    assert why_alone(load_spec(thrown(output={"every": 2}))).startswith("the ranges of their force laws are watched")
-    assert [one.judgement.level for one in together] == ["unknown", "unknown", "doubtful", "doubtful", "doubtful"]
 
 
 def test_inverse_dynamics_tells_that_the_motion_leaves_the_range_of_a_law() -> None:

@@ -18,7 +18,6 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.spec import load_spec
 from mbdkit.spec.reading import put
-from mbdkit_report.figures.drawing_geometry import draw_run
 
 BODIES = ["ground", "crank"]
 CRANK = {"mass": "2*crank", "inertia": "crank**2/12", "angle": "degrees(45)"}
@@ -161,11 +160,3 @@ def test_a_study_sweeps_the_geometry_by_one_key(tmp_path: Path) -> None:
             lengths.append(float(np.hypot(*run["rod1"].position[0])) * 2)
             assert run["rod1"].angle[0] == pytest.approx(-math.pi / 2 + run.spec["parameters"]["tilt"])
     assert lengths == pytest.approx([1.0, 1.0, 2.0, 2.0])
-
-
-def test_an_archive_with_expressions_is_drawn_and_run_again(tmp_path: Path) -> None:
-    with mbdkit.run("quick-return", archive=tmp_path / "a.h5", time={"end": 0.1, "step": 0.01}) as run:
-        drawn = draw_run(run)
-        assert len(drawn.sliders) == 3
-        again = load_spec(dict(run.spec))
-        assert again.sha256() == load_spec("quick-return", time={"end": 0.1, "step": 0.01}).sha256()

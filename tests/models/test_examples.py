@@ -1,13 +1,12 @@
 """The packaged examples: each is a spec that soon runs to its end, and does what its comment says."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp, solve_ivp
 
 import mbdkit
 from mbdkit.spec import example_names, example_text, load_spec
+from tests.models.example_runs import length, ran
 
 SCHEMA = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
 MODELINE = f"# yaml-language-server: $schema={SCHEMA}"
@@ -16,18 +15,6 @@ NAMES += ["double-wishbone", "flexible-slider-crank", "flying-spaghetti", "four-
 NAMES += ["gravity-balanced-arm", "limit-stop", "n-four-bar", "pd-leg", "pendulum", "quick-return", "roll-up"]
 NAMES += ["series-elastic-knee", "slider-crank", "spin-up-beam"]
 NAMES += ["spring-pendulum", "watt-six-bar"]
-
-
-@cache
-def ran(name):
-    """Return the run of an example, which is simulated once for all of its tests."""
-    return mbdkit.run(name)
-
-
-def of_all_bodies(run, name, history):
-    """Return a vector of bodies over time (T, 2), summed with their masses as weights [kg]."""
-    bodies = load_spec(name).mechanism().bodies
-    return sum(body.mass * getattr(run[key], history) for key, body in bodies.items())
 
 
 every_example = pytest.mark.parametrize("name", sorted({*NAMES, *example_names("run")}))
@@ -190,16 +177,6 @@ def test_stop_of_the_artificial_knee_takes_up_what_the_blow_brings_and_gives_it_
     np.testing.assert_allclose(moment, 0.05 * shank.angular_acceleration, rtol=0, atol=1e-9)
     assert 0.05 < angle.max() < 0.1
     assert len(run.events.of_name("overload")) == 0
-
-
-def length(run, mechanism, name):
-    """Return the distance of a force's two points over time [m]."""
-    ends = []
-    for body, (x, y) in zip(mechanism.forces[name].bodies, mechanism.forces[name].points, strict=True):
-        place, angle = ((0.0, 0.0), 0.0) if body == "ground" else (run[body].position, run[body].angle)
-        c, s = np.cos(angle), np.sin(angle)
-        ends.append(np.asarray(place) + np.stack([c * x - s * y, s * x + c * y], axis=-1))
-    return np.hypot(*(ends[1] - ends[0]).T)
 
 
 def test_spun_up_beam_stretches_as_published():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -12,6 +13,7 @@ import pytest
 from pydantic import BaseModel
 
 from mbdkit import Claims, IntegratorPlugin, ModelPlugin, hookimpl
+from mbdkit.registry import manager
 from mbdkit.registry.manager import Registry, load_registry
 
 
@@ -105,3 +107,17 @@ def beside_ours(entry_point: type[FakeEntryPoint]) -> Callable[..., Registry]:
         return load_registry([*ours, *made])
 
     return load
+
+
+@pytest.fixture
+def installed(monkeypatch: pytest.MonkeyPatch, beside_ours: Callable[..., Registry]) -> Callable[..., Registry]:
+    """Return a function that installs items of distributions beside mbdkit's own in this process."""
+
+    def install(**distributions: Any) -> Registry:
+        loaded = beside_ours(**distributions)
+        for user in list(sys.modules.values()):
+            if getattr(user, "registry", None) is manager.registry and user is not manager:
+                monkeypatch.setattr(user, "registry", lambda: loaded)
+        return loaded
+
+    return install

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 
 import pytest
 from pydantic import BaseModel
@@ -14,68 +13,21 @@ from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.plugin import (
     Accessor,
     CriterionItem,
-    Finding,
     IntegratorPlugin,
     PlotKind,
-    ReportSection,
     SpecKind,
     SummaryLine,
     TableFormat,
-    Target,
 )
 from mbdkit.registry import accessors, manager
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked
 from mbdkit.spec.spec_kinds import kind_of
-from mbdkit_report import export as exports
-from mbdkit_report.pages.section_items import added_sections
-from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
+from tests.registry.failing_items import target, wrong
 
 
 class NoOptions(BaseModel):
     pass
-
-
-def missing(*_):
-    return {}.missing
-
-
-def wrong(*_):
-    return [3]
-
-
-def failing(*_):
-    raise ValueError("no such muscle")
-
-
-def suspicious(spec, *_):
-    return [f"{len(spec.mechanism().bodies)} bodies", Finding("acme-time", None, "a note", "time")]
-
-
-def charts(run):
-    return wrong(run)
-
-
-chart = failing
-
-
-def target(name):
-    return Target(f"{__name__}:{name}")
-
-
-@pytest.fixture
-def installed(monkeypatch, beside_ours):
-    """Return a function that installs items of distributions beside mbdkit's own in this process."""
-    monkeypatch.setitem(sys.modules, __name__, sys.modules[failing.__module__])
-
-    def install(**distributions):
-        loaded = beside_ours(**distributions)
-        for user in list(sys.modules.values()):
-            if getattr(user, "registry", None) is manager.registry and user is not manager:
-                monkeypatch.setattr(user, "registry", lambda: loaded)
-        return loaded
-
-    return install
 
 
 @pytest.fixture(scope="module")
@@ -120,31 +72,6 @@ def test_a_summary_line_that_fails_leaves_the_summary(function, words, run, inst
     assert "the summary line 'acme:jumps'" in line
     assert words in line
     assert "status        complete" in run.summary()
-
-
-@pytest.mark.parametrize(("function", "words"), [("failing", "no such muscle"), ("wrong", "an object of type")])
-def test_a_section_that_fails_is_named(function, words, run, installed):
-    installed(acme=[ReportSection(name="jumps", summary="Jumps.", make=target(function))])
-    with pytest.raises(PluginError, match=f"the report section 'acme:jumps' .*{words}"):
-        added_sections(run, None)
-
-
-def test_a_plot_that_fails_is_named_and_none_replaces_a_plot_of_mbdkit(run, installed):
-    kinds = [PlotKind(name=name, summary="jumps", module=__name__) for name in ("jumps", "energy")]
-    installed(acme=kinds)
-    assert plot_kinds()["energy"] == "energies and their balance"
-    assert plot_kinds()["acme:energy"] == "jumps"
-    with pytest.raises(PluginError, match="the plot kind 'acme:jumps' returned an object of type int, not"):
-        plot_module("jumps").charts(run)
-    with pytest.raises(PluginError, match=r"the plot kind 'acme:jumps' failed: .*no such muscle.*test_item_errors.py"):
-        run.plot.jumps()
-
-
-def test_a_table_format_that_fails_is_named_and_leaves_no_file(run, installed, tmp_path):
-    installed(acme=[TableFormat(name="tsv", summary="Tabulators.", suffix=".txt", write=target("failing"))])
-    with pytest.raises(PluginError, match=r"the table format 'acme:tsv' failed: .*no such muscle"):
-        exports.export(run, tmp_path / "out", "tsv")
-    assert not list(tmp_path.iterdir())
 
 
 def test_kinds_of_specs_never_replace_those_of_mbdkit(installed):

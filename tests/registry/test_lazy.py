@@ -21,7 +21,6 @@ from mbdkit.plugin import Command, IntegratorPlugin, ModelPlugin, SpecKind, Targ
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked, load_registry, registry
 from mbdkit.registry.policy import Policy
-from mbdkit_testing import item_places
 from tests.installing import install_module, python
 from tests.private_names import FACES
 from tests.registry.conftest import offering_items as offering
@@ -238,29 +237,3 @@ def test_one_entry_point_of_a_distribution_is_left_out(entry_point, swing):
     assert policy.reason_against("mbdkit", "builtin") is None
     assert policy.unknown([("mbdkit", "builtin"), ("mbdkit", "part")]) is None
     assert "'mbdkit/part'" in policy.unknown([("mbdkit", "builtin")])
-
-
-@pytest.mark.parametrize(
-    ("name", "field", "file", "begins"),
-    [
-        ("gauss", "create", "mbdkit/methods/gauss.py", "def create("),
-        ("gauss", "options", "mbdkit/methods/gauss.py", "class GaussOptions("),
-        ("single-pendulum", "build", "mbdkit/models/pendulums.py", "def build_single("),
-        ("table", "law", "mbdkit/laws/tabulated.py", "LAW = "),
-        ("modes", "target", "plugins/mbdkit-statics/src/mbdkit_statics/commands.py", "def modes("),
-        ("plugins new", "target", "plugins/mbdkit-testing/src/mbdkit_testing/commands.py", "def plugins_new("),
-        ("drift", "spec", "plugins/mbdkit-paper/src/mbdkit_paper/drift/study.yaml", ""),
-    ],
-)
-def test_where_prints_the_line_that_defines_what_a_name_adds(name, field, file, begins):
-    found = item_places.whereabouts(name)
-    (place,) = (place for item in found["items"] for place in item["places"] if place["field"] == field)
-    path = Path(place["file"])
-    assert path == Path(mbdkit.__file__).parents[1] / file
-    assert path.read_text(encoding="utf-8").splitlines()[place["line"] - 1].startswith(begins)
-    assert f"{path}:{place['line']}" in item_places.whereabouts_text(found)
-
-
-def test_where_suggests_a_name():
-    with pytest.raises(SpecError, match="there is no item 'gaus' \\(did you mean 'gauss'"):
-        item_places.whereabouts("gaus")

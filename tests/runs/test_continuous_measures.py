@@ -5,69 +5,17 @@ Exact values are those of the oscillator x = a cos(w t) with w = 2 and a = 1, un
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.spec import RunSpec
-from mbdkit_gradients.derived_values import Value, of_operands
-from mbdkit_studies.compute.batch import simulate_batch
-from mbdkit_studies.lanes.lane_runs import why_alone
-
-END, A, W = 4.0, 1.0, 2.0
-
-
-def oscillator(integrator: dict[str, Any], step: float | None, **sections: Any) -> dict[str, Any]:
-    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
-    m.body("slider", mass=1.0, inertia=1.0, position=(A, 0.0))
-    m.prismatic("rail", m.ground, "slider", at=(0, 0), axis=(1, 0))
-    m.spring_damper("spring", m.ground, "slider", points=((-2.0, 0.0), (0.0, 0.0)), stiffness=W * W, free_length=2.0)
-    time = {"end": END} | ({} if step is None else {"step": step})
-    return {"mbdkit": 1, "model": m.to_spec(), "integrator": integrator, "time": time} | sections
-
-
-def turns(level: float) -> np.ndarray:
-    """Return the times until the end at which a cos(w t) passes a level."""
-    phase = np.arccos(level / A)
-    every = np.concatenate([(phase + 2 * np.pi * np.arange(9)) / W, (2 * np.pi * np.arange(1, 9) - phase) / W])
-    return np.sort(every[every < END])
-
-
-def above(level: float) -> tuple[float, float]:
-    """Return the integral of max(x - level, 0), and its derivative by a, from its closed form between the turns."""
-    ends = np.concatenate([[0.0], turns(level), [END]])
-    parts = list(pairwise(ends))[::2]
-    sines = sum(np.sin(W * b) - np.sin(W * a) for a, b in parts) / W
-    return A * sines - level * sum(b - a for a, b in parts), sines
-
-
-def path() -> float:
-    """Return the integral of abs(v) for a = 1: the length of the path."""
-    half_turns = int(W * END // np.pi)
-    return 2 * half_turns + 1 - (-1) ** half_turns * np.cos(W * END)
-
-
-EXACT = {
-    "path": ("integral(abs(slider.vx))", path(), path()),
-    "speed": ("mean(abs(slider.velocity))", path() / END, path() / END),
-    "excess": ("integral(max(slider.x - 0.3, 0))", *above(0.3)),
-    "peak": ("max(abs(slider.vx))", W * A, W),
-    "lowest": ("min(slider.x)", -A, -1.0),
-    # the peak of the smaller of two: x = 0.5 - x/2 at x = 1/3, whatever the amplitude
-    "kinked": ("max(min(slider.x, 0.5 - slider.x/2))", 1 / 3, 0.0),
-    "moment": ("at(slider.x, 1.234)", A * np.cos(W * 1.234), np.cos(W * 1.234)),
-    "swing": ("integral(abs(slider.x - mean(slider.x)))", None, None),
-}
+from tests.runs.oscillator import END, EXACT, TEXTS, A, W, oscillator, path, turns
 
 
 def measures(made: mbdkit.Run) -> np.ndarray:
     return np.array([made.measures[name] - exact for name, (_, exact, _) in EXACT.items() if exact is not None])
-
-
-TEXTS = {name: text for name, (text, _, _) in EXACT.items()}
 
 
 @pytest.mark.parametrize(
@@ -99,17 +47,11 @@ def test_adaptive_methods_reach_their_tolerance(integrator: dict[str, Any], outp
     assert np.max(np.abs(measures(mbdkit.run(oscillator(integrator, None, measures=TEXTS, output=output))))) < 2e-7
 
 
-def test_recorded_rows_and_lanes_do_not_matter() -> None:
+def test_recorded_rows_do_not_matter() -> None:
     spec = oscillator({"name": "rk4"}, 0.05, measures=TEXTS)
     every = mbdkit.run(spec)
     assert mbdkit.run(spec | {"output": {"every": 1000}}).integrals == every.integrals
     assert mbdkit.run(spec | {"output": {"every": 7}}).integrals == every.integrals
-    extrema = RunSpec(**spec | {"measures": {name: TEXTS[name] for name in ("peak", "lowest", "kinked", "moment")}})
-    assert why_alone(extrema) == ""
-    (in_lane,) = simulate_batch([extrema])
-    assert in_lane.integrals == {text: every.integrals[text] for text in in_lane.integrals}
-    assert len(in_lane.integrals) == 4
-    assert "integrals" in why_alone(RunSpec(**spec))
 
 
 def test_a_motion_that_stops_at_an_event_ends_there() -> None:
@@ -219,22 +161,6 @@ def test_values_at_times_of_events_and_other_results_are_those_of_the_motion(out
     assert gradient.check is not None
     assert gradient.check.is_passed
     assert gradient.doubts == ()
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_products_of_vectors_and_numbers_pair_their_own_axes(count: int) -> None:
-    # expected: the product rule, component by component
-    rng = np.random.default_rng(1)
-    x, y = (
-        Value(rng.normal(size=(2, 5)), rng.normal(size=(count, 2, 5))),
-        Value(rng.normal(size=5), rng.normal(size=(count, 5))),
-    )
-    for one, other in ((x, y), (y, x)):
-        found = of_operands("mul", 0.0, one, other)
-        assert found.value == pytest.approx(x.value * y.value)
-        for k in range(count):
-            for i in range(2):
-                assert found.slope[k, i] == pytest.approx(x.slope[k, i] * y.value + x.value[i] * y.slope[k])
 
 
 def test_peaks_of_many_blocks_of_steps_are_compared() -> None:

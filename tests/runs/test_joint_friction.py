@@ -16,6 +16,7 @@ from mbdkit import EquationsOfMotion
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
+from tests.runs.rubbing_joints import ARM, INERTIA, MASS, MU, RADIUS, TRANSITION, pendulum, slide
 
 G = 9.81
 DOP853 = {"name": "dop853", "adaptive": True, "rtol": 1e-11, "atol": 1e-12}
@@ -53,9 +54,6 @@ def test_a_wheel_on_a_pin_slows_down_at_a_constant_rate(tmp_path: Path) -> None:
         assert done.joints["pin"].friction[0] == pytest.approx(-torque, rel=1e-14)
 
 
-MASS, INERTIA, ARM, MU, RADIUS, TRANSITION = 2.0, 0.1, 0.6, 0.3, 0.05, 0.02
-
-
 def swing(t: float, y: np.ndarray) -> list[float]:
     """The pendulum in its angle; the reaction, which depends on the acceleration, is found by Newton's method."""
     angle, rate = y
@@ -70,16 +68,6 @@ def swing(t: float, y: np.ndarray) -> list[float]:
         if abs(change) < 1e-15 * abs(found):
             break
     return [rate, found]
-
-
-def pendulum(rate: float) -> Mechanism:
-    m = Mechanism()
-    x, y = ARM * math.sin(1.2), -ARM * math.cos(1.2)
-    m.body("rod", mass=MASS, inertia=INERTIA, position=(x, y), angle=1.2, velocity=(-rate * y, rate * x))
-    m.bodies["rod"] = m.bodies["rod"].model_copy(update={"angular_velocity": rate})
-    friction = {"coefficient": MU, "radius": RADIUS, "transition_speed": TRANSITION}
-    m.revolute("pin", m.ground, "rod", at=(0.0, 0.0), friction=friction)
-    return m
 
 
 @lru_cache
@@ -179,16 +167,6 @@ def test_methods_that_call_forces_converge_to_the_motion_with_friction(method: A
     coarse, fine = (np.max(np.abs(method(p, 0.5 / steps, steps) - exact)) for steps in (100, 200))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
     assert fine < error
-
-
-def slide(coefficient: float, torque: float) -> Mechanism:
-    """A block of 2 kg that slides to the right in a guide 0.1 m above its centre of mass."""
-    m = Mechanism()
-    m.body("block", mass=2.0, inertia=0.1, velocity=(1.0, 0.0))
-    friction = {"coefficient": coefficient, "length": 0.08, "transition_speed": 1e-4}
-    m.prismatic("guide", m.ground, "block", points=((0, 0.1), (0, 0.1)), axis=(1, 0), friction=friction)
-    m.torque("turn", "block", value=torque)
-    return m
 
 
 @pytest.mark.parametrize("coefficient", [0.1, 0.2, 0.39, 0.8])

@@ -15,8 +15,7 @@ from mbdkit import Mechanism, SpecError
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.info import describe
 from mbdkit.mechanism.joints import Driver, PointOnLine, Prismatic
-
-from .test_recorder import TILT, Recorded, cases, hanging, recorded
+from tests.runs.recorded_cases import TILT, Recorded, cases, hanging, recorded
 
 GAUSS = {"name": "gauss", "stages": 3}
 

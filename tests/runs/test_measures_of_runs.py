@@ -14,7 +14,7 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.base.errors import SpecError
-from tests.runs.test_continuous_measures import oscillator
+from tests.runs.oscillator import oscillator
 
 TIME = {"end": 0.2, "step": 0.01}
 MEASURES = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -25,8 +24,6 @@ from mbdkit.runs.preparation import build, caution
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import example_names
 from mbdkit.spec.reading import parse_key, put
-from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints
-from mbdkit_contact.contact_criteria import rolling_point_masses
 
 SPEC: dict[str, Any] = {
     "mbdkit": 1,
@@ -256,10 +253,6 @@ def test_the_size_of_a_body_without_joints_follows_from_its_points(element: dict
     assert f"the mechanism has a size of {size:g} m" in told[0]
 
 
-def sliding_point_masses(m: Mechanism) -> Iterator[str]:
-    return (one.sentence for one in rolling_point_masses(SimpleNamespace(mechanism=lambda: m)))  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(
     "improbable",
     [
@@ -268,25 +261,10 @@ def sliding_point_masses(m: Mechanism) -> Iterator[str]:
         improbable_beams,
         improbable_lengths,
         improbable_bodies,
-        sliding_point_masses,
     ],
 )
 def test_no_value_of_the_packaged_examples_is_improbable(improbable: Callable[[Mechanism], Iterator[str]]) -> None:
     assert [text for name in example_names("run") for text in improbable(load_spec(name).mechanism())] == []
-
-
-@pytest.mark.parametrize(("inertia", "friction", "count"), [(None, 0.3, 1), (0.004, 0.3, 0), (None, 0.0, 0)])
-def test_friction_that_cannot_turn_a_disc_without_inertia_is_told(
-    inertia: float | None, friction: float, count: int
-) -> None:
-    m = Mechanism()
-    m.body("disc", mass=1.0, inertia=inertia, position=(0, 0.1))
-    m.contact(
-        "floor", m.ground, "disc", shapes=[{"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.1}}], friction=friction
-    )
-    told = list(sliding_point_masses(m))
-    assert len(told) == count
-    assert all("the friction of contact 'floor' does not turn its circle of 0.1 m" in text for text in told)
 
 
 @pytest.mark.parametrize(
@@ -354,30 +332,6 @@ def test_units_of_beams_are_doubted_once_each_at_the_key_of_the_spec(
     found = [*improbable_inertias(m), *improbable_beams(m)]
     assert len(found) == bool(advice)
     assert all(f"at model.beams.blade{key} " in text and advice in text for text in found)
-
-
-@pytest.mark.parametrize(
-    ("inertia", "mass", "told"),
-    [
-        # shank of 3.5 kg and 0.42 m: 0.302, 0.528 and 0.643 lengths about centre, knee and ankle (Winter, table 4.1)
-        pytest.param(3.5 * (0.302 * 0.42) ** 2, 3.5, False, id="about the centre of mass"),
-        pytest.param(3.5 * (0.528 * 0.42) ** 2, 3.5, True, id="about the knee"),
-        pytest.param(3.5 * (0.643 * 0.42) ** 2, 3.5, True, id="about the ankle"),
-        pytest.param(3.5 * 0.21**2, 3.5, False, id="masses at both ends"),
-        pytest.param(3.5 * 0.42**2, 3.5, False, id="larger than its points"),
-        pytest.param(0.05 * 0.25**2, 0.05, False, id="light body"),
-        pytest.param(None, 3.5, False, id="point mass"),
-    ],
-)
-def test_an_inertia_about_a_joint_is_told(inertia: float | None, mass: float, told: bool) -> None:
-    m = mbdkit.Mechanism()
-    m.body("thigh", mass=8.0, inertia=0.1)
-    m.body("shank", mass=mass, inertia=inertia)
-    m.revolute("knee", "thigh", "shank", points=((-0.24, 0), (0.18, 0)))
-    m.marker("ankle", "shank", point=(-0.24, 0.0))
-    found = [*inertias_about_joints(m)]
-    assert len(found) == told
-    assert all("of body 'shank' at model.bodies.shank" in text for text in found)
 
 
 def test_messages_about_the_nodes_of_a_beam_name_its_keys() -> None:

@@ -2,31 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 import mbdkit
-from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.spec import load_spec
-from mbdkit_studies.compute.batch import simulate_batch
-
-
-def pin(transition: float, step: float = 0.005) -> dict[str, Any]:
-    """Return the spec of a body that turns in a pin of 8 mm at 1 rad/s, loaded with 800 N through the pin."""
-    friction = {"coefficient": 0.1, "radius": 0.008, "transition_speed": transition}
-    return {
-        "mbdkit": 1,
-        "model": {
-            "name": "mechanism",
-            "gravity": [0, 0],
-            "bodies": {"leg": {"mass": 4, "inertia": 0.46, "position": [0, 0], "angular_velocity": 1.0}},
-            "joints": {"knee": {"type": "revolute", "bodies": ["ground", "leg"], "at": [0, 0], "friction": friction}},
-            "forces": {"push": {"type": "force", "body": "leg", "at": [0, 0], "value": [0, -800]}},
-        },
-        "integrator": {"name": "radau-iia"},
-        "time": {"end": 5.0, "step": step},
-    }
+from tests.runs.slow_pin import pin
 
 
 def test_friction_of_a_pin_that_turns_more_slowly_than_its_transition_speed_is_doubtful() -> None:
@@ -38,13 +17,6 @@ def test_friction_of_a_pin_that_turns_more_slowly_than_its_transition_speed_is_d
     assert "joint 'knee' is weaker than Coulomb friction, because 100% of its path" in told
     assert "transition speed of 0.01 m/s (fastest slip 0.008 m/s, at 1 rad/s), and lacks 60% of its work" in told
     assert "lower model.joints.knee.friction.transition_speed" in told
-
-
-def test_vectorized_runs_tell_the_same_as_single_runs() -> None:
-    specs = [load_spec(pin(transition) | {"integrator": {"name": "rk4"}}) for transition in (0.01, 0.02)]
-    told = [tuple(mbdkit.run(spec).warnings) for spec in specs]
-    assert [len(one) for one in told] == [1, 1]
-    assert [run.warnings for run in simulate_batch(specs) if isinstance(run, FinishedRun)] == told
 
 
 def test_friction_that_reaches_its_transition_speed_until_the_stop_is_not_told() -> None:

@@ -16,28 +16,8 @@ from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.matrix_terms import RATE
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
-from mbdkit_studies.compute.batch import simulate_batch
+from tests.runs.leg_with_states import DAMPING, INERTIA, LAG, STIFFNESS, leg, rotor, spec_of
 from tests.runs.resuming.killed_runs import killed
-
-INERTIA, STIFFNESS, DAMPING, LAG = 0.17, 40.0, 3.0, 0.05
-"""A leg of 3 kg on a hip 0.2 m above its centre of mass; gains of its controller, and the time constant of a filter."""
-
-
-def leg(value: str = "-Kp*(leg.angle - 0.5*sin(2*t)) - Kd*leg.angular_velocity + states.i") -> dict[str, Any]:
-    """A leg under proportional and derivative control, with a filtered angle as a state."""
-    return {
-        "name": "mechanism",
-        "bodies": {"leg": {"mass": 3.0, "inertia": 0.05, "position": [0.0, -0.2]}},
-        "joints": {"hip": {"type": "revolute", "bodies": ["ground", "leg"], "points": [[0, 0], [0, 0.2]]}},
-        "forces": {"motor": {"type": "torque", "body": "leg", "value": value}},
-        "states": {"i": {"rate": "(bodies.leg.angle - states.i)/lag", "initial": 0.1, "unit": "N m"}},
-    }
-
-
-def spec_of(integrator: dict[str, Any], step: float | None = 0.01, **more: Any) -> dict[str, Any]:
-    time = {"end": 0.5} if step is None else {"end": 0.5, "step": step}
-    parameters = {"Kp": STIFFNESS, "Kd": DAMPING, "lag": LAG}
-    return {"mbdkit": 1, "parameters": parameters, "model": leg(), "integrator": integrator, "time": time} | more
 
 
 def rates(t: float, y: np.ndarray) -> list[float]:
@@ -172,10 +152,7 @@ def test_a_gradient_by_a_gain_is_exact() -> None:
     assert found.check.is_passed
 
 
-def test_lanes_and_resumed_runs_have_the_same_bits(tmp_path: Path) -> None:
-    specs = [load_spec(spec_of({"name": "rk4"}, model=leg(f"-{k}*leg.angle + states.i"))) for k in range(40, 49)]
-    for spec, run in zip(specs, simulate_batch(specs), strict=True):
-        assert run.data_sha256 == mbdkit.run(spec).data_sha256
+def test_resumed_runs_have_the_same_bits(tmp_path: Path) -> None:
     spec = spec_of({"name": "radau-iia", "stages": 2}, 1e-5)
     part = tmp_path / "run.h5.part"
     assert killed(spec, part, delay=0.0)
@@ -231,20 +208,6 @@ def test_a_value_that_is_not_finite_names_its_load() -> None:
 def test_methods_of_scipy_integrate_states(method: str) -> None:
     run = mbdkit.run(spec_of({"name": method, "rtol": 1e-10, "atol": 1e-10}, None))
     assert np.abs(at_end(run) - EXACT).max() < 1e-7
-
-
-def rotor(delay: float) -> Mechanism:
-    """A rotor under a sampled controller with an integral part."""
-    m = Mechanism(gravity=(0, 0))
-    m.body("rotor", mass=1, inertia=0.5, angle=0.3)
-    m.revolute("pin", m.ground, "rotor", at=(0, 0))
-    m.controller(
-        "pid", period=0.02, delay=delay,
-        outputs={"u": "-6*rotor.angle - 2*rotor.angular_velocity - controllers.pid.sum"},
-        states={"sum": {"initial": 0.1, "next": "controllers.pid.sum + 0.1*rotor.angle"}},
-    )  # fmt: skip
-    m.torque("motor", "rotor", value="controllers.pid.u")
-    return m
 
 
 def exact_rotor(delay: float, end: float) -> float:
@@ -451,23 +414,6 @@ def test_measures_contain_states_and_what_controllers_hold() -> None:
     model["states"]["i"]["unit"] = "A"  # not a unit of mechanics
     with pytest.raises(SpecError, match="give the unit of the result"):
         mbdkit.run(spec_of({"name": "rk4"}, model=model, measures={"most": "max(states.i)"}))
-
-
-def test_runs_of_a_batch_that_differ_in_states_or_controllers_only_are_not_mixed_up() -> None:
-    """Mechanisms that are equal except for these must not share what was compiled."""
-    models: list[dict[str, Any]] = []
-    for initial, rate in ((0.1, "leg.angle"), (0.5, "leg.angle"), (0.5, "2*leg.angle")):
-        model = leg()
-        model["states"]["i"] |= {"initial": initial, "rate": rate}
-        models.append(model)
-    for gain, period in ((6, 0.02), (9, 0.02), (9, 0.04)):
-        model = rotor(0.0).to_spec()
-        model["controllers"]["pid"] |= {"period": period, "outputs": {"u": f"-{gain}*rotor.angle"}}
-        models.append(model)
-    specs = [load_spec(spec_of({"name": "rk4"}, model=model)) for model in models]
-    alone = [mbdkit.run(spec).data_sha256 for spec in specs]
-    assert [run.data_sha256 for run in simulate_batch(specs)] == alone
-    assert len(set(alone)) == len(alone)
 
 
 def test_a_gradient_through_a_stop_includes_the_feedback() -> None:

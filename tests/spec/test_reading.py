@@ -13,10 +13,10 @@ from types import SimpleNamespace
 
 import pytest
 
+import mbdkit
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.plain_data import DEEPEST, parse_path
 from mbdkit.spec import load_spec
-from mbdkit_studies.spec.study_loading import load_study_spec
 
 TOML = """
 mbdkit = 1
@@ -151,4 +151,4 @@ def test_a_spec_that_the_system_cannot_read_is_no_wrong_input():
 def test_a_pipe_is_not_read(source, in_tmp_path):
     os.mkfifo("a.yaml")
     with pytest.raises(SpecError, match="this is not a regular file but a pipe, a socket or a device; it is not read"):
-        (load_spec if isinstance(source, str) else load_study_spec)(source)
+        (load_spec if isinstance(source, str) else mbdkit.study)(source)

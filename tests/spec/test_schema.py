@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
-from mbdkit.spec import example_names, example_text, load_spec
+from mbdkit.spec import example_names, example_text
 from mbdkit.spec.schema import HOME, builtin_schema_text, run_schema
 from mbdkit.spec.spec_kinds import spec_kinds
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
-from mbdkit_design.design_loading import load_design_spec
-from mbdkit_studies.spec.study_loading import load_study_spec, study_names
-from mbdkit_studies.spec.study_schema import study_schema
 
 FOLDER = Path(__file__).parents[2] / "schemas"
 
@@ -47,34 +42,15 @@ def test_a_choice_is_made_by_name():
 
 
 @pytest.mark.parametrize("kind", ["run", "inverse", "design"])
-def test_every_packaged_example_is_valid_and_names_the_schema(kind):
-    loaded = {"run": load_spec, "inverse": load_inverse_spec, "design": load_design_spec}[kind]
+def test_every_packaged_example_names_the_schema(kind):
     for name in example_names(kind):
-        assert loaded(name).title
         first = example_text(name).splitlines()[0]
         assert first == f"# yaml-language-server: $schema={HOME.format(kind)}"
-
-
-@pytest.mark.parametrize("name", study_names())
-def test_every_packaged_study_is_valid_and_names_the_schema(name):
-    assert load_study_spec(name).title
-    first = (files("mbdkit_paper") / name.replace("-", "_") / "study.yaml").read_text("utf-8").splitlines()[0]
-    assert first == f"# yaml-language-server: $schema={HOME.format('study')}"
 
 
 @pytest.mark.parametrize("kind", [kind.name for kind in spec_kinds() if kind.schema is not None])
 def test_the_schema_is_json(kind):
     assert json.loads(builtin_schema_text(kind))["$id"] == HOME.format(kind)
-
-
-def test_the_schema_of_a_study_knows_the_keys_of_its_base_and_refers_to_nothing_that_is_not_there():
-    schema = study_schema()
-    assert set(schema["$defs"]["Base"]["properties"]) == set(run_schema()["properties"])
-    for name, section in schema["properties"].items():
-        assert section.get("description"), name
-    text = json.dumps(schema)
-    for reference in re.findall(r'"#/\$defs/(.*?)"', text):
-        assert reference in schema["$defs"]
 
 
 def test_every_number_of_the_model_may_be_an_expression_and_no_other():

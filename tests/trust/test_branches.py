@@ -11,21 +11,9 @@ import numpy as np
 import pytest
 
 import mbdkit
+from tests.trust.flat_linkages import angle_between_cranks, flat_linkage
 
 from .mechanisms import spec
-
-
-def angle_between_cranks(run: mbdkit.Run, n: int) -> float:
-    """Return the largest difference between the angles of two cranks of n linkages [rad]."""
-    cranks = run.dataset("trajectory/position")[:, : n + 1, 2]
-    return float(np.max(np.abs(cranks - cranks[:, :1])))
-
-
-def flat_linkage(n: int, integrator: dict[str, Any], step: float | None = None, **more: Any) -> mbdkit.Run:
-    """Run n linkages, which are flat twice in every turn, for ten seconds."""
-    model = {"name": "n-four-bar", "n": n, **more.pop("model", {})}
-    return mbdkit.run(spec(model, integrator, 10.0, step, limits={"wall_time": 30.0}, **more))
-
 
 ADAPTIVE = [
     ("dop853", {}), ("dopri5", {}),

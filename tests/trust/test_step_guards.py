@@ -10,9 +10,9 @@ import pytest
 import mbdkit
 from mbdkit.methods.step_methods import StepState
 from tests.integrators.step_methods import RungeKutta, run_with
+from tests.trust.flat_linkages import angle_between_cranks, flat_linkage
 
 from .mechanisms import cranks, spec
-from .test_branches import angle_between_cranks, flat_linkage
 
 DOUBLE = {"name": "double-pendulum"}
 HANGING = {"name": "n-pendulum", "n": 3, "angle": -np.pi / 2}

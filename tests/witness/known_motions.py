@@ -12,11 +12,12 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
+from tests.witness.car_axis import L, R, W, car_axis, in_two_coordinates
+from tests.witness.six_bar import FOUR_BAR, PHI, RATE, SIX_BAR
+
 from .minimal_coordinates import TIME, MinimalSystem, coordinates
 from .pendulum import Pendulum
 from .problems import DRIVEN_PENDULUM, FORCED_PENDULUM, Problem
-from .test_car_axis import L, R, W, car_axis, in_two_coordinates
-from .test_six_bar import FOUR_BAR, PHI, RATE, SIX_BAR
 
 Array = NDArray[np.floating[Any]]
 States = tuple[Array, Array]

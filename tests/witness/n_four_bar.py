@@ -56,3 +56,13 @@ class Windows:
         while self.time(low) < t:
             low -= 3.0
         return float(brentq(lambda x: self.time(x) - t, low, min(low + 3.0, self.start), xtol=1e-15, rtol=1e-15))
+
+
+PUBLISHED = {
+    0.5: (0.687926, 0.725781),
+    1.0: (-0.115357, -0.993324),
+    2.5: (0.754378, 0.656441),
+    5.0: (-0.540191, -0.841543),
+}
+"""Point B0 of 40 windows [m] at some times [s], six digits: reference solution of problem A02 of the benchmark library,
+http://lim.ii.udc.es/mbsbenchmark, by ADAMS/Solver 2003."""

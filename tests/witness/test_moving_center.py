@@ -19,28 +19,13 @@ from scipy.integrate import solve_ivp
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from tests.witness.eccentric_wheel import SPEED, START, E, G, J, M, R, wheel
 
 from .running import gauss, run
 
-R, E, M, J, G = 0.3, 0.12, 2.0, 0.05, 9.81
-START, SPEED = 0.4, 3.0
 B = 1.1
 RADAU = {"name": "radau-iia", "stages": 3}
 LINES = {"table": [[0, 1], [0, 1]], "interpolation": "linear"}
-
-
-def wheel() -> dict[str, Any]:
-    """Return the eccentric wheel at its start."""
-    c, s = math.cos(START), math.sin(START)
-    body = {
-        "mass": M, "inertia": J, "position": [-R * START + E * c, E * s], "angle": START,
-        "velocity": [(-R - E * s) * SPEED, E * c * SPEED], "angular_velocity": SPEED,
-    }  # fmt: skip
-    joint = {
-        "type": "revolute", "bodies": ["ground", "wheel"], "points": [[0, 0], [-E, 0]],
-        "center": {"x": f"-{R}*angle"},
-    }  # fmt: skip
-    return {"name": "mechanism", "bodies": {"wheel": body}, "joints": {"rolls": joint}}
 
 
 def of_angle(phi: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,17 +9,9 @@ import numpy as np
 import pytest
 
 import mbdkit
+from tests.witness.n_four_bar import PUBLISHED
 
 from .n_four_bar import Windows
-
-PUBLISHED = {
-    0.5: (0.687926, 0.725781),
-    1.0: (-0.115357, -0.993324),
-    2.5: (0.754378, 0.656441),
-    5.0: (-0.540191, -0.841543),
-}
-"""Point B0 of 40 windows [m] at some times [s], six digits: reference solution of problem A02 of the benchmark library,
-http://lim.ii.udc.es/mbsbenchmark, by ADAMS/Solver 2003."""
 
 FIRST_FLAT = 0.7143556
 """Time at which two windows lie flat for the first time [s]."""

@@ -13,10 +13,10 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.integrators.stages.coupled_newton import CoupledNewton
 from mbdkit.methods import gauss
 from mbdkit.models import n_four_bar
+from tests.witness.hard_runs import EXPLICIT, every_method, run
+from tests.witness.n_four_bar import PUBLISHED
 
 from .n_four_bar import Windows
-from .test_hard import EXPLICIT, every_method, run
-from .test_n_four_bar import PUBLISHED
 
 
 def windows(n: int, integrator: str, stages: int, end: float, step: float, **sections: Any) -> mbdkit.Run:

@@ -17,9 +17,7 @@ from mbdkit.runs.accuracy.compared_measures import other_methods
 from mbdkit.runs.preparation import build, make_method
 from mbdkit.spec import load_spec
 from mbdkit.trust.measure_error import measure_error
-from mbdkit_studies.report.study_headlines import headlines
-from mbdkit_studies.statistics.sensitivity import sensitivity
-from tests.runs.test_continuous_measures import EXACT, TEXTS, oscillator
+from tests.runs.oscillator import EXACT, TEXTS, oscillator
 
 STOP = {"stop": {"when": "slider.x + 0.5", "action": "stop"}}
 
@@ -84,31 +82,6 @@ def test_tables_of_studies_have_the_errors(store: str, tmp_path: Path) -> None:
     assert np.all((true / 3 <= errors) & (errors <= 5 * true))
     with pytest.raises(SpecError, match="column of the error of 'peak'"):
         mbdkit.study(study | {"measures": {"peak": TEXTS["peak"], "peak_error": TEXTS["lowest"]}}, out=tmp_path / "no")
-
-
-def test_indices_of_errors_are_not_shown(tmp_path: Path) -> None:
-    # the total energy does not depend on the phase: its values differ by their errors only
-    base = oscillator({"name": "rk4"}, 0.2, check=True, parameters={"phase": 0.0, "level": 0.0})
-    base["model"]["bodies"]["slider"] |= {"position": ["cos(phase)", 0], "velocity": ["-2*sin(phase)", 0]}
-    variables = {"parameters.phase": {"uniform": [0.0, 3.0]}, "parameters.level": {"uniform": [0.0, 1.0]}}
-    sample = {"n": 4, "method": "sobol", "design": "saltelli", "seed": 1, "variables": variables}
-    measures = {"noise": "max(energy.total) - 2 + 2", "swing": {"value": "final(slider.x)*(1 + level)", "unit": "m"}}
-    study = mbdkit.study(
-        {"mbdkit_study": 1, "base": base, "sample": sample, "measures": measures}, out=tmp_path / "study"
-    )
-    found = sensitivity(study, "noise")
-    assert np.all(np.isnan(found.first))
-    assert np.all(np.isnan(found.total))
-    assert "within their estimated errors" in str(found)
-    wide = sensitivity(study, "swing")
-    assert not wide.reason
-    covers = (wide.indices.first_low <= 0) & (wide.indices.first_high >= 1)
-    assert np.array_equal(np.isnan(wide.first), covers)
-    told = dict(headlines(study))
-    assert "of the standard deviation: THE SPREAD MAY BE NUMERICAL" in told["noise"]
-    assert "no variable explains it: the values of noise differ by" in told["noise"]
-    assert "NUMERICAL" not in told["swing"]
-    assert "error of a run" in told["swing"]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import math
 import os
 import random
@@ -22,14 +21,14 @@ import mbdkit
 import mbdkit.runs.run_checkpoint
 from mbdkit.archive import writer
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.checkpoint import Checkpoint, StoredRows
+from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.cli import app
 from mbdkit.integrators import interface
 from mbdkit.runs import provenance
 from mbdkit.runs.run_checkpoint import Parts
-from mbdkit_studies.compute import worker as study_worker
+from tests.runs.resuming.checkpoints import NONE, checkpoint_of
 
 from .killed_runs import killed, make_frequent
 
@@ -66,14 +65,6 @@ EVENTS = {"up": {"when": "rod2.y", "direction": "any"}, "pull": {"when": "J1.for
 def spec_of(integrator: dict[str, Any], time: dict[str, Any], model: Any = PENDULUM, **more: Any) -> dict[str, Any]:
     return {"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **more}
 
-
-def checkpoint_of(state: Any) -> Checkpoint:
-    head = {"spec": "{}", "run_id": "a", "created_utc": "now", "provenance": {"mbdkit": "1"}}
-    arrays = {"energy/total": StoredRows((), 4, np.array([8, 99]), ()), "events/name": StoredRows((), 1, NONE, ("up",))}
-    return Checkpoint(head, 7, {"time": 5}, ("line",), arrays, state)
-
-
-NONE = np.zeros(0, np.int64)
 
 GAUSS = {"name": "gauss", "stages": 2}
 
@@ -231,19 +222,6 @@ def read(part: Path) -> Checkpoint:
     checkpoint = Checkpoint.of(part)
     assert checkpoint is not None
     return checkpoint
-
-
-@pytest.mark.parametrize("is_damaged", [False, True], ids=["whole", "damaged checkpoint"])
-def test_a_study_continues_its_killed_run(part: Path, is_damaged: bool) -> None:
-    spec, path = read(part).head["spec"], part.with_suffix("")
-    if is_damaged:
-        checkpoint_path(part).write_bytes(b"damaged")
-    answer = study_worker._work({"spec": spec, "path": str(path), "measures": []}, print)
-    assert answer == {"status": "complete", "reason": ""}
-    with mbdkit.load(path) as run:
-        assert run.provenance.get("resumed", 0) == (0 if is_damaged else 1)
-        assert run.data_sha256 == mbdkit.run(json.loads(spec)).data_sha256
-    assert os.listdir(part.parent) == ["run.h5"]
 
 
 def test_wall_time_of_both_parts_counts(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tests.inverse_dynamics.measured_pendulum import pendulum
 from typer.testing import CliRunner
 
 import mbdkit
@@ -21,18 +22,6 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_sp
 
 AXES = ("x", "y", "angle")
 ROWS = ["time,hip,text", *(f"{0.01 * i:.2f},{0.1 * i:.3f},a" for i in range(20))]
-
-
-def pendulum(file: str, **motion: Any) -> dict[str, Any]:
-    """Return the spec of a pendulum whose angle is the column ``hip`` of a table."""
-    m = mbdkit.Mechanism()
-    m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
-    m.body("toy", mass=1.0, inertia=0.1, position=(1.0, 0.0))
-    m.revolute("hip", m.ground, "rod", at=(0, 0))
-    m.weld("glue", "rod", "toy", at=(1, 0))
-    m.marker("tip", "rod", point=(0.5, 0.0))
-    given = {"file": file, "columns": {"hip.angle": "hip"}, **motion}
-    return {"mbdkit": 1, "model": m.to_spec(), "motion": given}
 
 
 def with_row(number: int, row: str) -> list[str]:

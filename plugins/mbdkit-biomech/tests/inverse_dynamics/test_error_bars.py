@@ -10,8 +10,9 @@ import pytest
 from scipy.signal import butter, filtfilt
 from scipy.stats import chi2
 from tests.inverse_dynamics.drawn_coverage import coverage
+from tests.inverse_dynamics.moved_linkages import TORQUES, moved
 from tests.inverse_dynamics.noisy import CUTOFF, DEVIATION, Truth, covered
-from tests.inverse_dynamics.test_closed_loops import TORQUES, moved
+from tests.inverse_dynamics.noisy_pendulum import T, pendulum
 
 import mbdkit
 from mbdkit import SpecError
@@ -24,19 +25,6 @@ from mbdkit_biomech.inverse_dynamics.results.measure_samples import SAMPLES, Sam
 from mbdkit_biomech.inverse_dynamics.results.workload import workload
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_report.pages.run_report import run_report
-
-T = np.linspace(0.0, 1.0, 101)
-
-
-def pendulum(**motion: Any) -> dict[str, Any]:
-    """Return the spec of a pendulum, whose angle is measured in degrees with noise."""
-    m = mbdkit.Mechanism()
-    m.body("rod", mass=1.0, inertia=0.1, position=(0.0, -0.5))
-    m.revolute("hip", m.ground, "rod", at=(0, 0))
-    noise = np.degrees(DEVIATION) * np.random.default_rng(3).standard_normal(len(T))
-    data = {"time": T, "hip": np.degrees(0.5 * np.sin(3 * T)) + noise}
-    column = {"column": "hip", "unit": "deg"}
-    return {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data, "columns": {"hip.angle": column}, **motion}}
 
 
 @pytest.fixture(scope="module")

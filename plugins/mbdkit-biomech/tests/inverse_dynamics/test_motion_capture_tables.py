@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.inverse_dynamics.test_error_bars import pendulum
+from tests.inverse_dynamics.noisy_pendulum import pendulum
 
 import mbdkit
 from mbdkit import SpecError

@@ -15,7 +15,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.spec import load_spec
 from mbdkit_biomech.models._segments import Person
 from mbdkit_biomech.models.four_bar_knee import FourBarKneeOptions, KneeLinks, KneePitches, build, linkage
-from tests.models.test_examples import length
+from tests.models.example_runs import length
 
 STRAIGHT = {
     "A": (0.0, 0.0),

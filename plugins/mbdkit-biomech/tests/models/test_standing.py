@@ -8,7 +8,7 @@ import scipy.interpolate
 
 import mbdkit
 from mbdkit.spec import load_spec
-from tests.models.test_examples import of_all_bodies
+from tests.models.example_runs import of_all_bodies
 
 
 @pytest.mark.parametrize("name", ["sit-to-stand", "squat", "sway"])

@@ -3,7 +3,7 @@
 import casadi
 import numpy as np
 import pytest
-from tests.muscles.test_muscles_in_runs import FIBER, FORCE, SPEED, WIDTH, active, arm, by_velocity, passive
+from tests.muscles.arm import FIBER, FORCE, SPEED, WIDTH, active, arm, by_velocity, passive
 
 import mbdkit
 from mbdkit import RunError, SpecError

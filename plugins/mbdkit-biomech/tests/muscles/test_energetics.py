@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 from tests.muscles import leg
+from tests.muscles.arm import FORCE, WIDTH, arm
+from tests.muscles.forearm import forearm
 from tests.muscles.models import leg_mechanism
 from tests.muscles.recruited import leg_spec
-from tests.muscles.test_muscles_in_runs import FORCE, WIDTH, arm
-from tests.muscles.test_recruitment import forearm
 
 import mbdkit
 from mbdkit import SpecError

@@ -3,9 +3,9 @@
 import casadi
 import numpy as np
 import pytest
+from tests.muscles.forearm import forearm
 from tests.muscles.recruited import leg_spec
-from tests.muscles.test_recruitment import forearm
-from tests.muscles.test_shared_loads import FRAMES, MUSCLES, problems
+from tests.muscles.shared_loads import FRAMES, MUSCLES, problems
 
 import mbdkit
 from mbdkit import RunError, SpecError

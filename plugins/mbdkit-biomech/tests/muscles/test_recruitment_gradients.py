@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.muscles.forearm import forearm
 from tests.muscles.recruited import leg_spec
-from tests.muscles.test_recruitment import forearm
-from tests.muscles.test_shared_loads import FRAMES, by_casadi, problems
+from tests.muscles.shared_loads import FRAMES, by_casadi, problems
 
 import mbdkit
 from mbdkit import SpecError

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.muscles.test_recruitment import forearm
+from tests.muscles.forearm import forearm
 
 import mbdkit
 from mbdkit import SpecError

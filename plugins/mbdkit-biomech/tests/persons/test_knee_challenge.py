@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.inverse_dynamics.c3d_files import Convention, c3d_bytes
-from tests.inverse_dynamics.test_c3d import plate
+from tests.inverse_dynamics.force_plates import plate
 
 import mbdkit
 from mbdkit_biomech.knee_challenge import compare, largest_peak, main

@@ -16,7 +16,7 @@ from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import PLATFORMS, Platform, chosen_level, this_platform
 from mbdkit_builder import __main__ as builder
 from mbdkit_builder import libraries, sources
-from tests.engine.test_machine_code import SPECS, hashes, stored
+from tests.engine.hashed_runs import SPECS, hashes, stored
 
 LEVEL = "x86-64-v3"
 

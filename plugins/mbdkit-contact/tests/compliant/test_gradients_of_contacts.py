@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.gradients.test_gradients_at_corners import GAUSS, MEASURES, PAD, expected
-from tests.gradients.test_gradients_at_corners import ball as ball_on_pad
+from tests.gradients.bouncing_ball import GAUSS, MEASURES, PAD, expected
+from tests.gradients.bouncing_ball import ball as ball_on_pad
 
 import mbdkit
 from tests.benchmarks.contact_cases import biped

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.rigid.blocks import FLOOR, G, along, block, run
 from tests.rigid.cones import coulomb
 
 import mbdkit
@@ -21,17 +22,6 @@ from mbdkit_contact.kernels.pivoting import new_cones
 from mbdkit_contact.rigid_contacts import RigidContacts
 from mbdkit_report.pages.run_tables import run_tables
 from tests.witness.pit import pit
-
-G = 9.81
-FLOOR = {"line": {"normal": [0.0, 1.0]}}
-
-
-def run(
-    model: dict[str, Any], end: float, step: float, treatment: str = "event-driven", method: str = "", **more: Any
-) -> mbdkit.Run:
-    method = method or ("moreau-jean" if treatment == "time-stepping" else "dop853")
-    sections = {"integrator": {"name": method}, "time": {"end": end, "step": step}, "contact": {"treatment": treatment}}
-    return mbdkit.run({"mbdkit": 1, "model": {"name": "mechanism"} | model}, **sections, **more)
 
 
 def ball(e: float) -> dict[str, Any]:
@@ -98,21 +88,6 @@ def test_simultaneous_impacts_lose_their_energy_once() -> None:
     impacts = run({"bodies": bodies, "contacts": contacts}, 0.6, 0.05).impacts
     assert len(impacts) == 2
     assert impacts.total_energy_lost == pytest.approx(2 * 1.5 * G, rel=1e-11)
-
-
-def block(mu: float) -> dict[str, Any]:
-    angle = np.radians(30.0)
-    along, normal = np.array([np.cos(angle), np.sin(angle)]), [-np.sin(angle), np.cos(angle)]
-    place = {"position": (0.1 * np.array(normal)).tolist(), "angle": float(angle), "velocity": (2 * along).tolist()}
-    corners = [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]
-    contact = {
-        "bodies": ["ground", "block"], "shapes": [{"line": {"normal": normal}}, {"polygon": corners}], "friction": mu,
-    }  # fmt: skip
-    return {"bodies": {"block": {"mass": 1.0, "inertia": 0.1} | place}, "contacts": {"incline": contact}}
-
-
-def along(found: mbdkit.Run) -> np.ndarray:
-    return found["block"].position @ [np.cos(np.radians(30.0)), np.sin(np.radians(30.0))]
 
 
 def test_a_block_on_an_incline_stops_and_slides_back() -> None:

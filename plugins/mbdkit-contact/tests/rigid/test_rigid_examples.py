@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mbdkit.spec import example_names, load_spec
-from tests.models.test_examples import of_all_bodies, ran
+from tests.models.example_runs import of_all_bodies, ran
 
 
 def test_the_examples_of_this_part_are_packaged():

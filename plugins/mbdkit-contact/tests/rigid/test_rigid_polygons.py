@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from tests.rigid.test_rigid_contacts import G, block, run
+from tests.rigid.blocks import G, block, run
 
 import mbdkit
 from mbdkit.base.errors import SpecError

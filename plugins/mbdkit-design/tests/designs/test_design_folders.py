@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.designs.design_command import command
 from tests.designs.oscillator import STIFFNESS, tuned
-from typer.testing import CliRunner, Result
 
 import mbdkit
 from mbdkit import ResourceError, SpecError
-from mbdkit.cli import app
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_design import computing, store
 from mbdkit_design.computing import Computer
@@ -29,10 +28,6 @@ from mbdkit_design.solve_design import WORKER
 from mbdkit_design.store import DesignFolder
 from mbdkit_studies.compute import pool
 from mbdkit_studies.compute.executor_pool import Engine
-
-
-def command(*arguments: str) -> Result:
-    return CliRunner().invoke(app, list(arguments), prog_name="mbdkit")
 
 
 def lines(folder: Path) -> list[str]:

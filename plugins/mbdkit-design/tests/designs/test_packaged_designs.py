@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from tests.designs.test_design_folders import command
+from tests.designs.design_command import command
 
 from mbdkit.spec import example_names
 from mbdkit_design.design_loading import load_design_spec

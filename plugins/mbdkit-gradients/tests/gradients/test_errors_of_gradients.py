@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.gradients.bouncing_ball import MEASURES as OF_BALL
+from tests.gradients.bouncing_ball import ball, expected
 
 import mbdkit
 from mbdkit_report.pages.answer_section import gradient_section
-
-from .test_gradients_at_corners import MEASURES as OF_BALL
-from .test_gradients_at_corners import ball, expected
 
 PARAMETERS = {"k": 40.0, "m1": 3.0, "m2": 2.0, "l1": 0.45, "l2": 0.4}
 DAMPING, GRAVITY = 0.2, 9.81

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.gradients.test_gradients import SLIDER_CRANK
+from tests.gradients.slider_crank import SLIDER_CRANK
 
 import mbdkit
 from mbdkit.base.errors import SpecError

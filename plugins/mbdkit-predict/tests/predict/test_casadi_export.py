@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from tests.compliant.test_contact_forces import PAIRS, two_bodies
+from tests.compliant.pairs_of_bodies import PAIRS, two_bodies
 
 from mbdkit import MbdkitError, Mechanism, SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -24,8 +24,8 @@ from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.symbols import BranchError, Symbol, column, every_branch
 from tests.engine import random_mechanisms
 from tests.engine.strategies import Drawn, mechanisms
-from tests.runs.test_joint_friction import pendulum, slide
-from tests.witness.test_moving_center import wheel
+from tests.runs.rubbing_joints import pendulum, slide
+from tests.witness.eccentric_wheel import wheel
 
 ROUNDING = 1e-12
 """Largest difference, relative to the largest number of a result."""

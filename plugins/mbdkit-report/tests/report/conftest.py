@@ -14,6 +14,9 @@ from mbdkit.cli import app
 from mbdkit_report.pages.report import report
 from mbdkit_studies.compute.carry_out import study as run_study
 from tests.browser import executable, launched, opened
+from tests.registry.conftest import beside_ours as beside_ours
+from tests.registry.conftest import entry_point as entry_point
+from tests.registry.conftest import installed as installed
 from tests.synthetic_runs import make_run as make_run
 
 STUDY = {

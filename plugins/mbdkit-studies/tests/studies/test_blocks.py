@@ -18,6 +18,7 @@ import h5py
 import netCDF4
 import numpy as np
 import pytest
+from tests.studies.stored_studies import BASE, GRID, METHODS, index_hash
 
 import mbdkit
 from mbdkit.archive.archive_check import check
@@ -37,41 +38,11 @@ from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.blocks import Block
 from mbdkit_studies.store.study_blocks import StudyBlocks
 
-BASE: dict[str, Any] = {
-    "mbdkit": 1,
-    "model": {"name": "double-pendulum", "angles": [0.1, 0.2]},
-    "integrator": {"name": "rk4"},
-    "time": {"end": 0.3, "step": 0.01},
-    "limits": {"max_steps": 60},
-}
-
-#: Methods of every kind, among them an adaptive one; steps of 0.003 s and 0.004 s end early at 60 steps.
-METHODS = [
-    {"name": "rk4"},
-    {"name": "gauss", "stages": 2},
-    {"name": "dopri5", "adaptive": True},
-    {"name": "radau-iia", "stages": 2},
-    {"name": "scipy-dop853"},
-]
-GRID: dict[str, Any] = {
-    "mbdkit_study": 1,
-    "base": BASE,
-    "store": "all",
-    "block": 4,
-    "axes": [{"integrator": METHODS}, {"time.step": [0.01, 0.004, 0.003]}],
-}
-
 
 @pytest.fixture(scope="module")
 def grid(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
     """The study of `GRID`, run by one process; not to be changed."""
     return mbdkit.study(GRID, out=tmp_path_factory.mktemp("blocks") / "grid")
-
-
-def index_hash(folder: Path) -> str:
-    """The hash of all of the index but the timings."""
-    with h5py.File(folder / "index.h5") as file:
-        return str(file.attrs["data_sha256"])
 
 
 def pendulums(count: int = 12, **options: Any) -> mbdkit.Study:

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.studies.clusters import Cluster, LocalJobs, dask_cluster, disturbed
+from tests.studies.stored_studies import index_hash
+from tests.studies.study_of_executors import BASE
 
 import mbdkit
-from tests.clusters import Cluster, LocalJobs, dask_cluster, disturbed
-
-from .test_execution import index_hash
-from .test_executors import BASE
 
 pytestmark = [
     pytest.mark.slow,

@@ -9,6 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from tests.studies.stored_studies import index_hash
 
 import mbdkit
 from mbdkit.archive.archive_check import check
@@ -17,8 +18,6 @@ from mbdkit_studies.compute import pool
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.store import study_index
-
-from .test_blocks import index_hash
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
 CLOSED = {

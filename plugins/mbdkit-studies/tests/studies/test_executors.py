@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.studies.stored_studies import index_hash
+from tests.studies.study_of_executors import BASE
 from threadpoolctl import threadpool_info, threadpool_limits
 from typer.testing import CliRunner
 
@@ -25,11 +27,6 @@ from mbdkit_studies.compute.executor_pool import ExecutorPool
 from mbdkit_studies.compute.executors import SubmititExecutor
 from mbdkit_studies.compute.tasks import Task
 from mbdkit_studies.folder.owned_folder import JOBS
-
-from .test_execution import index_hash
-
-RUN = {"integrator": {"name": "rk4"}, "time": {"end": 0.2, "step": 0.01}}
-BASE: dict[str, Any] = {"mbdkit": 1, "model": {"name": "double-pendulum"}, **RUN}
 
 
 def pendulums(**options: Any) -> mbdkit.Study:

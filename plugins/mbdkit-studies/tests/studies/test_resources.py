@@ -14,6 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.studies.stored_studies import index_hash
 from typer.testing import CliRunner
 
 import mbdkit
@@ -21,8 +22,6 @@ from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.cli import app
 from mbdkit_studies.compute import pool, worker
 from mbdkit_studies.compute.tasks import Outcome
-
-from .test_execution import index_hash
 
 
 @contextmanager

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.stats
-from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
-from tests.analysis.test_sobol_indices import values as ishigami_values
+from tests.analysis.ishigami import FIRST, TOTAL, ishigami
+from tests.analysis.ishigami import values as ishigami_values
 
 import mbdkit
 from mbdkit import MbdkitError, SpecError

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.studies.stored_studies import index_hash
 
 from mbdkit import load, load_study
 from mbdkit import study as study_in_this_process
@@ -21,8 +22,6 @@ from mbdkit.base import progress_bars
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import plan_points
 from mbdkit_studies.spec.study_loading import load_study_spec
-
-from .test_blocks import index_hash
 
 SWEEP = """\
 mbdkit_study: 1

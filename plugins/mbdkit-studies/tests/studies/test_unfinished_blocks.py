@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from tests.studies.stored_studies import BASE, GRID
 
 import mbdkit
 from mbdkit.archive.fingerprint import datasets
@@ -19,8 +20,6 @@ from mbdkit_studies.compute.unfinished_block import UnfinishedBlock, pieces_of
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.spec.study_loading import load_study_spec
-
-from .test_blocks import BASE, GRID
 
 ONE_BLOCK = GRID | {"block": 15, "measures": ["misalignment_max", {"low": "min(rod2.y)"}]}
 ONE_BLOCK["base"] = BASE | {"time": {"end": 0.1, "step": 0.01}, "limits": {"max_steps": 20}}

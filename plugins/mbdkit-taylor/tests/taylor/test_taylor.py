@@ -14,7 +14,7 @@ from mbdkit.base.errors import SpecError, UnsupportedMechanismError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_taylor.kernels.power_series import EXPANDED
 from tests.engine.random_mechanisms import chain, loop, slides, tree
-from tests.integrators.test_joint_coordinates import floating, forced_pendulum, lagrange
+from tests.integrators.pendulums_on_joints import floating, forced_pendulum, lagrange
 from tests.witness.double_pendulum import HORIZONTAL
 
 JOINT = "joint-coordinates"

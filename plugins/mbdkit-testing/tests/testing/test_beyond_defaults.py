@@ -7,23 +7,18 @@ from dataclasses import replace
 
 import pytest
 import sympy
+from tests.testing.results import one
 
 import mbdkit
 from mbdkit.base.errors import with_place
 from mbdkit.registry.manager import registry
 from mbdkit.runs.simulation import simulate
-from mbdkit_testing import Report, Result, checks_of, verify
+from mbdkit_testing import Report, Result, verify
 from mbdkit_testing.drift_checks import CHECKS as DRIFT
 from mbdkit_testing.kit import plugin_under_test
 from mbdkit_testing.options_under_test import variants
 
 from . import corpus
-
-
-def one(name: str, kind: str, installed: corpus.Registry) -> Result:
-    """Run one check of the plugin ``mine``."""
-    check = next(check for check in checks_of(kind) if check.name == name)
-    return check.run(plugin_under_test(kind, "mine", {}, installed))
 
 
 def test_a_negative_damping_of_a_passive_law_is_caught_though_its_default_is_0() -> None:

@@ -11,6 +11,7 @@ from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.strict_model import description
 from mbdkit.registry.item import Plugin
 from mbdkit.registry.manager import load_registry, registry
+from mbdkit.registry.policy import Policy
 from mbdkit_testing import describe
 from tests.registry.conftest import FakeEntryPoint, SwingOptions, claim_order_one, offering_items
 
@@ -73,3 +74,10 @@ def test_every_built_in_has_a_page_and_details(item):
     for name in item.plugin.options.model_fields:
         assert name in page
         assert description(item.plugin.options, name), f"option {name} of {item.id} is not described"
+
+
+def test_what_is_left_out_is_described_as_sound() -> None:
+    loaded = load_registry([FakeEntryPoint(offering_items, "bolt")], Policy.of({"MBDKIT_DISABLE_PLUGINS": "bolt"}))
+    assert "disabled: left out by MBDKIT_DISABLE_PLUGINS" in describe.diagnosis_text(loaded)
+    assert "left out by MBDKIT_DISABLE_PLUGINS" in describe.listing_text(loaded)
+    assert describe.is_sound(loaded)

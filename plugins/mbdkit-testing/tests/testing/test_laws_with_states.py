@@ -6,7 +6,7 @@ import pytest
 import sympy
 from pydantic import BaseModel, ConfigDict, Field
 from tests.testing.corpus import _with
-from tests.testing.test_beyond_defaults import one
+from tests.testing.results import one
 
 from mbdkit import ExpressionLaw, ForceLawPlugin
 from mbdkit_testing import Result

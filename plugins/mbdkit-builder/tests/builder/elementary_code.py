@@ -1,6 +1,6 @@
 """Machine code that applies elementary functions to arrays: to numbers, to lanes, and by the C library, for comparison.
 
-``python -m tests.engine.elementary_code FOLDER LEVEL ...`` builds a library for each of some levels of this platform.
+``python -m tests.builder.elementary_code FOLDER LEVEL ...`` builds a library for each of some levels of this platform.
 Each symbol is a C function ``void f(const double *x, const double *y, double *values, int64 count)``.
 """
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from tests.studies.pool_in_this_process import PoolInThisProcess
 
 from mbdkit_report.figures.page_model import Figure
 from mbdkit_report.pages import report
@@ -14,7 +15,6 @@ from mbdkit_report.plot.charts import image_files, write_chart_images
 from mbdkit_studies.compute import executor_pool, pool
 from mbdkit_studies.compute.pool import Pool
 from tests.forked_worker import ForkedWorker
-from tests.pool_in_this_process import PoolInThisProcess
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,13 +11,13 @@ from pathlib import Path
 import gmpy2
 import numpy as np
 import pytest
+from tests.builder.elementary_cases import CASES, MPFR, largest_error
+from tests.builder.elementary_code import LANES, NUMBERS, argument_count, built, evaluate
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.levels import is_able, this_platform
-from tests.engine.elementary_cases import CASES, MPFR, largest_error
-from tests.engine.elementary_code import LANES, NUMBERS, argument_count, built, evaluate
 
 COUNT, COUNT_IN_PYTHON = 100_000, 2_000
 
