@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.kernels import Observed
+from mbdkit.kernels import DualStates, Observed
 from mbdkit.plugin import SpecError, States
 from mbdkit.plugin.archives import NONE, ArchiveNames, Quantity, archive_names
 from mbdkit.plugin.equations import CompiledMechanism
@@ -59,6 +59,18 @@ class DifferentiatedStates(States):
             start = (observed.kinetic + observed.potential)[:1]
             more |= {"work": energy[:, 0], "dissipated": energy[:, 1], "start_energy": start}
         return DifferentiatedStates(mechanism, time, q, v, lambda: observed, **more)
+
+    @staticmethod
+    def of_duals(
+        mechanism: CompiledMechanism, states: DualStates, count: int, energy: np.ndarray | None, **more: Any
+    ) -> DifferentiatedStates:
+        """Return states, with the first `count` of their derivatives, from what a kernel has computed; see
+        `of_observed`.
+        """
+        some = slice(1 + count)
+        observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
+        q, v, power = (np.asarray(x[..., some]) for x in (states.q, states.v, states.power))
+        return DifferentiatedStates.of_observed(mechanism, states.time, q, v, observed, energy, power=power, **more)
 
 
 def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:

@@ -10,16 +10,19 @@ scalar g that changes sign there, where g_p is its derivative with respect to th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.plugin.archives import Integrals, Quantity
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.measures import REDUCE, Functional, MeasureExpression, arity_of, execute
+from mbdkit.plugin.methods import Seeds
 from mbdkit.plugin.runs import EQUAL, Peak, Sampled, sampled
 from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
 from mbdkit_gradients.derived_values import Value, of_operands
+from mbdkit_gradients.differentiated_expressions import of_measure, slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion, MotionStates
 from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, quantity_of
@@ -35,68 +38,63 @@ def needs_of(expression: MeasureExpression) -> Needs:
     return Needs(any(one.is_of_stages for one in found), any(not one.is_of_stages for one in found))
 
 
-class MeasureOfRun:
-    """Evaluates measures of one differentiated run.
-
-    Parameters
-    ----------
-    run
-        The run.
+class DerivedMeasure(NamedTuple):
+    """A measure of a differentiated run.
 
     Attributes
     ----------
-    doubts
-        Warnings about derivatives that do not exist, for the measure evaluated last.
-    remarks
-        Extrema of the measure evaluated last that are at the end of the run, as clauses.
+    value, slope
+        The measure and its derivatives (K,), in its unit.
     size
-        Largest absolute value to which the measure evaluated last applied functions over time, in the unit of the
-        measure.
+        Largest absolute value to which functions over time were applied, in the unit of the measure.
+    doubts
+        Warnings about derivatives that do not exist.
+    remarks
+        Extrema that are at the end of the run, as clauses.
     """
 
-    def __init__(self, run: DifferentiatedRun):
-        self.run = run
-        self.states = MotionStates(run.motions)
-        self.count = run.rows.q.shape[-1] - 1
-        self.doubts: list[str] = []
-        self.remarks: list[str] = []
-        self.size = 0.0
+    value: float
+    slope: np.ndarray
+    size: float
+    doubts: tuple[str, ...]
+    remarks: tuple[str, ...]
 
-    def prepare(self, expressions: Iterable[MeasureExpression]) -> None:
-        """Evaluate together the states between the steps that several measures use.
 
-        These are the states at given times, and those of the quadrature of integrals in steps that no point divides.
-        """
-        functionals = [one for expression in expressions for one in expression.functionals]
-        span = float(self.run.rows.time[0]), float(self.run.rows.time[-1])
-        values = [one.time({}, span, lambda _: np.nan) for one in functionals if one.is_value and not one.is_nested]
-        split = sum(one.reduction == "integral" and not one.is_of_stages for one in functionals)
-        if not self.run.motions or max(len(values), split) < 2:
-            return
-        for number, part in enumerate(self.run.motions[0].parts):
-            begin, end = part.span
-            time = [np.array([value for value in values if begin <= value <= end])]
-            if split > 1:
-                time.append(part.plain.nodes)
-            self.states.keep(number, np.concatenate(time))
+def derived_measures(
+    run: DifferentiatedRun, expressions: Mapping[str, MeasureExpression], seeds: Seeds
+) -> dict[str, DerivedMeasure]:
+    """Return the measures of a run by name, with their derivatives.
 
-    def of(self, expression: MeasureExpression, constants: np.ndarray | None = None) -> tuple[float, np.ndarray]:
-        """Return the value of a measure and its derivatives (K,), in its unit.
+    Parameters
+    ----------
+    seeds
+        Derivatives of the numbers in the expressions with respect to the parameters of the run.
+    """
+    states = MotionStates(run.motions)
+    _keep_shared_states(run, states, expressions.values())
+    return {
+        name: _Evaluation(run, states, one, slopes_of(one.program, seeds, of_measure(name))).derived()
+        for name, one in expressions.items()
+    }
 
-        Parameters
-        ----------
-        constants
-            (I, K) derivatives of the numbers in the I instructions of the expression; None for zero.
-        """
-        self.size = 0.0
-        slopes = np.zeros((len(expression.program), self.count)) if constants is None else constants
-        one = _Evaluation(self.run, self.states, expression, slopes)
-        found = one.result()
-        self.remarks = list(dict.fromkeys(one.remarks))
-        self.doubts, self.size = list(dict.fromkeys(one.doubts)), one.size / expression.unit.factor
-        return float(found.value.reshape(-1)[0]) / expression.unit.factor, (
-            found.slope.reshape(self.count, found.value.size)[:, 0] / expression.unit.factor
-        )
+
+def _keep_shared_states(run: DifferentiatedRun, states: MotionStates, expressions: Iterable[MeasureExpression]) -> None:
+    """Evaluate together the states between the steps that several measures use.
+
+    These are the states at given times, and those of the quadrature of integrals in steps that no point divides.
+    """
+    functionals = [one for expression in expressions for one in expression.functionals]
+    span = float(run.rows.time[0]), float(run.rows.time[-1])
+    values = [one.time({}, span, lambda _: np.nan) for one in functionals if one.is_value and not one.is_nested]
+    split = sum(one.reduction == "integral" and not one.is_of_stages for one in functionals)
+    if not run.motions or max(len(values), split) < 2:
+        return
+    for number, part in enumerate(run.motions[0].parts):
+        begin, end = part.span
+        time = [np.array([value for value in values if begin <= value <= end])]
+        if split > 1:
+            time.append(part.plain.nodes)
+        states.keep(number, np.concatenate(time))
 
 
 class _Evaluation(DoubtedMeasure):
@@ -120,10 +118,18 @@ class _Evaluation(DoubtedMeasure):
         self._largest_term = 0.0  # largest term of the derivative of an extremum
         self._duration = run.rows.time[-1] - run.rows.time[0]
 
-    def result(self) -> Value:
-        """Return the value of the measure."""
+    def derived(self) -> DerivedMeasure:
+        """Return the measure with its derivatives."""
         with np.errstate(all="ignore"):
-            return self._series(0, len(self.expression.program), self.run.rows)
+            found = self._series(0, len(self.expression.program), self.run.rows)
+        factor = self.expression.unit.factor
+        return DerivedMeasure(
+            float(found.value.reshape(-1)[0]) / factor,
+            found.slope.reshape(self.count, found.value.size)[:, 0] / factor,
+            self.size / factor,
+            tuple(dict.fromkeys(self.doubts)),
+            tuple(dict.fromkeys(self.remarks)),
+        )
 
     def _series(self, begin: int, end: int, states: DifferentiatedStates, switches: list[Value] | None = None) -> Value:
         """Return the value of some instructions in T states: (T,), (2, T) or, without quantities over time, (1,).
