@@ -13,7 +13,7 @@ from mbdkit.plugin import SpecError, States
 from mbdkit.plugin.archives import NONE, ArchiveNames, Quantity, archive_names
 from mbdkit.plugin.equations import CompiledMechanism
 from mbdkit.plugin.measures import RunExpression, execute
-from mbdkit_gradients.derived_values import Value, of_operands
+from mbdkit_gradients.derived_values import DerivedValue, of_operands
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class DifferentiatedStates(States):
         return DifferentiatedStates.of_observed(mechanism, states.time, q, v, observed, energy, power=power, **more)
 
 
-def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
+def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> DerivedValue:
     """Return a quantity of states with derivatives: (T,), (2, T) of a vector, or (elements, T) along a beam.
 
     Raises
@@ -85,7 +85,7 @@ def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
     if quantity.recorded.array.is_shared and states.mechanism.redundancy.rows:
         raise _refused(quantity, ", because redundant joints share their reactions")
     found = quantity.taker(states.names or archive_names(states.mechanism))(states)
-    return Value.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
+    return DerivedValue.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
 
 
 def require_derivative(quantity: Quantity) -> None:
@@ -98,7 +98,7 @@ def _refused(quantity: Quantity, why: str) -> SpecError:
     return SpecError(f"{quantity} has no derivative with respect to parameters{why}", key="measures")
 
 
-def series_of(expression: RunExpression, states: DifferentiatedStates, constants: np.ndarray) -> Value:
+def series_of(expression: RunExpression, states: DifferentiatedStates, constants: np.ndarray) -> DerivedValue:
     """Return the values of the expression of an event in T states, (T,).
 
     Parameters
@@ -108,12 +108,12 @@ def series_of(expression: RunExpression, states: DifferentiatedStates, constants
     """
     count, slopes = states.q.shape[-1] - 1, iter(constants)
 
-    def step(operation: str, number: float, *operands: Value) -> Value:
+    def step(operation: str, number: float, *operands: DerivedValue) -> DerivedValue:
         slope = next(slopes)
         if operation == "const":
-            return Value.number(number, slope)
+            return DerivedValue.number(number, slope)
         if operation == "t":
-            return Value.constant(states.time, count)
+            return DerivedValue.constant(states.time, count)
         if operation == "get":
             value = quantity_of(states, expression.quantities[int(number)])
             return of_operands("norm", 0.0, value) if value.value.ndim > 1 else value  # events have no vectors

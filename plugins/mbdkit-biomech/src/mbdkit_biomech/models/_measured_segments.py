@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mbdkit_biomech.models._segments import Person, SegmentTable
+from mbdkit_biomech.models._segments import BodySegments, SegmentTable
 
 
 @dataclass(frozen=True)
-class MeasuredPerson(Person):
+class MeasuredPerson(BodySegments):
     """The segments of a person, with measured lengths of thigh and shank.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.plugin import RunError, listed
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import marker_columns
-from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter, Target
+from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 
 FITS, BETTER = 0.02, 3.0
@@ -37,7 +37,7 @@ def exchanged_markers(fitter: Fitter, measured: Measured, row: int, start: np.nd
     for (first, a), (second, b) in pairs:
         values = one.values.copy()
         values[:, a], values[:, b] = one.values[:, b], one.values[:, a]
-        size = _residual(fitter, Target(one.time, one.quantities, values, one.root_weight), start)
+        size = _residual(fitter, FitTarget(one.time, one.quantities, values, one.root_weight), start)
         found.append(
             (size, sorted({first.body, second.body}), [measured.names[x[0]].removesuffix(".x") for x in (a, b)])
         )
@@ -52,7 +52,7 @@ def exchanged_markers(fitter: Fitter, measured: Measured, row: int, start: np.nd
     )
 
 
-def _residual(fitter: Fitter, target: Target, start: np.ndarray) -> float:
+def _residual(fitter: Fitter, target: FitTarget, start: np.ndarray) -> float:
     """Return the root mean square residual of a target of one frame, in rad or longest links; inf without a fit."""
     try:
         pose, values = fitter.first_pose(target, start)

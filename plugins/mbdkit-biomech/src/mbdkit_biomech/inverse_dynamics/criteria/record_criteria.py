@@ -13,7 +13,7 @@ from mbdkit.plugin import Finding, listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline
 
 OF_ENDS = 0.1
@@ -62,7 +62,7 @@ class _Peak(NamedTuple):
         return f"{self.label} (by up to {most:.2g} {self.unit})" if np.isfinite(most) else self.label
 
 
-def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
+def record_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     """Yield doubts about actuators and joint forces whose values in long gaps, or largest values near the ends, are
     uncertain.
     """
@@ -121,7 +121,7 @@ def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding
             )
 
 
-def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
+def _peaks(result: Inverse, bars: ResultBars | None) -> list[_Peak]:
     """Return the largest values of all joint forces and actuators that are not zero; residual actuators should be zero
     and are left out.
     """
@@ -163,7 +163,7 @@ Noise alone gives 1.96. In the packaged examples of walking, the ratio is at mos
 """
 
 
-def large_errors(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
+def large_errors(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     """Yield a doubt about the actuators, except residual ones and reserves, whose values are mostly noise.
 
     The parts of errors due to the ends of the record are left out, because they have their own criterion.

@@ -52,7 +52,7 @@ LOAD_UNITS = {"force": "N", "point": "m", "torque": "N m"}
 
 
 @dataclass(frozen=True)
-class ErrorBars:
+class ResultBars:
     """Bounds of the errors of a result in T frames, each of which holds with the probability `LEVEL`.
 
     Attributes
@@ -127,7 +127,7 @@ def _outcome(result: Inverse) -> _Outcome:
     return _Outcome(result.actuators[:, :, 0], states.reactions, q, v, muscles)
 
 
-def error_bars(result: Inverse) -> ErrorBars | None:
+def error_bars(result: Inverse) -> ResultBars | None:
     """Return the error bars of a result.
 
     Returns
@@ -183,7 +183,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     method += "" if uncertain is None else uncertain.told
     parts = {} if uncertain is None else uncertain.parts(of_data, squares[1])
     actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
-    return ErrorBars(
+    return ResultBars(
         seen,
         actuators,
         muscles,

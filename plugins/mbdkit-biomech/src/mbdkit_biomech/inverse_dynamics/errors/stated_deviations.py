@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.plugin import listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import LOAD_UNITS, ErrorBars
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import LOAD_UNITS, ResultBars
 
 TINY = np.finfo(float).tiny
 
@@ -28,7 +28,7 @@ NAMED = 4
 """Largest number of columns that are named."""
 
 
-def large_deviations(result: Inverse, bars: ErrorBars | None) -> Iterator[str]:
+def large_deviations(result: Inverse, bars: ResultBars | None) -> Iterator[str]:
     """Yield sentences on stated deviations that are much larger than the noise of the data, or than the data."""
     if bars is None:
         return
@@ -43,7 +43,7 @@ def large_deviations(result: Inverse, bars: ErrorBars | None) -> Iterator[str]:
         yield f"stated deviations exceed the data themselves: {_some(told)}. Check their units."
 
 
-def _above_noise(result: Inverse, bars: ErrorBars) -> Iterator[str]:
+def _above_noise(result: Inverse, bars: ResultBars) -> Iterator[str]:
     measured, noise = result.fitted.measured, bars.noise
     left = measured.raw - measured.quantities.values(result.motion.q)
     correlation = np.nanmean(left[1:] * left[:-1], axis=0) / np.maximum(np.nanmean(left**2, axis=0), TINY)
@@ -54,7 +54,7 @@ def _above_noise(result: Inverse, bars: ErrorBars) -> Iterator[str]:
             yield f"{measured.names[index]} {stated:.3g} {unit} (seen {noise.seen[index]:.2g} {unit})"
 
 
-def _above_values(result: Inverse, bars: ErrorBars) -> Iterator[str]:
+def _above_values(result: Inverse, bars: ResultBars) -> Iterator[str]:
     """Yield columns whose noise cannot be seen, and loads, which are not smoothed, whose deviations exceed the values.
 
     Angles and coordinates are compared with their ranges, forces and torques with their root mean squares, and points

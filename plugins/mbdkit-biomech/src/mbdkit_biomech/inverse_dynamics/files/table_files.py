@@ -16,7 +16,7 @@ from mbdkit.base.units import NUMBER
 from mbdkit.plugin import SpecError, cited, read_data, read_unit
 from mbdkit.plugin.files import check_readable
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
-from mbdkit_biomech.inverse_dynamics.files.measured_table import DECIMAL_COMMA, Table, begins_like_number
+from mbdkit_biomech.inverse_dynamics.files.measured_table import DECIMAL_COMMA, MeasuredTable, begins_like_number
 from mbdkit_biomech.inverse_dynamics.files.motion_capture_tables import (
     Columns,
     is_qualisys,
@@ -38,7 +38,7 @@ MOST_CELLS = 10_000_000
 """Largest number of cells of a table; a cell takes about 70 bytes of memory."""
 
 
-def read_table(path: Path, key: str) -> Table:
+def read_table(path: Path, key: str) -> MeasuredTable:
     """Read a table from a file in the format given by its suffix: .csv, .tsv, .txt, .mot, .sto, .trc or .c3d.
 
     Text files of Vicon Nexus and of Qualisys Track Manager are recognized by their first line.
@@ -79,7 +79,7 @@ def read_table(path: Path, key: str) -> Table:
     return readers[suffix](str(path), text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
 
 
-def _read_csv(file: str, lines: list[str]) -> Table:
+def _read_csv(file: str, lines: list[str]) -> MeasuredTable:
     """Read a table with a line of headings and possibly a line of units, or a file of a motion capture program; lines
     that begin with # are comments.
     """
@@ -113,7 +113,7 @@ def _read_csv(file: str, lines: list[str]) -> Table:
         )
     units = {names[headings.index(heading)]: unit for heading, unit in units.items()}
     return _checked(
-        Table(
+        MeasuredTable(
             file, names, cells, [number for number, _ in data], units=in_headings | units, full_headings=headings,
         )
     )  # fmt: skip
@@ -200,9 +200,9 @@ def _rows_of(file: str, lines: list[str], delimiter: str) -> list[tuple[int, lis
     return list(_within(file, _csv_rows(file, lines, delimiter)))
 
 
-def _of_program(file: str, found: Columns) -> Table:
+def _of_program(file: str, found: Columns) -> MeasuredTable:
     """Return the table of a file of a motion capture program."""
-    return Table(file, found.headings, found.cells, found.lines, units=found.units, remark=found.remark)
+    return MeasuredTable(file, found.headings, found.cells, found.lines, units=found.units, remark=found.remark)
 
 
 def _units_in(headings: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
@@ -271,7 +271,7 @@ def _too_many_cells(file: str) -> SpecError:
     return SpecError(message, file=file)
 
 
-def _read_storage(file: str, lines: list[str]) -> Table:
+def _read_storage(file: str, lines: list[str]) -> MeasuredTable:
     """Read an OpenSim storage file: a header up to ``endheader``, a line of headings, rows."""
     end = next((index for index, line in enumerate(lines) if line.strip().lower() == "endheader"), None)
     if end is None:
@@ -284,7 +284,7 @@ def _read_storage(file: str, lines: list[str]) -> Table:
     rows = [cells for _, cells in _within(file, ((number, split(line)) for number, line in kept))]
     lines_of = [number for number, _ in kept[1:]]
     _check_count(file, header, "nRows", len(rows) - 1)
-    table = _checked(Table(file, rows[0], rows[1:], lines_of, in_degrees=_is_in_degrees(file, header)))
+    table = _checked(MeasuredTable(file, rows[0], rows[1:], lines_of, in_degrees=_is_in_degrees(file, header)))
     if split is str.split:  # a missing cell would move the others
         for row, cells in enumerate(table.cells):
             if len(cells) < len(table.headings):
@@ -325,7 +325,7 @@ def _cells_of(headings: str) -> Any:
     return str.split
 
 
-def _read_trc(file: str, lines: list[str]) -> Table:
+def _read_trc(file: str, lines: list[str]) -> MeasuredTable:
     """Read a .trc file of markers; the columns are called MARKER.x, MARKER.y and MARKER.z."""
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise SpecError("this file does not begin with `PathFileType`, as a .trc file should", file=file)
@@ -345,7 +345,7 @@ def _read_trc(file: str, lines: list[str]) -> Table:
     rows = [cells for _, cells in _within(file, ((number, line.split("\t")) for number, line in kept))]
     _check_count(file, {"NumFrames": header.get("numframes") or "0"}, "NumFrames", len(rows))
     units = dict.fromkeys(headings[2:], header["units"])
-    return _checked(Table(file, headings, rows, [number for number, _ in kept], units=units))
+    return _checked(MeasuredTable(file, headings, rows, [number for number, _ in kept], units=units))
 
 
 def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
@@ -370,15 +370,15 @@ def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
     return markers
 
 
-def _read_c3d(path: Path) -> Table:
+def _read_c3d(path: Path) -> MeasuredTable:
     """Read the markers and force plates of a C3D file; see `read_c3d`."""
     found = read_c3d(path, MOST_CELLS)
     if found is None:
         raise _too_many_cells(str(path))
-    return Table(str(path), found.headings, found.values.tolist(), units=found.units, remark=found.remark)
+    return MeasuredTable(str(path), found.headings, found.values.tolist(), units=found.units, remark=found.remark)
 
 
-def _checked(table: Table) -> Table:
+def _checked(table: MeasuredTable) -> MeasuredTable:
     """Return the table; raise SpecError if a row has more cells than there are headings."""
     for row, cells in enumerate(table.cells):
         if len(cells) > len(table.headings) and any(str(cell).strip() for cell in cells[len(table.headings) :]):

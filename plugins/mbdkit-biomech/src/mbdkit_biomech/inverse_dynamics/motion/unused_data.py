@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from mbdkit.plugin import QuantityNames, listed
 from mbdkit.plugin.mechanisms import MarkerCoordinate
-from mbdkit_biomech.inverse_dynamics.files.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
@@ -40,7 +40,7 @@ class UnusedData:
     misspelt: tuple[tuple[str, str], ...] = ()
 
     @classmethod
-    def of(cls, spec: InverseSpec, names: QuantityNames, measured: Measured, table: Table | None) -> UnusedData:
+    def of(cls, spec: InverseSpec, names: QuantityNames, measured: Measured, table: MeasuredTable | None) -> UnusedData:
         """Return the unused data of a spec; nothing is unused if the motion is not a table."""
         if table is None:
             return cls()
@@ -98,7 +98,7 @@ def _left(headings: Iterable[str], used: set[str]) -> Iterator[str]:
             yield name
 
 
-def _misspelt(table: Table, names: QuantityNames) -> Iterator[tuple[str, str]]:
+def _misspelt(table: MeasuredTable, names: QuantityNames) -> Iterator[tuple[str, str]]:
     """Yield markers of a table that the model does not have, and the markers without columns that they probably are.
 
     Their names differ only in letter case and in characters that are neither letters nor digits.
