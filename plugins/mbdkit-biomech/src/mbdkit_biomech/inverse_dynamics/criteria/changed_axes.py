@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -77,12 +78,10 @@ def _third_axis(problem: InverseProblem, names: Sequence[str]) -> np.ndarray | N
 
 def _fits(fitter: Fitter, target: FitTarget, pose: np.ndarray) -> bool:
     """Return whether the mechanism fits all frames of a target, which are fitted one after the other."""
-    size = np.where(target.quantities.is_angle, 1.0, fitter.manifold.length) * target.quantities.scale
-    for row in range(len(target.time)):
-        try:
-            pose, values = fitter.first_pose(target.rows(slice(row, row + 1)), pose)
-        except RunError:
-            return False
-        if np.sqrt(np.mean(((values - target.quantities.values(pose[None])[0]) / size) ** 2)) > FITS:
-            return False
-    return True
+    with suppress(RunError):
+        for row in range(len(target.time)):
+            pose, residual = fitter.misfit(target.rows(slice(row, row + 1)), pose)
+            if residual > FITS:
+                return False
+        return True
+    return False

@@ -84,8 +84,7 @@ def _without(result: Inverse, rows: np.ndarray, columns: list[int]) -> tuple[np.
     weight = np.array(np.broadcast_to(target.root_weight, target.values.shape))
     weight[:, columns] = 0.0
     q = result.problem.fitter.refined(FitTarget(target.time, target.quantities, target.values, weight), fitted.q[rows])
-    size = np.where(target.quantities.is_angle, 1.0, manifold.length) * target.quantities.scale
-    return q, (target.values - target.quantities.values(q)) / size
+    return q, (target.values - target.quantities.values(q)) / target.quantities.sizes(manifold.length)
 
 
 def _spread(pose: np.ndarray, at: np.ndarray) -> float:

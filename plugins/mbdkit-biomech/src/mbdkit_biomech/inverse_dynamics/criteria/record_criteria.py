@@ -71,18 +71,19 @@ def record_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
         rows = (time > start) & (time < end)
         open_peaks = [one for one in peaks if np.any(one.reached[rows] > one.value)]
         if open_peaks:
+            told = listed((one.told(time) for one in open_peaks), "and", NAMED)
             yield doubt(
                 "gaps",
-                f"the data do not determine the largest values of {_some([one.told(time) for one in open_peaks])}, "
-                f"because of {gap}: its values are interpolated, and larger ones are possible. Fill it with measured "
-                "values, or cut the motion with `time.start` or `time.end`.",
+                f"the data do not determine the largest values of {told}, because of {gap}: its values are "
+                "interpolated, and larger ones are possible. Fill it with measured values, or cut the motion with "
+                "`time.start` or `time.end`.",
             )
         elif wrong := [one for one in peaks if np.any(one.hidden[rows] > OF_GAPS * one.value)]:
+            told = listed((one.wrong_by(rows) for one in wrong), "and", NAMED)
             yield doubt(
                 "gaps",
-                f"errors are unknown because of {gap}: values of {_some([one.wrong_by(rows) for one in wrong])} may be "
-                f"wrong there (doubtful above {OF_GAPS:g} of the largest value). Do not use values in the gap, or fill "
-                "it with measured values.",
+                f"errors are unknown because of {gap}: values of {told} may be wrong there (doubtful above {OF_GAPS:g} "
+                "of the largest value). Do not use values in the gap, or fill it with measured values.",
             )
     yield from _doubts_at_ends(result, peaks)
 
@@ -103,21 +104,21 @@ def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding
         more = f"record at least {longest_period(result):.2g} s more {beyond}"
         move = f"or move `time.{side}` if it cuts the data there."
         if near:
-            worst = max(near, key=lambda one: one.of_ends / one.value)
+            worst, told = max(near, key=lambda one: one.of_ends / one.value), [one.told(time) for one in near]
             yield doubt(
                 "ends",
-                f"the largest values of {_some([one.told(time) for one in near])} are so close to the {side} of the "
-                f"record that the smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} "
-                f"(doubtful above {OF_ENDS:g} of the value): {more} them{cutoff}, {move}",
+                f"the largest values of {listed(told, 'and', NAMED)} are so close to the {side} of the record that the "
+                f"smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} (doubtful above "
+                f"{OF_ENDS:g} of the value): {more} them{cutoff}, {move}",
             )
         if lost:
-            most, worst = max(lost, key=lambda pair: pair[0] / pair[1].value)
+            (most, worst), told = max(lost, key=lambda pair: pair[0] / pair[1].value), [x.told(time) for _, x in lost]
             yield doubt(
                 "ends",
-                f"the true largest values of {_some([one.told(time) for _, one in lost])} may lie at the {side} of the "
-                f"record, where the smoothing takes accelerations for zero: the data before smoothing show about "
-                f"{most:.2g} {worst.unit} for {worst.label} there (doubtful above {1 + OF_ENDS:g} times the largest "
-                f"value): {more} the motion{cutoff}, {move}",
+                f"the true largest values of {listed(told, 'and', NAMED)} may lie at the {side} of the record, where "
+                f"the smoothing takes accelerations for zero: the data before smoothing show about {most:.2g} "
+                f"{worst.unit} for {worst.label} there (doubtful above {1 + OF_ENDS:g} times the largest value): "
+                f"{more} the motion{cutoff}, {move}",
             )
 
 
@@ -150,11 +151,6 @@ def _peaks(result: Inverse, bars: ResultBars | None) -> list[_Peak]:
     return found
 
 
-def _some(told: Sequence[str]) -> str:
-    more = len(told) - NAMED
-    return listed([*told[:NAMED], *([f"{more} more"] if more > 0 else [])], "and")
-
-
 MOSTLY, OF_LARGEST = 1.5, 0.1
 """The values of an actuator are mostly noise if the root mean square of their error bars exceeds `MOSTLY` times their
 own root mean square, and `MOSTLY` times the share `OF_LARGEST` of the largest one of all actuators with the same unit.
@@ -181,12 +177,11 @@ def large_errors(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
         if error > MOSTLY * max(values[place], OF_LARGEST * largest):
             told.append(f"{one.name} ({values[place]:.3g} {one.unit}, with error bars of {error:.3g} {one.unit})")
     if told:
-        more = [f"{len(told) - NAMED} more"] if len(told) > NAMED else []
         is_smoothed = not isinstance(result.problem.spec.motion.smooth, NoSmoothing)
         cure = "use a lower cutoff" if is_smoothed else "smooth the motion with `motion.smooth`"
         yield doubt(
             "large-errors",
             f"values of actuators are mostly noise, according to their root mean squares: "
-            f"{listed([*told[:NAMED], *more], 'and')} (doubtful above {MOSTLY:g} times as much; noise alone gives 2): "
+            f"{listed(told, 'and', NAMED)} (doubtful above {MOSTLY:g} times as much; noise alone gives 2): "
             f"{cure}, or check deviations that the spec states.",
         )

@@ -36,11 +36,11 @@ def large_deviations(result: Inverse, bars: ResultBars | None) -> Iterator[str]:
     if told:
         yield (
             f"stated deviations are more than {LARGE:g} times the noise seen in the data, so that error bars are too "
-            f"wide: {_some(told)}. Check their units."
+            f"wide: {listed(told, 'and', NAMED)}. Check their units."
         )
     told = [*_above_values(result, bars)]
     if told:
-        yield f"stated deviations exceed the data themselves: {_some(told)}. Check their units."
+        yield f"stated deviations exceed the data themselves: {listed(told, 'and', NAMED)}. Check their units."
 
 
 def _above_noise(result: Inverse, bars: ResultBars) -> Iterator[str]:
@@ -75,8 +75,3 @@ def _above_values(result: Inverse, bars: ResultBars) -> Iterator[str]:
                 yield f"{label} (longest link {size:.2g} m)"
             elif array != "point" and stated > rms > 0:
                 yield f"{label} (root mean square {rms:.2g} {LOAD_UNITS[array]})"
-
-
-def _some(told: list[str]) -> str:
-    more = len(told) - NAMED
-    return listed([*told[:NAMED], *([f"{more} more"] if more > 0 else [])], "and")

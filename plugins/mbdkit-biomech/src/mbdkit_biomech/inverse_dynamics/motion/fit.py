@@ -119,6 +119,12 @@ class Fitter:
             first = FitTarget(first.time, first.quantities, first.values + turn * turns, first.root_weight)
         return q[0], first.values[0]
 
+    def misfit(self, target: FitTarget, start: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the pose (n,) of the first frame, and its root mean square residual in rad or longest links."""
+        pose, values = self.first_pose(target, start)
+        left = (values - target.quantities.values(pose[None])[0]) / target.quantities.sizes(self.manifold.length)
+        return pose, float(np.sqrt(np.mean(left**2)))
+
     def poses(self, target: FitTarget, first: np.ndarray) -> np.ndarray:
         """Return the poses (T, n) that fit a target best; `first` (n,) is the pose of the first frame.
 
@@ -244,7 +250,7 @@ class Fitter:
             for name, part in zip(self.bodies, parts, strict=True)
             if np.any(part)
         ]
-        return listed(found[:6], "" if len(found) > 6 else "and") + (f" and {len(found) - 6} more" if found[6:] else "")
+        return listed(found, "and", 6)
 
 
 PLACINGS = 4

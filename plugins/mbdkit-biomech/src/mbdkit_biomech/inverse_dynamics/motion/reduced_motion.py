@@ -158,9 +158,8 @@ def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quan
     They are divided by the `scale` of the quantity, and by the characteristic length (lengths) or 1 rad (angles).
     """
     directions = manifold.directions(manifold.frames(time, q).jacobian)
-    size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
-    rows: np.ndarray = products(quantities.jacobian(q) * manifold.scale, directions.free) / size[:, None]
-    return rows
+    rows = products(quantities.jacobian(q) * manifold.scale, directions.free)
+    return np.asarray(rows / quantities.sizes(manifold.length)[:, None])
 
 
 def _determine(independence: np.ndarray) -> bool:
@@ -197,7 +196,7 @@ def motion_of_series(
     parts = []
     for begin, end, places in independent.intervals:
         rows, columns = slice(begin, end), list(places)
-        value, rate, acceleration = (x[rows][:, columns] for x in (series.value, series.rate, series.acceleration))
+        value, rate, acceleration = (x[rows][:, columns] for x in series)
         target = FitTarget(time[rows], independent.quantities.only(columns), value, np.ones(len(columns)))
         pose = fitter.refined(target, q[rows])
         parts.append(_derived(fitter.manifold, target, pose, rate, acceleration))

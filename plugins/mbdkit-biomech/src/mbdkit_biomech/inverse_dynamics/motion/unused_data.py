@@ -57,8 +57,12 @@ class UnusedData:
     @property
     def notes(self) -> dict[str, str]:
         """Lists for the provenance: markers of the model without data, and columns that are not used."""
-        found = {"unobserved_markers": f"markers {_some(self.markers)} of the model"} if self.markers else {}
-        return found | ({"unused_columns": f"columns {_some(self.columns)} of the data"} if self.columns else {})
+        texts = {
+            "unobserved_markers": ("markers", self.markers, "model"),
+            "unused_columns": ("columns", self.columns, "data"),
+        }
+        given = ((key, *words) for key, words in texts.items())
+        return {key: f"{what} {listed(names, 'and', NAMED)} of the {of}" for key, what, names, of in given if names}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -111,8 +115,3 @@ def _misspelt(table: MeasuredTable, names: QuantityNames) -> Iterator[tuple[str,
     lacking = {plain(name): name for name in names.mechanism.markers if not headings & {f"{name}.x", f"{name}.y"}}
     found = {heading[:-2] for heading in headings if heading.endswith((".x", ".y")) and not names.knows(heading)}
     yield from ((name, lacking[plain(name)]) for name in sorted(found) if plain(name) in lacking)
-
-
-def _some(names: tuple[str, ...]) -> str:
-    more = len(names) - NAMED
-    return listed([*names[:NAMED], *([f"{more} more"] if more > 0 else [])], "and")
