@@ -197,8 +197,8 @@ def mbdkit_items() -> Iterable[Item]:
             name="uncertainty",
             summary="Sources of the error bars of joint forces.",
             order=110,
-            make=Target("mbdkit_biomech.uncertainty.uncertainty_sections:uncertainty_sections"),
-            charts=Target("mbdkit_biomech.uncertainty.uncertainty_sections:uncertainty_charts"),
+            make=Target("mbdkit_biomech.uncertainty.uncertainty_report:uncertainty_sections"),
+            charts=Target("mbdkit_biomech.uncertainty.uncertainty_report:uncertainty_charts"),
         ),
         ViewItem(
             name="workload",

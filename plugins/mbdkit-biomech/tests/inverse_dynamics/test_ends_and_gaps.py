@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.inverse_dynamics.drawn_mechanisms import Drawn, draw
 from tests.inverse_dynamics.test_error_bars import pendulum
 
 import mbdkit
 from mbdkit_biomech.inverse_dynamics.results import measure_samples
+from tests.benchmarks.drawn_mechanisms import Drawn, draw
 
 TIME = np.linspace(0.0, 2.0, 201)
 FILTER = {"name": "butterworth", "cutoff": 6.0}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.inverse_dynamics.c3d_files import Convention, c3d_bytes
 from tests.inverse_dynamics.test_c3d import plate
-from tests.persons.walkers import FUNCTIONAL, builder_of, data_of, loaded, marker_file, person_spec, recorded
+from tests.persons.walkers import FUNCTIONAL, data_of, loaded, marker_file, person_spec, recorded, skeleton_of
 
 import mbdkit
 from mbdkit import SpecError
@@ -43,10 +43,10 @@ def test_centres_and_lengths_lie_within_their_stated_covariances() -> None:
         markers = walker.markers(random)
         for joint in FUNCTIONAL:
             walker.move_in_step(markers, joint, tuple(IN_STEP * random.standard_normal(2)))
-        person = builder_of(walker, markers, HEADING, **FUNCTIONAL)
+        person = skeleton_of(walker, markers, HEADING, **FUNCTIONAL)
         at = person.segments.reference
         for joint, (a, b) in person.segments.joints.items():
-            center, poses = person.centers[joint], (person.poses[a], person.poses[b])
+            center, poses = person.centers[joint], tuple(person.segments.motion.poses[body] for body in (a, b))
             parts = [
                 weight * own.rotation[at] @ (point - np.mean(own.inside(truth[joint]), axis=0))
                 for weight, own, point in zip(center.fit.weights, poses, (center.proximal, center.distal), strict=True)

@@ -7,7 +7,7 @@ along the segment to this joint (up for a standing person), and x forward.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 WINTER = """@book{winter2009,
   author    = {Winter, David A.},
@@ -137,16 +137,25 @@ class BodySegments:
         Body height [m].
     table
         Name of the table of proportions.
+    measured_thigh, measured_shank
+        Lengths of thigh and shank [m]; None for those of the table.
     """
 
     body_mass: float
     height: float
     table: str = "winter"
+    measured_thigh: float | None = None
+    measured_shank: float | None = None
 
     @property
     def fractions(self) -> SegmentTable:
-        """The table of proportions."""
-        return TABLES[self.table]
+        """The table of proportions, with the measured lengths."""
+        table = TABLES[self.table]
+        thigh, shank = (
+            own if length is None else replace(own, length=length / self.height)
+            for own, length in ((table.thigh, self.measured_thigh), (table.shank, self.measured_shank))
+        )
+        return replace(table, thigh=thigh, shank=shank)
 
     @property
     def thigh_length(self) -> float:

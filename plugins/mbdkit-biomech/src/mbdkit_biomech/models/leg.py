@@ -53,7 +53,6 @@ from pydantic import Field
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, Number, Point, Positive, SpecError, listed, quoted
 from mbdkit.plugin.mechanisms import Force, Marker, MechanismData, NamedCoordinate, PinFriction
 from mbdkit_biomech.models._knee_linkage import MovingFrame, xy
-from mbdkit_biomech.models._measured_segments import MeasuredPerson
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
 from mbdkit_biomech.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, BodySegments
 from mbdkit_biomech.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
@@ -163,7 +162,7 @@ def build_four_bar(options: LegFourBarOptions) -> Mechanism:
 
 def person_of(o: LegOptions) -> BodySegments:
     """Return the segments of the options."""
-    return MeasuredPerson(o.body_mass, o.height, o.table, o.thigh_length, o.shank_length)
+    return BodySegments(o.body_mass, o.height, o.table, o.thigh_length, o.shank_length)
 
 
 def _mechanism(name: str, o: LegOptions, leg: Callable[[BodySegments, LegPose, Hip], LegParts]) -> Mechanism:

@@ -18,11 +18,11 @@ from mbdkit.plugin.files import check_readable
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
 from mbdkit_biomech.inverse_dynamics.files.measured_table import DECIMAL_COMMA, MeasuredTable, begins_like_number
 from mbdkit_biomech.inverse_dynamics.files.motion_capture_tables import (
-    Columns,
     is_qualisys,
     is_vicon,
     read_qualisys,
     read_vicon,
+    stripped,
 )
 
 LONGEST_PREAMBLE = 100
@@ -57,7 +57,10 @@ def read_table(path: Path, key: str) -> MeasuredTable:
     suffix = path.suffix.lower()
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     if suffix == ".c3d":
-        return _read_c3d(path)
+        c3d = read_c3d(path, MOST_CELLS)
+        if c3d is None:
+            raise _too_many_cells(str(path))
+        return c3d
     readers = dict.fromkeys((".csv", ".tsv", ".txt"), _read_csv) | {
         ".mot": _read_storage,
         ".sto": _read_storage,
@@ -87,12 +90,12 @@ def _read_csv(file: str, lines: list[str]) -> MeasuredTable:
     if first is None:
         raise _empty(file)
     if is_qualisys(first):
-        return _of_program(file, read_qualisys(file, _rows_of(file, lines, "\t")))
+        return read_qualisys(file, _rows_of(file, lines, "\t"))
     if is_vicon(first):
         delimiter = max(",;\t", key="\n".join(lines[:HEAD]).count)
-        return _of_program(file, read_vicon(file, _rows_of(file, lines, delimiter)))
+        return read_vicon(file, _rows_of(file, lines, delimiter))
     delimiter, begin = _data_in(lines) or (max(",;\t", key=first.count), 0)
-    rows = [(number, cells) for number, cells in _rows_of(file, lines, delimiter) if _stripped(cells)]
+    rows = [(number, cells) for number, cells in _rows_of(file, lines, delimiter) if stripped(cells)]
     if not rows:
         raise _empty(file)
     begin = next((index for index, (number, _) in enumerate(rows) if number > begin), 0)
@@ -145,22 +148,16 @@ def _headings_above(rows: list[tuple[int, list[str]]], begin: int) -> int:
     It is the first row unless this row has fewer cells than the numbers, as a title or the settings of a device. In
     that case, the headings are in the last row, or the last but one above a row of units.
     """
-    width = len(_stripped(rows[begin][1]))
-    if len(_stripped(rows[0][1])) >= width:
+    width = len(stripped(rows[begin][1]))
+    if len(stripped(rows[0][1])) >= width:
         return 0
     for index in (begin - 1, begin - 2):
-        cells = _stripped(rows[index][1]) if index > 0 else []
+        cells = stripped(rows[index][1]) if index > 0 else []
         if len(cells) < 2 or any(map(begins_like_number, cells)):
             break
         if index == begin - 2 or not _units_in(cells, cells):
             return index
     return 0
-
-
-def _stripped(cells: Sequence[str]) -> Sequence[str]:
-    """Return the cells of a row without empty ones at its end."""
-    count = max((index for index, cell in enumerate(cells, 1) if cell.strip()), default=0)
-    return cells[:count]
 
 
 def _without_units(headings: Sequence[str]) -> tuple[list[str], dict[str, str]]:
@@ -198,11 +195,6 @@ def _rows_of(file: str, lines: list[str], delimiter: str) -> list[tuple[int, lis
         split = ((number, line.split()) for number, line in enumerate(lines, 1) if _is_row(line))
         return list(_within(file, split))
     return list(_within(file, _csv_rows(file, lines, delimiter)))
-
-
-def _of_program(file: str, found: Columns) -> MeasuredTable:
-    """Return the table of a file of a motion capture program."""
-    return MeasuredTable(file, found.headings, found.cells, found.lines, units=found.units, remark=found.remark)
 
 
 def _units_in(headings: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
@@ -368,14 +360,6 @@ def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
         have = f"NumMarkers is {cited(count)}, but this row has the names of {len(markers)} markers"
         raise SpecError(f"{have}; each name is followed by two empty cells", file=file, line=4)
     return markers
-
-
-def _read_c3d(path: Path) -> MeasuredTable:
-    """Read the markers and force plates of a C3D file; see `read_c3d`."""
-    found = read_c3d(path, MOST_CELLS)
-    if found is None:
-        raise _too_many_cells(str(path))
-    return MeasuredTable(str(path), found.headings, found.values.tolist(), units=found.units, remark=found.remark)
 
 
 def _checked(table: MeasuredTable) -> MeasuredTable:
