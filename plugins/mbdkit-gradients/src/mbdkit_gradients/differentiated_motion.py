@@ -66,7 +66,6 @@ class DifferentiatedMotion:
         self._begin_at(stepper.time, *self._state())
 
     def _state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state that the run has reached."""
         assert self._stepper.steps is not None
         run = self._stepper.steps.run
         return self._used(run.q), self._used(run.v)

@@ -323,7 +323,6 @@ class _Pass:
         return self._observed(np.concatenate(times), last, events, at_events)
 
     def _use(self, sides: np.ndarray | None) -> None:
-        """Use the given sides of force laws in later evaluations."""
         if self._sided is not None and sides is not None:
             self._sided.set_sides(sides)
 

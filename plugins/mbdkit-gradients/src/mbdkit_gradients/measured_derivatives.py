@@ -282,7 +282,6 @@ class _MeasureEvaluation(DoubtedMeasure):
         return joined_states([one_after_another([one.before, one.after]) for one in corners])
 
     def _sampled(self, functional: Functional, number: int) -> Sampled:
-        """Return the samples of a functional over a part of the motion."""
         known: Integrals = {
             text: tuple(x.value[:, 0].tolist()) if x.value.ndim > 1 else float(x.value[0])
             for text, x in self._functionals.items()
@@ -323,7 +322,6 @@ class _MeasureEvaluation(DoubtedMeasure):
         return first
 
     def _at_peak(self, number: int, peak: Peak, index: int) -> DerivedValue:
-        """Return the value with derivatives at an extremum."""
         part, time = self.run.motions[0].parts[number], np.array([peak.time])
         switches: list[DerivedValue] = []
         here = self._of_operand(index, self.states.at(number, time), switches=switches)

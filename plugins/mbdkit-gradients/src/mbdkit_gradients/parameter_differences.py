@@ -170,7 +170,6 @@ class Preparation(ABC):
         return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
 
     def _by(self, parameter: Parameter) -> _ArrayDerivatives:
-        """Return the derivatives of all arrays with respect to one parameter."""
         try:
             return _ArrayDerivatives(*self._with_places(parameter, CENTRAL), 0)
         except SpecError as error:

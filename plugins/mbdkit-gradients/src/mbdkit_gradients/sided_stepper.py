@@ -242,7 +242,6 @@ class SidedStepper(DifferentiatedStepper):
         return np.array(values), np.array(slopes), np.array(rates)
 
     def _ahead(self, here: DifferentiatedStates) -> np.ndarray:
-        """Return the sides (C,) shortly after a state."""
         value, _, rate = self._conditions(here)
         later = value + AHEAD * float(self.timetable.step or 1.0) * rate
         return np.where(later >= 0.0, 1.0, -1.0)

@@ -328,7 +328,6 @@ def _is_linear(term: Term) -> bool:
 
 
 def _line(term: Term) -> tuple[float, float]:
-    """Return slope and offset of a linear function."""
     assert term.function.polynomial is not None
     offset, slope, *_ = term.function.polynomial
     return slope, offset

@@ -76,7 +76,6 @@ class OsimFrames:
             self._add(joint.iterfind("frames/*"), _path_of_joint(joint))
 
     def _add(self, elements: Iterable[Element], owner: str) -> None:
-        """Add the offset frames among elements, and those in their components."""
         for element in elements:
             path = f"{owner}/{name_of(element)}"
             if element.tag == "PhysicalOffsetFrame":

@@ -132,7 +132,6 @@ def planar_joint(joint: Element, coordinates: list[OsimCoordinate]) -> PlanarJoi
 
 
 def _custom(joint: Element, coordinates: Mapping[str, OsimCoordinate]) -> PlanarJoint:
-    """Return a joint defined by a spatial transform: successive rotations about three axes, and displacements."""
     label = label_of(joint)
     axes = {name_of(one): one for one in joint.iterfind("SpatialTransform/TransformAxis")}
     angle, turned = Term(constant(0.0)), np.eye(3)

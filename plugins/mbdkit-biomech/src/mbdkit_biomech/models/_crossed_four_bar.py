@@ -128,7 +128,6 @@ class CrossedFourBar:
         return inside
 
     def _fits(self, flexion: float) -> bool:
-        """Return whether the rods are crossed at a flexion."""
         pose = self._solve(flexion, self._branch)
         return pose is not None and pose.crossed
 

@@ -222,7 +222,6 @@ class _Names:
 
 
 def _on_second(item: PathItem, names: _Names) -> PathItem:
-    """Return a point or circle of a muscle path, moved to the second leg."""
     change: dict[str, Any] = {"body": names.of(item.body)}
     if item.wrap is not None:
         change["wrap"] = item.wrap.model_copy(update={"body": names.of(item.wrap.body)})

@@ -166,7 +166,6 @@ def person_of(o: LegOptions) -> BodySegments:
 
 
 def _mechanism(name: str, o: LegOptions, leg: Callable[[BodySegments, LegPose, Hip], LegParts]) -> Mechanism:
-    """Return the mechanism of one or two legs and the further elements of the options."""
     person = person_of(o)
     trunk = MovingFrame.at(complex(*o.hip_position), o.trunk_angle, complex(*o.hip_velocity), o.trunk_rate)
     bodies: dict[str, Body] = {}

@@ -161,7 +161,6 @@ class MusclePath:
     def _of_pattern(
         self, time: np.ndarray, q: np.ndarray, places: Sequence[_PathPlace]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return length and gradient of a path that consists of these places in all frames."""
         length, gradient = np.zeros(len(q)), np.zeros_like(q)
         placed = [place.at(q) for place in places]
         ends = [index for index, place in enumerate(places) if place.radius == 0]
@@ -225,7 +224,6 @@ class MusclePath:
                 )
 
     def _require_no_turn(self, time: np.ndarray, centers: Sequence[np.ndarray], index: int, radius: float) -> None:
-        """Raise RunError if a path changes between two frames from a large turn around a circle to the other side."""
         sweep = _sweep(centers[index - 1], centers[index], centers[index + 1], radius)
         jumps = np.flatnonzero(np.abs(np.diff(sweep)) > WIDEST)
         if jumps.size:

@@ -219,7 +219,6 @@ class Segments:
         return points[0], points[1], np.mean(points[2:], axis=0)
 
     def _inside(self, landmark: tuple[Trial, str]) -> np.ndarray:
-        """Return a landmark of the pelvis in the frame of its cluster."""
         trial, name = landmark
         own = trial.poses["trunk"].inside(trial.file.marker(name, "motion.clusters.trunk"))
         if np.isnan(own[:, 0]).all():

@@ -45,7 +45,6 @@ def person_of_spec(spec: InverseSpec) -> tuple[Person, InverseSpec]:
 
 
 def _plates(spec: InverseSpec, file: MarkerFile, skeleton: Skeleton) -> PlateResult:
-    """Return the loads of force plates."""
     asked: dict[str, tuple[str, Sequence[int]]] = {
         name: (load.body, load.plates) for name, load in spec.loads.items() if load.plates is not None
     }
@@ -58,7 +57,6 @@ def _plates(spec: InverseSpec, file: MarkerFile, skeleton: Skeleton) -> PlateRes
 
 
 def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
-    """Return the spec of the motion of the scaled model."""
     data = json.loads(spec.canonical_json())
     del data["subject"]
     data.pop("uncertainty", None)

@@ -184,12 +184,10 @@ class StackedOutcomes:
         return out
 
     def _total(self, values: np.ndarray, place: Place) -> np.ndarray:
-        """Return the changes (S,) of a place."""
         moves = ((column, source.moves.get(place)) for column, source in zip(values.T, self.sources, strict=True))
         return sum((size * column for column, size in moves if size is not None), start=np.zeros(len(values)))
 
     def _fill(self, values: np.ndarray, rows: np.ndarray, out: Outcomes) -> None:
-        """Compute the outcomes of samples and put them into the rows (S,) of the arrays."""
         smooth = self._base[:, None] + products(values[:, self._smooth_places], self._slopes)  # (T, S, W)
         own = smooth.view(self._layout)[..., 0]
         recruiter, recruited = self.recruiter, self.result.recruited

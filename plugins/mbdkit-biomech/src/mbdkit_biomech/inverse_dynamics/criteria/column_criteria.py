@@ -251,7 +251,6 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
 
 
 def _fit(result: Inverse) -> Iterator[Finding]:
-    """Yield a doubt if the mechanism fits the data poorly, always or for some time."""
     measured, residual = result.fitted.measured, result.fitted.residual
     length = result.problem.fitter.manifold.length
     share = np.abs(residual) / measured.quantities.sizes(length)
@@ -297,7 +296,6 @@ def _cause_of_misfit(result: Inverse, share: np.ndarray, otherwise: str) -> str:
 
 
 def _noise(result: Inverse) -> Iterator[Finding]:
-    """Yield a doubt if the smoothing changes a column by much more than its stated noise can explain."""
     if isinstance(result.problem.spec.motion.smooth, NoSmoothing | QuinticSpline):
         return
     measured = result.fitted.measured

@@ -185,7 +185,6 @@ def _lag(result: Inverse, index: int, name: str) -> Iterator[Finding]:
 
 
 def _direction(result: Inverse, index: int, name: str) -> Iterator[Finding]:
-    """Yield a doubt if a plate pulls its body down on average, or pushes it sideways more than up."""
     gravity = np.array(result.problem.names.mechanism.gravity, dtype=float)
     if not np.any(gravity):
         return
@@ -211,7 +210,6 @@ def _direction(result: Inverse, index: int, name: str) -> Iterator[Finding]:
 
 
 def _horizontal_sign(result: Inverse, index: int, name: str) -> Iterator[Finding]:
-    """Yield a doubt if a plate under a free mechanism probably gives its horizontal force with the wrong sign."""
     mechanism, q = result.problem.names.mechanism, result.motion.q
     gravity = np.array(mechanism.gravity, dtype=float)
     if len(free_roots(mechanism)) != 1 or not np.any(gravity):

@@ -89,7 +89,6 @@ def record_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
 
 
 def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding]:
-    """Yield doubts about largest values near the ends, and about larger ones that the smoothing may have removed."""
     time = result.motion.time
     cutoff = "" if isinstance(result.problem.spec.motion.smooth, QuinticSpline) else ", one period of the cutoff"
     for at_start in (True, False):

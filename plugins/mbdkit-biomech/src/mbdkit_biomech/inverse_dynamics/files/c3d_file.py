@@ -144,7 +144,6 @@ def _unreadable(path: Path, why: str) -> SpecError:
 
 
 def _columns_of(path: Path, most_cells: int) -> _Columns | None:
-    """Return what `read_c3d` does."""
     try:
         return _decoded(path, most_cells)
     except KeyError as error:

@@ -140,7 +140,6 @@ def _begins_section(rows: Rows, place: int) -> bool:
 
 
 def _section(file: str, name: str, rows: Rows) -> _Section:
-    """Return a section, given its rows."""
     if len(rows) < 6:
         raise SpecError(f"the section '{name}' has no frames", file=file, line=rows[0][0])
     rate = _rate(rows[1][1][0], file, rows[1][0])

@@ -215,7 +215,6 @@ def _is_unit(text: str) -> bool:
 
 
 def _is_row(line: str) -> bool:
-    """Return whether a line of a CSV file is neither empty nor a comment."""
     return bool(line.strip()) and not line.startswith("#")
 
 
@@ -363,7 +362,6 @@ def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
 
 
 def _checked(table: MeasuredTable) -> MeasuredTable:
-    """Return the table; raise SpecError if a row has more cells than there are headings."""
     for row, cells in enumerate(table.cells):
         if len(cells) > len(table.headings) and any(str(cell).strip() for cell in cells[len(table.headings) :]):
             raise table.error(f"this row has {len(cells)} cells, but there are {len(table.headings)} headings", row=row)

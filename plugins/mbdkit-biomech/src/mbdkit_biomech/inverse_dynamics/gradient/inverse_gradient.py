@@ -281,7 +281,6 @@ class _Frames:
 
     @cached_property
     def _balance(self) -> Balance:
-        """The balance of forces of the motion."""
         problem, motion = self.result.problem, self.result.motion
         manifold = problem.fitter.manifold
         directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
@@ -313,7 +312,6 @@ class _Frames:
         return np.stack(both, axis=2)
 
     def _load_power(self) -> np.ndarray:
-        """Return the power (T, 1 + K) of all loads."""
         motion, loads = self.result.motion, self.result.loads
         changed = products(np.swapaxes(self._slope("motion.loads", motion.v.shape), 1, 2), motion.v)
         changed += products(np.swapaxes(self._slope("motion.v", motion.v.shape), 1, 2), loads.generalized)

@@ -210,7 +210,6 @@ def _columns(motion: MeasuredMotion, table: MeasuredTable, names: QuantityNames)
 def _require_all_or_none(
     motion: MeasuredMotion, columns: Mapping[str, ObservedColumn], has_derivatives: list[bool]
 ) -> None:
-    """Raise SpecError if only some columns have derivatives, or if columns with derivatives are to be smoothed."""
     if not any(has_derivatives):
         return
     if motion.smooth.name != "none":
@@ -298,7 +297,6 @@ def times_of(table: MeasuredTable, column: TimeColumn, key: str) -> np.ndarray:
 
 
 def _times(spec: InverseSpec, table: MeasuredTable) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times within the span of the spec, and the indices of their rows in the table."""
     every = times_of(table, spec.motion.time, "motion.time")
     return every[kept := rows_within(spec, every)], kept
 

@@ -243,7 +243,6 @@ def _cross_validated_spline(time: np.ndarray, series: np.ndarray) -> Smoothed:
 
 
 def _interval(time: np.ndarray) -> float:
-    """Return the interval between evenly spaced rows; raise SpecError if they are not evenly spaced."""
     steps = np.diff(time)
     mean = float((time[-1] - time[0]) / (len(time) - 1))
     worst = int(np.argmax(np.abs(steps - mean)))

@@ -75,7 +75,6 @@ class UnusedData:
 
 
 def _headings(spec: InverseSpec, measured: Measured) -> Iterator[str]:
-    """Yield the headings in the table of the motion to which a spec refers."""
     motion = spec.motion
     yield motion.time.column
     for name in measured.names:

@@ -53,7 +53,6 @@ def largest_actuators(run: Run) -> list[Headline]:
 
 
 def _fit(run: Run) -> str:
-    """Return the largest root mean squares of the residuals of observed quantities, in descending order."""
     parts = []
     for name, one in run.motion.items():
         known = one.residual[np.isfinite(one.residual)]

@@ -196,6 +196,5 @@ def _moved(result: Inverse, independent: Independent, series: Smoothed, loads: d
 
 
 def _measured(result: Inverse, measures: Sequence[str]) -> np.ndarray:
-    """Return the measures (K,) of a result."""
     with run_of(result) as run:
         return np.array([run.measures[name] for name in measures])

@@ -294,7 +294,6 @@ def _without_errors(run: Run, every: Sequence[_Series], elements: Sequence[Eleme
 
 
 def _change(one: ElementWorkload, other: ElementWorkload) -> float:
-    """Return the largest relative difference of root mean squares, impulses, largest powers and work."""
     pairs = [(one.load.rms, other.load.rms), (one.load.impulse, other.load.impulse)]
     shares = [abs(a - b) / a for a, b in pairs if a > 0.0]
     if one.work is not None and other.work is not None:

@@ -7,10 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.plugin import GROUND, SpecError, read_unit, shown
+from mbdkit.plugin import GROUND, Positive, SpecError, read_unit, shown
 from mbdkit.plugin.mechanisms import BodyPair, Points, pair
 from mbdkit.plugin.specs import Count, CriterionName, Section
-from mbdkit.spec.sections import Positive
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes
 
 Named = Annotated[str, Field(min_length=1)]
