@@ -26,9 +26,13 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f" (did you mean '{names[close[0]]}'?)" if close else ""
 
 
-def listed(names: Iterable[str], last: str = "") -> str:
-    """Join names as ``a, b and c`` if `last` is ``and`` (or another word), or as ``a, b, c`` if `last` is empty."""
+def listed(names: Iterable[str], last: str = "", most: int | None = None) -> str:
+    """Join names as ``a, b and c`` if `last` is ``and`` (or another word), or as ``a, b, c`` if `last` is empty; with
+    `most`, only this many of them, and how many others there are.
+    """
     words = list(names)
+    if most is not None and len(words) > most:
+        words[most:] = [f"{len(words) - most} more"]
     if not last or len(words) < 2:
         return ", ".join(words)
     return f"{', '.join(words[:-1])} {last} {words[-1]}"

@@ -28,12 +28,6 @@ _RUN_SPEC: Any = typer.Argument(
 )
 SpecName = Annotated[str, _RUN_SPEC]
 SpecNameOrNone = Annotated[str | None, _RUN_SPEC]
-InverseSpecName = Annotated[
-    str,
-    typer.Argument(
-        metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as walking."
-    ),
-]
 AnySpecName = Annotated[
     str,
     typer.Argument(

@@ -49,10 +49,10 @@ class CriterionName(ItemName):
     kind
         Name of the kind of specs.
     known
-        The criteria that this kind always has.
+        Criteria that no item lists.
     """
 
-    def __init__(self, kind: str, known: Sequence[str]):
+    def __init__(self, kind: str, known: Sequence[str] = ()):
         self.kind, self.known = kind, known
 
     def names(self) -> list[str]:

@@ -21,7 +21,7 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
-from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
+from tests.benchmarks.drawn_faults import FAULTS, outcomes
 
 WORDS = ("refused", "flagged", "same", "hidden", "silent")
 

@@ -15,9 +15,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from tests.inverse_dynamics.drawn_coverage import coverage
 from tests.inverse_dynamics.moved_linkages import moved
 from tests.inverse_dynamics.noisy import CUTOFF, Truth, covered
+
+from tests.benchmarks.drawn_coverage import coverage
 
 
 def main() -> None:

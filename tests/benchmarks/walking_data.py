@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from tests.inverse_dynamics.running import reference, table
 
-from mbdkit_biomech.models._segments import Person
+from mbdkit_biomech.models._segments import BodySegments
 
 STRIDE = 1.1396
 """Duration of a stride [s]."""
@@ -31,7 +31,7 @@ SPEED = 1.325
 """Mean walking speed [m/s]."""
 PERSON_MASS = 75.0
 """Body mass [kg]."""
-PERSON = Person(PERSON_MASS, 1.8)
+PERSON = BodySegments(PERSON_MASS, 1.8)
 GRAVITY = 9.81
 HARMONICS = {"hip_flexion": 6, "knee_flexion": 6, "ankle_dorsiflexion": 8}
 CONTACT = (-0.005, 0.66)

@@ -166,7 +166,7 @@ def test_mistakes_in_a_file_are_the_users(tmp_path: Path, file: str, content: st
 
 
 def test_the_lists_name_types_and_properties_of_the_registry() -> None:
-    # written by print_registry.py from the registry of OpenSim, which does not know names of OpenSim 3
+    # printed by tests.benchmarks.registry_of_opensim: OpenSim does not know names of OpenSim 3
     types = {kind for of in registry().values() for kind in of}
     assert types >= IDLE | INERT
     assert types >= {*READ, *IGNORED} - {"", "NaturalCubicSpline"}

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbdkit.cli.common_options import InverseSpecName
 from mbdkit.plugin import counted, show, show_json
 from mbdkit.plugin.terminal import (
     Archive,
@@ -31,7 +30,12 @@ if TYPE_CHECKING:
 
 @grouped
 def inverse(
-    spec: InverseSpecName,
+    spec: Annotated[
+        str,
+        typer.Argument(
+            metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as walking."
+        ),
+    ],
     *,
     output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
     assignments: MotionSet = None,

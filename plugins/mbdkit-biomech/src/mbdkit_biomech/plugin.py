@@ -25,13 +25,6 @@ from mbdkit.plugin import (
 )
 
 _HERE = Path(__file__).parent
-_CRITERIA = {
-    "columns": "Columns of the motion and their smoothing.",
-    "loads": "Measured loads.",
-    "model": "The model, forces without a point, turns and signs of angles.",
-    "record": "The record, units of loads, and errors.",
-    "person": "The person: plane of motion, joint centres, lengths and plates.",
-}
 _QUANTITIES = {
     "motion": ("ObservedHistory", "Observed quantities of a measured motion."),
     "actuators": ("ActuatorHistory", "Values and powers of actuators in inverse dynamics."),
@@ -204,8 +197,8 @@ def mbdkit_items() -> Iterable[Item]:
             name="uncertainty",
             summary="Sources of the error bars of joint forces.",
             order=110,
-            make=Target("mbdkit_biomech.uncertainty.uncertainty_sections:uncertainty_sections"),
-            charts=Target("mbdkit_biomech.uncertainty.uncertainty_sections:uncertainty_charts"),
+            make=Target("mbdkit_biomech.uncertainty.uncertainty_report:uncertainty_sections"),
+            charts=Target("mbdkit_biomech.uncertainty.uncertainty_report:uncertainty_charts"),
         ),
         ViewItem(
             name="workload",
@@ -223,16 +216,56 @@ def mbdkit_items() -> Iterable[Item]:
             criteria=("excitations",),
             elements="muscles",
         ),
-        *(
-            CriterionItem(
-                name=part,
-                summary=summary,
-                order=10 * number,
-                stage="data",
-                find=Target(f"mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_{part}"),
-                of=frozenset({"inverse"}),
-            )
-            for number, (part, summary) in enumerate(_CRITERIA.items())
+        CriterionItem(
+            name="columns",
+            summary="Columns of the motion and their smoothing.",
+            order=0,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_columns"),
+            of=frozenset({"inverse"}),
+            criteria=(
+                *("times", "time-unit", "outliers", "constant", "units", "shared-column", "turns", "fit", "noise"),
+                "cutoff",
+            ),
+        ),
+        CriterionItem(
+            name="loads",
+            summary="Measured loads.",
+            order=10,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_loads"),
+            of=frozenset({"inverse"}),
+            criteria=(
+                *("load-point", "load-sign", "load-direction", "load-offset", "load-time"),
+                *("residuals", "residual-size"),
+            ),
+        ),
+        CriterionItem(
+            name="model",
+            summary="The model, forces without a point, turns and signs of angles.",
+            order=20,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_model"),
+            of=frozenset({"inverse"}),
+            criteria=("knee", "inertia", "elements", "fibers", "reserves", "max-force", "left-out", "compression"),
+        ),
+        CriterionItem(
+            name="record",
+            summary="The record, units of loads, and errors.",
+            order=30,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_record"),
+            of=frozenset({"inverse"}),
+            criteria=("gaps", "ends", "large-errors"),
+        ),
+        CriterionItem(
+            name="person",
+            summary="The person: plane of motion, joint centres, lengths and plates.",
+            order=40,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_person"),
+            of=frozenset({"inverse"}),
+            criteria=("plane", "centers", "lengths", "plates"),
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),

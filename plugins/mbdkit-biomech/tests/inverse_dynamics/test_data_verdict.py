@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
 from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, not_of_ends, stance, told
 
 import mbdkit
@@ -17,6 +16,7 @@ from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from tests.benchmarks.drawn_faults import FAULTS, outcomes
 
 PARTS = {"x": "real", "y": "imag"}
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.signal import butter, filtfilt
 from scipy.stats import chi2
-from tests.inverse_dynamics.drawn_coverage import coverage
 from tests.inverse_dynamics.moved_linkages import TORQUES, moved
 from tests.inverse_dynamics.noisy import CUTOFF, DEVIATION, Truth, covered
 from tests.inverse_dynamics.noisy_pendulum import T, pendulum
@@ -25,6 +24,7 @@ from mbdkit_biomech.inverse_dynamics.results.measure_samples import SAMPLES, Sam
 from mbdkit_biomech.inverse_dynamics.results.workload import workload
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_report.pages.run_report import run_report
+from tests.benchmarks.drawn_coverage import coverage
 
 
 @pytest.fixture(scope="module")

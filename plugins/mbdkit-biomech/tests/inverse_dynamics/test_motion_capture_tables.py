@@ -14,7 +14,7 @@ from tests.inverse_dynamics.noisy_pendulum import pendulum
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.files.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 
 VICON = """
@@ -57,12 +57,12 @@ QUALISYS = (
 )
 
 
-def table(folder: Path, name: str, text: str) -> Table:
+def table(folder: Path, name: str, text: str) -> MeasuredTable:
     (folder / name).write_text(text, encoding="utf-8")
     return read_table(folder / name, "motion.file")
 
 
-def values(read: Table, *headings: str) -> np.ndarray:
+def values(read: MeasuredTable, *headings: str) -> np.ndarray:
     return np.column_stack([read.column(heading, "motion.columns") for heading in headings])
 
 

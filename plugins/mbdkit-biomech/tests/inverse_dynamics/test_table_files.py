@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.files.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import times_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
@@ -23,7 +23,7 @@ def in_comma_locale(rows: list[str]) -> list[str]:
     return [row.replace(",", ";").replace(".", ",") for row in rows]
 
 
-def read(folder: Path, lines: list[str], encoding: str = "utf-8") -> Table:
+def read(folder: Path, lines: list[str], encoding: str = "utf-8") -> MeasuredTable:
     (folder / "t.csv").write_text("\n".join(lines), encoding=encoding)
     return read_table(folder / "t.csv", "motion.file")
 
@@ -97,7 +97,7 @@ def test_other_tables_are_refused_in_one_sentence(tmp_path: Path, lines: list[st
 MOTION = ["motion", "version=1", "inDegrees=yes", "endheader", "time\thip\tknee", "0.0\t1\t2", "0.5\t\t4"]
 
 
-def storage(folder: Path, lines: list[str]) -> Table:
+def storage(folder: Path, lines: list[str]) -> MeasuredTable:
     (folder / "t.mot").write_text("\n".join(lines))
     return read_table(folder / "t.mot", "motion.file")
 
@@ -137,7 +137,7 @@ TRC = ["PathFileType\t4\t(X/Y/Z)\tm.trc", "DataRate\tNumFrames\tNumMarkers\tUnit
        "Frame#\tTime\tA\t\t\tB\t\t", "\t\tX1\tY1\tZ1\tX2\tY2\tZ2", "", "1\t0.5\t1\t2\t3\t4\t5\t6"]  # fmt: skip
 
 
-def trc(folder: Path, *changes: tuple[str, str]) -> Table:
+def trc(folder: Path, *changes: tuple[str, str]) -> MeasuredTable:
     text = "\n".join(TRC)
     for old, new in changes:
         text = text.replace(old, new)

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import load_spec
-from mbdkit_biomech.models._segments import Person
+from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.models.four_bar_knee import FourBarKneeOptions, KneeLinks, KneePitches, build, linkage
 from tests.models.example_runs import length
 
@@ -154,7 +154,7 @@ def test_rods_are_uniform_and_as_long_as_their_links():
 
 def test_leg_segments_are_those_published_for_75_kg_and_180_cm():
     """csu-hmc/gait2d, data/example_constants.yml (commit 44bb269): Winter's segments, printed to four decimals."""
-    calf, tarsus = Person(75.0, 1.8).shank, Person(75.0, 1.8).foot_on_shank
+    calf, tarsus = BodySegments(75.0, 1.8).shank, BodySegments(75.0, 1.8).foot_on_shank
     assert calf.mass == pytest.approx(3.4875)
     assert calf.centre == pytest.approx(-0.1917j, abs=5e-5)
     assert calf.inertia == pytest.approx(0.0624, abs=5e-5)
@@ -164,7 +164,7 @@ def test_leg_segments_are_those_published_for_75_kg_and_180_cm():
 
 
 def test_shank_and_foot_are_one_body_by_the_parallel_axis_theorem():
-    calf, tarsus = Person(75.0, 1.8).shank, Person(75.0, 1.8).foot_on_shank
+    calf, tarsus = BodySegments(75.0, 1.8).shank, BodySegments(75.0, 1.8).foot_on_shank
     both = calf + tarsus
     assert both.mass == calf.mass + tarsus.mass
     assert both.mass * both.centre == pytest.approx(calf.mass * calf.centre + tarsus.mass * tarsus.centre)

@@ -16,7 +16,7 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
-from mbdkit_biomech.models._segments import Person
+from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.models.leg import LegFourBarOptions, LegOptions, build, build_four_bar
 
 POSE = {"hip_flexion": 0.4, "knee_flexion": 0.9, "ankle_dorsiflexion": -0.2, "trunk_angle": -0.1}
@@ -42,7 +42,7 @@ def _moving(options: type[LegOptions], build: Any, time: float) -> Mechanism:
 
 
 def test_segments_of_75_kg_and_180_cm_are_those_of_gait2d() -> None:
-    person = Person(75.0, 1.8)
+    person = BodySegments(75.0, 1.8)
     for segment, mass, centre, inertia in (
         (person.trunk, 50.85, 0.3155j, 3.1777),
         (person.thigh, 7.5, -0.1910j, 0.1522),
@@ -64,7 +64,7 @@ def test_segments_of_75_kg_and_180_cm_are_those_of_gait2d() -> None:
 def test_de_levas_mean_person_has_the_published_thigh(
     table: str, mass: float, height: float, thigh: float, centre: float, gyration: float
 ) -> None:
-    person = Person(mass, height, table)
+    person = BodySegments(mass, height, table)
     assert person.thigh_length == pytest.approx(thigh)
     assert person.thigh.centre == pytest.approx(-1j * centre * thigh)
     assert person.thigh.inertia == pytest.approx(person.thigh.mass * (gyration * thigh) ** 2)
@@ -134,7 +134,7 @@ def test_muscles_of_the_second_leg_refer_to_its_own_bodies_coordinates_and_muscl
 
 
 def test_flexion_of_hip_and_knee_lifts_the_leg_as_when_climbing_a_stair() -> None:
-    person = Person(75.0, 1.8)
+    person = BodySegments(75.0, 1.8)
     leg = build(LegOptions(hip_flexion=math.pi / 2, knee_flexion=math.pi / 2))
     assert leg.to_global("shank", leg.markers["knee"].point) == pytest.approx((person.thigh_length, 0.0))
     ankle = leg.to_global("foot", leg.markers["ankle"].point)
@@ -152,7 +152,7 @@ def test_relative_angles_are_flexion_minus_flexion_and_dorsiflexion() -> None:
 
 
 def test_a_stiff_leg_swings_with_the_period_of_a_compound_pendulum() -> None:
-    person = Person(75.0, 1.8)
+    person = BodySegments(75.0, 1.8)
     whole = person.thigh
     below_knee = person.thigh_length + person.shank_length
     for segment, below in ((person.shank, person.thigh_length), (person.foot, below_knee)):

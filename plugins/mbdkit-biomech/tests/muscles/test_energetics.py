@@ -18,7 +18,7 @@ from mbdkit_biomech.muscles.energetics import metabolic_power
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["energetics"]
 ENERGETIC = [(0.3, 0.7), (0.6, 0.2), (0.05, 0.05), (0.9, 1.0)]
-"""Activations and excitations of `opensim_reference.py`."""
+"""Activations and excitations of `tests.benchmarks.muscles_of_opensim`."""
 
 
 @pytest.mark.parametrize("name", leg.MUSCLES)

@@ -10,7 +10,7 @@ from tests.inverse_dynamics.c3d_files import Convention, c3d_bytes
 from tests.inverse_dynamics.force_plates import plate
 
 import mbdkit
-from mbdkit_biomech.knee_challenge import compare, largest_peak, main
+from tests.benchmarks.knee_challenge import compare, largest_peak, main
 from tests.benchmarks.person_markers import Array, Walker, in_laboratory
 
 NAMES = {"RASI": "RAsis", "LASI": "LAsis", "RPSI": "RPsis", "LPSI": "LPsis"}

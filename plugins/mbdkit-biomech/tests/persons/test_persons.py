@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.inverse_dynamics.c3d_files import Convention, c3d_bytes
 from tests.inverse_dynamics.force_plates import plate
-from tests.persons.walkers import FUNCTIONAL, builder_of, data_of, loaded, marker_file, person_spec, recorded
+from tests.persons.walkers import FUNCTIONAL, data_of, loaded, marker_file, person_spec, recorded, skeleton_of
 
 import mbdkit
 from mbdkit import SpecError
@@ -17,7 +17,7 @@ from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.joint_centers import IN_STEP, LANDMARKS, REGRESSION
 from mbdkit_biomech.persons.landmarks import Side, landmark
 from mbdkit_biomech.persons.motion_plane import plane_of
-from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, poses_of
+from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, poses_of
 from tests.benchmarks.person_markers import CLUSTERS, SHANK, THIGH, Walker, columns_of, in_laboratory, table_text
 
 HEADING = 2.0
@@ -25,7 +25,7 @@ HEADING = 2.0
 
 def test_errors_of_a_point_of_a_segment_have_the_covariance_of_fitzpatrick() -> None:
     random, skin, point = np.random.default_rng(0), 0.005, np.array([0.0, -0.3, 0.05])
-    cluster = Cluster.of("thigh", tuple("abcd"), 0.08 * random.standard_normal((1, 4, 3)))
+    cluster = MarkerCluster.of("thigh", tuple("abcd"), 0.08 * random.standard_normal((1, 4, 3)))
     poses = poses_of(cluster.template, cluster.template + skin * random.standard_normal((4000, 4, 3)))
     found = np.cov((poses.point(point) - point).T)
     np.testing.assert_allclose(found, skin**2 * cluster.covariance(point), rtol=0, atol=0.08 * np.trace(found))
@@ -43,10 +43,10 @@ def test_centres_and_lengths_lie_within_their_stated_covariances() -> None:
         markers = walker.markers(random)
         for joint in FUNCTIONAL:
             walker.move_in_step(markers, joint, tuple(IN_STEP * random.standard_normal(2)))
-        person = builder_of(walker, markers, HEADING, **FUNCTIONAL)
+        person = skeleton_of(walker, markers, HEADING, **FUNCTIONAL)
         at = person.segments.reference
         for joint, (a, b) in person.segments.joints.items():
-            center, poses = person.centers[joint], (person.poses[a], person.poses[b])
+            center, poses = person.centers[joint], tuple(person.segments.motion.poses[body] for body in (a, b))
             parts = [
                 weight * own.rotation[at] @ (point - np.mean(own.inside(truth[joint]), axis=0))
                 for weight, own, point in zip(center.fit.weights, poses, (center.proximal, center.distal), strict=True)

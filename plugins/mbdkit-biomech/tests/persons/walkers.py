@@ -13,7 +13,7 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_sp
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
 from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
-from mbdkit_biomech.persons.person import Builder
+from mbdkit_biomech.persons.person import Skeleton
 from mbdkit_biomech.persons.person_sections import Subject
 from tests.benchmarks.person_markers import CLUSTERS, Array, Walker, columns_of, in_laboratory
 
@@ -52,7 +52,7 @@ def marker_file(walker: Walker, markers: Mapping[str, Array], heading: float) ->
     return MarkerFile.of(table, TimeColumn())
 
 
-def builder_of(walker: Walker, markers: Mapping[str, Array], heading: float, **centers: Any) -> Builder:
+def skeleton_of(walker: Walker, markers: Mapping[str, Array], heading: float, **centers: Any) -> Skeleton:
     """Return the person of markers, (T, 3) as (forward, up, right), before its plates are assigned."""
     segments = Segments.of(CLUSTERS, legs_of(2), marker_file(walker, markers, heading), None)
-    return Builder(Subject(**SUBJECT), segments, None, centers)
+    return Skeleton.of(Subject(**SUBJECT), segments, None, centers)

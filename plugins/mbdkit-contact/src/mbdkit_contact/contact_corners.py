@@ -31,7 +31,7 @@ class Push:
     ----------
     force, side
         Name of the contact, and index of the parameter with the side; see
-        `mbdkit_gradients.law_corners.Condition`.
+        `mbdkit_gradients.law_corners.LawCondition`.
     bodies
         Indices of both bodies.
     law

@@ -15,7 +15,7 @@ from mbdkit.plugin import RunSpec, path_text
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.measures import OF_PARTS, OPERATIONS, MeasureExpression
 from mbdkit.plugin.runs import EQUAL
-from mbdkit_gradients.derived_values import Value, of_operands
+from mbdkit_gradients.derived_values import DerivedValue, of_operands
 from mbdkit_gradients.differentiated_run import DifferentiatedRun
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
@@ -48,7 +48,7 @@ class DoubtedMeasure:
         self.remarks: list[str] = []
         self.size = 0.0
 
-    def _note_end(self, name: str, rows: Value) -> None:
+    def _note_end(self, name: str, rows: DerivedValue) -> None:
         """Add a remark if the extremum of a quantity with these values in the rows is that at the end of the run."""
         if is_at_end(rows.value if name == "max" else -rows.value):
             self.remarks.append(AT_END_OF_RUN.format(name))
@@ -60,7 +60,7 @@ class DoubtedMeasure:
             "is a smooth maximum: mean(x**8)**(1/8)"
         )
 
-    def _note_corner(self, operation: str, operands: Sequence[Value]) -> None:
+    def _note_corner(self, operation: str, operands: Sequence[DerivedValue]) -> None:
         """Add a warning if an operation on results of reductions over time has no derivative at these operands."""
         if operation in ALONG.values():
             self._note_equal_elements(operation, operands[0])
@@ -79,7 +79,7 @@ class DoubtedMeasure:
             f"{what} in '{self.expression.text}', so that it has different derivatives on both sides and none there"
         )
 
-    def _note_rest(self, switches: Sequence[Value], time: np.ndarray) -> None:
+    def _note_rest(self, switches: Sequence[DerivedValue], time: np.ndarray) -> None:
         """Add a warning if an operand stays at a value at which the integrand changes its form.
 
         The warning is given only if the parameters change this value.
@@ -96,7 +96,7 @@ class DoubtedMeasure:
                 )
                 return
 
-    def _note_equal_elements(self, operation: str, rows: Value) -> None:
+    def _note_equal_elements(self, operation: str, rows: DerivedValue) -> None:
         """Add a warning if several elements of a beam have the extreme value, but different derivatives.
 
         Two times are examined: that of the extremum over time, and the end of the run.
@@ -113,7 +113,7 @@ class DoubtedMeasure:
                 )
 
 
-def switch_of(operation: str, operands: Sequence[Value]) -> Value | None:
+def switch_of(operation: str, operands: Sequence[DerivedValue]) -> DerivedValue | None:
     """Return the scalar whose sign determines the form of an operation; None if the form is fixed.
 
     See `mbdkit.measures.reductions.Functional.values_and_switches`. For the norm of a vector, the scalar is the product
@@ -127,10 +127,10 @@ def switch_of(operation: str, operands: Sequence[Value]) -> Value | None:
     x = operands[0]
     if operation == "norm":
         first = x.value[:, :1]
-        return Value(np.sum(x.value * first, axis=0), np.sum(x.slope * first, axis=1))
+        return DerivedValue(np.sum(x.value * first, axis=0), np.sum(x.slope * first, axis=1))
     values = x.value if operation == "along_max" else -x.value
     one, other = np.argsort(values[:, -1])[:-3:-1] if len(values) > 1 else (0, 0)
-    return Value(x.value[one] - x.value[other], x.slope[:, one] - x.slope[:, other])
+    return DerivedValue(x.value[one] - x.value[other], x.slope[:, one] - x.slope[:, other])
 
 
 COORDINATES = {"position": ("q", 0), "angle": ("q", 2), "velocity": ("v", 0), "angular_velocity": ("v", 2)}

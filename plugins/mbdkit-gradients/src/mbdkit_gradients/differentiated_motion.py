@@ -21,14 +21,14 @@ from mbdkit.plugin.runs import MotionPart, StepEnds
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, merged_states
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator
-from mbdkit_gradients.sided_stepper import Corner, SidedStepper
+from mbdkit_gradients.sided_stepper import LawCorner, SidedStepper
 
 
 @dataclass
 class _Part:
     """Ends of consecutive steps between two discontinuities of motions, loads or force laws."""
 
-    before: Corner | None = None
+    before: LawCorner | None = None
     """The discontinuity of a force law at which this part begins; None if there is none."""
     law_sides: np.ndarray | None = None
     sides: tuple[float, float] = (-np.inf, np.inf)
@@ -66,7 +66,6 @@ class DifferentiatedMotion:
         self._begin_at(stepper.time, *self._state())
 
     def _state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state that the run has reached."""
         assert self._stepper.steps is not None
         run = self._stepper.steps.run
         return self._used(run.q), self._used(run.v)
@@ -75,7 +74,7 @@ class DifferentiatedMotion:
         """Return an array without the derivatives that no measure needs."""
         return np.array(np.asarray(x)[..., : self._evaluator.width])
 
-    def _begin_at(self, time: float, q: np.ndarray, v: np.ndarray, corner: Corner | None = None) -> None:
+    def _begin_at(self, time: float, q: np.ndarray, v: np.ndarray, corner: LawCorner | None = None) -> None:
         """Begin a new part of the motion. If the last part has no step, the new part replaces it."""
         if len(self._parts[-1].time) < 2:
             self._parts.pop()

@@ -39,7 +39,7 @@ class NoDerivativeError(MbdkitError, ValueError):
 
 
 @dataclass(frozen=True)
-class Event:
+class PassedEvent:
     """A crossing of an event: name and expression of the event, time [s], whether the event ends the run, and whether
     its expression jumps there from one sign to the other.
     """
@@ -52,7 +52,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Crossing:
+class DifferentiatedCrossing:
     """A crossing of an event: name of the event, time [s], and derivatives (K,) of the time."""
 
     name: str
@@ -103,7 +103,7 @@ class DifferentiatedRun:
     rows: DifferentiatedStates
     nodes: DifferentiatedStates | None
     end: np.ndarray
-    crossings: tuple[Crossing, ...]
+    crossings: tuple[DifferentiatedCrossing, ...]
     sizes: Sequence[float] | None
     motions: tuple[DifferentiatedMotion, ...] = ()
     is_split: bool = False
@@ -137,7 +137,7 @@ def differentiated_run(
     if len(parts) == 1:
         return parts[0]
     crossings = (
-        Crossing(same[0].name, same[0].time, np.concatenate([one.slope for one in same]))
+        DifferentiatedCrossing(same[0].name, same[0].time, np.concatenate([one.slope for one in same]))
         for same in zip(*(part.crossings for part in parts), strict=True)
     )
     return DifferentiatedRun(
@@ -292,7 +292,7 @@ class _Pass:
             stiff = make_method(spec).traits.suits_stiff
             self.motion = DifferentiatedMotion(stepper, self._evaluator, uses_accelerations=not stiff)
 
-    def run(self, events: Sequence[Event]) -> DifferentiatedRun:
+    def run(self, events: Sequence[PassedEvent]) -> DifferentiatedRun:
         """Take all steps, and return the states with their derivatives."""
         stepper, times = self.stepper, [np.array([self.workspace.t0])]
         waiting, at_events = list(events), []
@@ -323,7 +323,6 @@ class _Pass:
         return self._observed(np.concatenate(times), last, events, at_events)
 
     def _use(self, sides: np.ndarray | None) -> None:
-        """Use the given sides of force laws in later evaluations."""
         if self._sided is not None and sides is not None:
             self._sided.set_sides(sides)
 
@@ -331,7 +330,7 @@ class _Pass:
         self,
         time: np.ndarray,
         last: tuple[float, Moment, np.ndarray] | None,
-        events: Sequence[Event],
+        events: Sequence[PassedEvent],
         at_events: Sequence[_AtEvent],
     ) -> DifferentiatedRun:
         """Return recorded states, nodes (if stored) and states at events, with the quantities computed from them."""
@@ -428,7 +427,7 @@ class _Pass:
             end[:, 1 : self.width] += np.outer(rate, moved)
         return ends
 
-    def _crossing(self, event: Event, at: _AtEvent) -> Crossing:
+    def _crossing(self, event: PassedEvent, at: _AtEvent) -> DifferentiatedCrossing:
         """Return the time of an event and its derivatives.
 
         They are ``-g_p / g_t``, where the expression g crosses zero, g_p are its derivatives with respect to the
@@ -450,10 +449,10 @@ class _Pass:
         around, distance = self._evaluator.around(here, self.spec.time.step or 1e-3)
         rate = rate_of(series_of(event.expression, around, slopes).value, float(value.value[0]), distance)
         with np.errstate(all="ignore"):
-            return Crossing(event.name, event.time, -value.slope[:, 0] / rate)
+            return DifferentiatedCrossing(event.name, event.time, -value.slope[:, 0] / rate)
 
 
-def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
+def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]:
     """Run a spec and return its events in order of time; `sizes`, if given, are the sizes of the steps [s].
 
     Raises
@@ -483,6 +482,6 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
     expressions = spec.watched()
     stops = [crossing is crossings[-1] and watch.stopped is not None for crossing in crossings]
     return [
-        Event(one.name, one.time, expressions[one.name], end, one.at_jump)
+        PassedEvent(one.name, one.time, expressions[one.name], end, one.at_jump)
         for one, end in zip(crossings, stops, strict=True)
     ]

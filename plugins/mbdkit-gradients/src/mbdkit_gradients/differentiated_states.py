@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.kernels import Observed
+from mbdkit.kernels import DualStates, Observed
 from mbdkit.plugin import SpecError, States
 from mbdkit.plugin.archives import NONE, ArchiveNames, Quantity, archive_names
 from mbdkit.plugin.equations import CompiledMechanism
 from mbdkit.plugin.measures import RunExpression, execute
-from mbdkit_gradients.derived_values import Value, of_operands
+from mbdkit_gradients.derived_values import DerivedValue, of_operands
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,20 @@ class DifferentiatedStates(States):
             more |= {"work": energy[:, 0], "dissipated": energy[:, 1], "start_energy": start}
         return DifferentiatedStates(mechanism, time, q, v, lambda: observed, **more)
 
+    @staticmethod
+    def of_duals(
+        mechanism: CompiledMechanism, states: DualStates, count: int, energy: np.ndarray | None, **more: Any
+    ) -> DifferentiatedStates:
+        """Return states, with the first `count` of their derivatives, from what a kernel has computed; see
+        `of_observed`.
+        """
+        some = slice(1 + count)
+        observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
+        q, v, power = (np.asarray(x[..., some]) for x in (states.q, states.v, states.power))
+        return DifferentiatedStates.of_observed(mechanism, states.time, q, v, observed, energy, power=power, **more)
 
-def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
+
+def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> DerivedValue:
     """Return a quantity of states with derivatives: (T,), (2, T) of a vector, or (elements, T) along a beam.
 
     Raises
@@ -73,7 +85,7 @@ def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
     if quantity.recorded.array.is_shared and states.mechanism.redundancy.rows:
         raise _refused(quantity, ", because redundant joints share their reactions")
     found = quantity.taker(states.names or archive_names(states.mechanism))(states)
-    return Value.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
+    return DerivedValue.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
 
 
 def require_derivative(quantity: Quantity) -> None:
@@ -86,7 +98,7 @@ def _refused(quantity: Quantity, why: str) -> SpecError:
     return SpecError(f"{quantity} has no derivative with respect to parameters{why}", key="measures")
 
 
-def series_of(expression: RunExpression, states: DifferentiatedStates, constants: np.ndarray) -> Value:
+def series_of(expression: RunExpression, states: DifferentiatedStates, constants: np.ndarray) -> DerivedValue:
     """Return the values of the expression of an event in T states, (T,).
 
     Parameters
@@ -96,12 +108,12 @@ def series_of(expression: RunExpression, states: DifferentiatedStates, constants
     """
     count, slopes = states.q.shape[-1] - 1, iter(constants)
 
-    def step(operation: str, number: float, *operands: Value) -> Value:
+    def step(operation: str, number: float, *operands: DerivedValue) -> DerivedValue:
         slope = next(slopes)
         if operation == "const":
-            return Value.number(number, slope)
+            return DerivedValue.number(number, slope)
         if operation == "t":
-            return Value.constant(states.time, count)
+            return DerivedValue.constant(states.time, count)
         if operation == "get":
             value = quantity_of(states, expression.quantities[int(number)])
             return of_operands("norm", 0.0, value) if value.value.ndim > 1 else value  # events have no vectors

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.kernels import OK, Duals, Observed, PinnedBundle, observe_duals
+from mbdkit.kernels import OK, Duals, PinnedBundle, observe_duals
 from mbdkit.plugin import RunError
 from mbdkit.plugin.equations import SingularSystemError
 from mbdkit.plugin.methods import constants, dual_states
@@ -74,12 +74,9 @@ class StateEvaluator:
         if z.shape[1]:
             forces = np.asarray(states.observed.forces)[0]
             np.asarray(states.observed.state_rates)[0] = self.steps.laws.state_rates(float(time[0]), forces)
-        some = slice(self.width)
-        observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
-        energy = None if energy is None else np.asarray(energy[..., some])
-        q, v, z, power = (np.asarray(x[..., some]) for x in (q, v, z, states.power))
-        return DifferentiatedStates.of_observed(
-            self.workspace.mechanism, time, q, v, observed, energy, z=z, weight=weight, power=power
+        z, energy = (None if x is None else np.asarray(x[..., : self.width]) for x in (z, energy))
+        return DifferentiatedStates.of_duals(
+            self.workspace.mechanism, states, self.width - 1, energy, z=z, weight=weight
         )
 
     def around(self, here: DifferentiatedStates, unit: float) -> tuple[DifferentiatedStates, float]:

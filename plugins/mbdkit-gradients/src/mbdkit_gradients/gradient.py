@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -26,17 +28,10 @@ from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.measures import MeasureExpression, natural_scales, natural_size
 from mbdkit.plugin.methods import NO_SEEDS
 from mbdkit.plugin.runs import build, caution
-from mbdkit.plugin.specs import RunSource, VariedSpecs, load_spec
+from mbdkit.plugin.specs import ModelSpec, RunSource, VariedSpecs, load_spec
 from mbdkit.plugin.terminal import HtmlView
 from mbdkit_gradients.derivative_doubts import start_doubts
-from mbdkit_gradients.differentiated_expressions import (
-    Definitions,
-    Measures,
-    definitions_of,
-    expressions_of,
-    of_measure,
-    slopes_of,
-)
+from mbdkit_gradients.differentiated_expressions import Definitions, Measures, definitions_of, expressions_of
 from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
 from mbdkit_gradients.differentiated_states import require_derivative
 from mbdkit_gradients.gradient_check import (
@@ -44,13 +39,12 @@ from mbdkit_gradients.gradient_check import (
     NATURAL,
     Direction,
     GradientCheck,
-    Measured,
     Settings,
     check_doubts,
     check_gradient,
 )
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
-from mbdkit_gradients.measured_derivatives import MeasureOfRun, needs_of
+from mbdkit_gradients.measured_derivatives import DerivedMeasure, derived_measures, needs_of
 from mbdkit_gradients.other_method import Reference
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 from mbdkit_gradients.prepared_derivatives import prepared_derivatives
@@ -217,15 +211,13 @@ def gradient(
     spec = load_spec(source, (), **sections)
     chosen = resolved(spec, wanted)
     definitions = definitions_of(spec, measures)
-    expressions = expressions_of(spec, definitions)
-    require_derivatives(expressions)
     with one_thread_of_linear_algebra():
         found = gradient_of_run_spec(spec, definitions, chosen, check=check)
     of_spec = [*caution(spec), *findings("start", spec, build(spec)[1])]
     of_run = open_doubts(of_spec, spec.accept)
     notes = [text for text in map(str, of_spec) if text not in of_run]
     known = {measure.expression for measure in spec.defined_measures()}
-    for name, expression in expressions.items():
+    for name, expression in expressions_of(spec, definitions).items():
         if expression.text not in known:  # otherwise, the warnings contain the notes on it
             notes += zero_reactions_in(spec, f"'{name}'", expression)
     remarks = tuple(dict.fromkeys((*notes, *found.remarks)))
@@ -276,94 +268,112 @@ def gradient_of_run_spec(
     spec: RunSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool
 ) -> Gradient:
     """Return the gradient of measures of a run; see `gradient`."""
-    prepared = prepared_derivatives(spec, parameters, definitions)
-    expressions = expressions_of(spec, definitions)
-    every = [needs_of(one) for one in expressions.values()]
-    needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
-    run = differentiated_run(spec, prepared.seeds, needs)
-    run = replace(run, doubts=(*start_doubts(spec, parameters, prepared), *run.doubts))
-    specs = VariedSpecs(spec.canonical_json())
-
-    def again(varied: RunSpec) -> DifferentiatedRun:
-        if needs != Needs() or spec.events or run.is_split or run.sizes is not None:
-            # Step sizes that depend on the parameters would change the differences by a multiple of the tolerance.
-            return differentiated_run(varied, NO_SEEDS, needs, sizes=run.sizes)
-        return plain_run(varied)
-
-    def measured(settings: Settings) -> list[float]:
-        varied = specs.spec(settings)
-        own = expressions_of(varied, definitions) if spec.parameters else expressions
-        return _values(varied, own.values(), again)
-
-    if not check:
-        return gradient_of_run(run, expressions, parameters, prepared, None)
-    step = spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))
-    reference = Reference(spec, expressions, prepared, needs, step)
-    return gradient_of_run(run, expressions, parameters, prepared, measured, reference)
+    return _RunProblem(spec, definitions).gradient(parameters, check=check)
 
 
-def gradient_of_run(
-    run: DifferentiatedRun,
-    expressions: Mapping[str, MeasureExpression],
-    parameters: Sequence[Parameter],
-    prepared: PreparedDerivatives,
-    measured: Measured | None,
-    reference: Reference | None = None,
-) -> Gradient:
-    """Return the gradient of measures of a differentiated run.
+S = TypeVar("S", bound=ModelSpec)
+
+
+class GradientProblem(ABC, Generic[S]):
+    """A spec and its measures, whose gradient is computed in the same way for runs and for other kinds of specs.
 
     Parameters
     ----------
-    run
-        The run, with derivatives with respect to the parameters.
-    expressions
-        The measures by name.
-    parameters, prepared
-        The parameters, and the derivatives of the preparation.
-    measured
-        Function that returns the measures for other values of the parameters, for the check; None for no check.
-    reference
-        The measures by another, more accurate method; None if the computation has no steps.
+    spec
+        The validated spec.
+    definitions
+        The measures.
+
+    Raises
+    ------
+    SpecError
+        If an expression is not valid, or contains a quantity that has no derivative.
     """
-    values, slopes, sizes = [], [], {}
-    doubts = list(run.doubts)
-    remarks: list[str] = []
-    measure = MeasureOfRun(run)
-    mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
-    mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))
-    scales = natural_scales(mechanism.length, mass, mechanism.topology.gravity.tolist(), duration)
-    constants = {name: slopes_of(one.program, prepared.seeds, of_measure(name)) for name, one in expressions.items()}
-    measure.prepare(expressions.values())
-    for name, one in expressions.items():
-        found, slope = measure.of(one, constants[name])
-        values.append(found)
-        slopes.append(slope)
-        natural = natural_size(one.unit, *scales)
-        sizes[name] = max(abs(found), measure.size, NATURAL * natural)
-        doubts += measure.doubts
-        remarks += (f"{name}: {remark}" for remark in measure.remarks)
-    value, jacobian = np.array(values), np.array(slopes).reshape(len(values), len(parameters))
-    check = None
-    if measured is not None:
-        direction = Direction.random(parameters, prepared)
-        by_another = (None, None) if reference is None else (reference.values, reference.jacobian)
-        check = check_gradient(direction, measured, sizes, value, jacobian, *by_another)
-        doubts += check_doubts(check)
-    return Gradient(
-        tuple(expressions),
-        tuple(expression.unit.text for expression in expressions.values()),
-        tuple(parameter.name for parameter in parameters),
-        value, jacobian, prepared.error, tuple(doubts), check, tuple(remarks),
-    )  # fmt: skip
+
+    def __init__(self, spec: S, definitions: Definitions):
+        self.spec, self.definitions = spec, definitions
+        self.expressions = expressions_of(spec, definitions)
+        require_derivatives(self.expressions)
+
+    @abstractmethod
+    def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        """Return the derivatives of the arrays from which the states are computed."""
+
+    @abstractmethod
+    def run(self, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> DifferentiatedRun:
+        """Return the states with derivatives with respect to the parameters."""
+
+    @abstractmethod
+    def measured(self, run: DifferentiatedRun, settings: Settings) -> list[float]:
+        """Return the measures for other values of the parameters than those of `run`; nan if the computation fails."""
+
+    def reference(self, run: DifferentiatedRun, prepared: PreparedDerivatives) -> Reference | None:
+        """Return the measures by another, more accurate method; None if the computation has no steps."""
+        return None
+
+    def gradient(self, parameters: Sequence[Parameter], *, check: bool) -> Gradient:
+        """Return the gradient with respect to parameters, with its check unless `check` is false."""
+        prepared = self.prepared(parameters)
+        run = self.run(parameters, prepared)
+        derived = derived_measures(run, self.expressions, prepared.seeds)
+        doubts = [*run.doubts, *(doubt for one in derived.values() for doubt in one.doubts)]
+        value = np.array([one.value for one in derived.values()])
+        jacobian = np.array([one.slope for one in derived.values()]).reshape(len(derived), len(parameters))
+        checked = None
+        if check:
+            reference = self.reference(run, prepared)
+            by_another = (None, None) if reference is None else (reference.values, reference.jacobian)
+            direction, sizes = Direction.random(parameters, prepared), self._sizes(run, derived)
+            checked = check_gradient(direction, partial(self.measured, run), sizes, value, jacobian, *by_another)
+            doubts += check_doubts(checked)
+        return Gradient(
+            measures=tuple(self.expressions),
+            units=tuple(expression.unit.text for expression in self.expressions.values()),
+            parameters=tuple(parameter.name for parameter in parameters),
+            value=value,
+            jacobian=jacobian,
+            preparation_error=prepared.error,
+            doubts=tuple(doubts),
+            check=checked,
+            remarks=tuple(f"{name}: {remark}" for name, one in derived.items() for remark in one.remarks),
+        )
+
+    def _sizes(self, run: DifferentiatedRun, derived: Mapping[str, DerivedMeasure]) -> dict[str, float]:
+        """Return the magnitudes of the numbers from which the measures are computed."""
+        mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
+        mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))
+        scales = natural_scales(mechanism.length, mass, mechanism.topology.gravity.tolist(), duration)
+        natural = {name: natural_size(one.unit, *scales) for name, one in self.expressions.items()}
+        return {name: max(abs(one.value), one.size, NATURAL * natural[name]) for name, one in derived.items()}
 
 
-def _values(
-    spec: RunSpec, expressions: Collection[MeasureExpression], again: Callable[[RunSpec], DifferentiatedRun]
-) -> list[float]:
-    """Return the measures of a run; nan if it stops early."""
-    try:
-        measure = MeasureOfRun(again(spec))
-    except RunError:
-        return [np.nan] * len(expressions)
-    measure.prepare(expressions)
-    return [measure.of(one)[0] for one in expressions]
+class _RunProblem(GradientProblem[RunSpec]):
+    """A run with its measures."""
+
+    def __init__(self, spec: RunSpec, definitions: Definitions):
+        super().__init__(spec, definitions)
+        every = [needs_of(one) for one in self.expressions.values()]
+        self._needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
+        self._specs = VariedSpecs(spec.canonical_json())
+
+    def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        return prepared_derivatives(self.spec, parameters, self.definitions)
+
+    def run(self, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> DifferentiatedRun:
+        run = differentiated_run(self.spec, prepared.seeds, self._needs)
+        return replace(run, doubts=(*start_doubts(self.spec, parameters, prepared), *run.doubts))
+
+    def measured(self, run: DifferentiatedRun, settings: Settings) -> list[float]:
+        spec = self._specs.spec(settings)
+        expressions = expressions_of(spec, self.definitions) if self.spec.parameters else self.expressions
+        is_plain = self._needs == Needs() and not spec.events and not run.is_split and run.sizes is None
+        try:
+            # Step sizes that depend on the parameters would change the differences by a multiple of the tolerance.
+            other = plain_run(spec) if is_plain else differentiated_run(spec, NO_SEEDS, self._needs, sizes=run.sizes)
+        except RunError:
+            return [np.nan] * len(expressions)
+        return [one.value for one in derived_measures(other, expressions, NO_SEEDS).values()]
+
+    def reference(self, run: DifferentiatedRun, prepared: PreparedDerivatives) -> Reference:
+        step = self.spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))
+        return Reference(self.spec, self.expressions, prepared, self._needs, step)

@@ -162,7 +162,6 @@ class GradientCheck:
         return "\n".join(map(self._told, range(len(self.names))))
 
     def _told(self, m: int) -> str:
-        """Return the check of one measure as text."""
         name = self.names[m]
         if np.isnan(self.derivative[m]):
             return f"{name}: there is no derivative to check"

@@ -88,7 +88,6 @@ def _put_values(data: dict[str, Any], values: Mapping[str, Any]) -> None:
 
 
 def _names_in(data: Any) -> set[str]:
-    """Return the names in all texts of plain data, such as those of expressions."""
     if isinstance(data, str):
         return names_in(data)
     values = data.values() if isinstance(data, Mapping) else data if isinstance(data, list) else ()

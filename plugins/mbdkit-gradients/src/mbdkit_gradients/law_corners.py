@@ -47,7 +47,7 @@ class SidedLaw:
 
 
 @dataclass(frozen=True)
-class Condition:
+class LawCondition:
     """A condition of the law of a force element.
 
     Attributes
@@ -86,13 +86,13 @@ class Condition:
 
 
 class FurtherCondition(Protocol):
-    """A condition of the laws of a kind of elements, see `ElementKind.sides`; its attributes are as in `Condition`."""
+    """A condition of the laws of a kind of elements, see `ElementKind.sides`, with attributes as in `LawCondition`."""
 
     force: str
     side: int
 
     def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
-        """Return g in T states; see `Condition.values`."""
+        """Return g in T states; see `LawCondition.values`."""
 
     def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:
         """Return the derivatives of g in directions of the state: positions (n,), velocities (n,), parameters (L,)."""
@@ -113,11 +113,11 @@ class SidedMechanism:
     """
 
     mechanism: CompiledMechanism
-    conditions: tuple[Condition | FurtherCondition, ...]
+    conditions: tuple[LawCondition | FurtherCondition, ...]
     places: np.ndarray
 
     def passed(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[str, ...]:
-        """Return the names of the forces for which a condition changes over time; see `Condition.values`."""
+        """Return the names of the forces for which a condition changes over time; see `LawCondition.values`."""
         numbers = self.mechanism.topology.law_parameters
         found = []
         for condition in self.conditions:
@@ -144,7 +144,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     places = np.zeros(len(top.law_parameters), dtype=np.int64)
     # A load that is an expression of the state shares its parameters with its derivatives.
     begins: dict[int, int] = {}
-    conditions: list[Condition | FurtherCondition] = []
+    conditions: list[LawCondition | FurtherCondition] = []
     rows, laws = top.laws.copy(), list(mechanism.laws)
     elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
     for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):
@@ -175,7 +175,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         places[begin : begin + len(given)] = [first - 1, *(first + own_places).tolist()]
         for i, function in enumerate(own.conditions):
             side = first + names.index(SIDE.format(i))
-            conditions.append(Condition(name, elements[row], first + own_places, side, function))
+            conditions.append(LawCondition(name, elements[row], first + own_places, side, function))
         values += [float(len(held)), *held.tolist()]
 
     def places_of(law: int) -> np.ndarray:

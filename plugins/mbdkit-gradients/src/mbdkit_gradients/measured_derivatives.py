@@ -10,20 +10,23 @@ scalar g that changes sign there, where g_p is its derivative with respect to th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.plugin.archives import Integrals, Quantity
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.measures import REDUCE, Functional, MeasureExpression, arity_of, execute
+from mbdkit.plugin.methods import Seeds
 from mbdkit.plugin.runs import EQUAL, Peak, Sampled, sampled
 from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
-from mbdkit_gradients.derived_values import Value, of_operands
+from mbdkit_gradients.derived_values import DerivedValue, of_operands
+from mbdkit_gradients.differentiated_expressions import of_measure, slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion, MotionStates
 from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, quantity_of
-from mbdkit_gradients.sided_stepper import Corner
+from mbdkit_gradients.sided_stepper import LawCorner
 
 BESIDE = 0.05
 """The limit on one side of a point is extrapolated from values within this share of a step."""
@@ -35,71 +38,66 @@ def needs_of(expression: MeasureExpression) -> Needs:
     return Needs(any(one.is_of_stages for one in found), any(not one.is_of_stages for one in found))
 
 
-class MeasureOfRun:
-    """Evaluates measures of one differentiated run.
-
-    Parameters
-    ----------
-    run
-        The run.
+class DerivedMeasure(NamedTuple):
+    """A measure of a differentiated run.
 
     Attributes
     ----------
-    doubts
-        Warnings about derivatives that do not exist, for the measure evaluated last.
-    remarks
-        Extrema of the measure evaluated last that are at the end of the run, as clauses.
+    value, slope
+        The measure and its derivatives (K,), in its unit.
     size
-        Largest absolute value to which the measure evaluated last applied functions over time, in the unit of the
-        measure.
+        Largest absolute value to which functions over time were applied, in the unit of the measure.
+    doubts
+        Warnings about derivatives that do not exist.
+    remarks
+        Extrema that are at the end of the run, as clauses.
     """
 
-    def __init__(self, run: DifferentiatedRun):
-        self.run = run
-        self.states = MotionStates(run.motions)
-        self.count = run.rows.q.shape[-1] - 1
-        self.doubts: list[str] = []
-        self.remarks: list[str] = []
-        self.size = 0.0
-
-    def prepare(self, expressions: Iterable[MeasureExpression]) -> None:
-        """Evaluate together the states between the steps that several measures use.
-
-        These are the states at given times, and those of the quadrature of integrals in steps that no point divides.
-        """
-        functionals = [one for expression in expressions for one in expression.functionals]
-        span = float(self.run.rows.time[0]), float(self.run.rows.time[-1])
-        values = [one.time({}, span, lambda _: np.nan) for one in functionals if one.is_value and not one.is_nested]
-        split = sum(one.reduction == "integral" and not one.is_of_stages for one in functionals)
-        if not self.run.motions or max(len(values), split) < 2:
-            return
-        for number, part in enumerate(self.run.motions[0].parts):
-            begin, end = part.span
-            time = [np.array([value for value in values if begin <= value <= end])]
-            if split > 1:
-                time.append(part.plain.nodes)
-            self.states.keep(number, np.concatenate(time))
-
-    def of(self, expression: MeasureExpression, constants: np.ndarray | None = None) -> tuple[float, np.ndarray]:
-        """Return the value of a measure and its derivatives (K,), in its unit.
-
-        Parameters
-        ----------
-        constants
-            (I, K) derivatives of the numbers in the I instructions of the expression; None for zero.
-        """
-        self.size = 0.0
-        slopes = np.zeros((len(expression.program), self.count)) if constants is None else constants
-        one = _Evaluation(self.run, self.states, expression, slopes)
-        found = one.result()
-        self.remarks = list(dict.fromkeys(one.remarks))
-        self.doubts, self.size = list(dict.fromkeys(one.doubts)), one.size / expression.unit.factor
-        return float(found.value.reshape(-1)[0]) / expression.unit.factor, (
-            found.slope.reshape(self.count, found.value.size)[:, 0] / expression.unit.factor
-        )
+    value: float
+    slope: np.ndarray
+    size: float
+    doubts: tuple[str, ...]
+    remarks: tuple[str, ...]
 
 
-class _Evaluation(DoubtedMeasure):
+def derived_measures(
+    run: DifferentiatedRun, expressions: Mapping[str, MeasureExpression], seeds: Seeds
+) -> dict[str, DerivedMeasure]:
+    """Return the measures of a run by name, with their derivatives.
+
+    Parameters
+    ----------
+    seeds
+        Derivatives of the numbers in the expressions with respect to the parameters of the run.
+    """
+    states = MotionStates(run.motions)
+    _keep_shared_states(run, states, expressions.values())
+    return {
+        name: _MeasureEvaluation(run, states, one, slopes_of(one.program, seeds, of_measure(name))).derived()
+        for name, one in expressions.items()
+    }
+
+
+def _keep_shared_states(run: DifferentiatedRun, states: MotionStates, expressions: Iterable[MeasureExpression]) -> None:
+    """Evaluate together the states between the steps that several measures use.
+
+    These are the states at given times, and those of the quadrature of integrals in steps that no point divides.
+    """
+    functionals = [one for expression in expressions for one in expression.functionals]
+    span = float(run.rows.time[0]), float(run.rows.time[-1])
+    values = [one.time({}, span, lambda _: np.nan) for one in functionals if one.is_value and not one.is_nested]
+    split = sum(one.reduction == "integral" and not one.is_of_stages for one in functionals)
+    if not run.motions or max(len(values), split) < 2:
+        return
+    for number, part in enumerate(run.motions[0].parts):
+        begin, end = part.span
+        time = [np.array([value for value in values if begin <= value <= end])]
+        if split > 1:
+            time.append(part.plain.nodes)
+        states.keep(number, np.concatenate(time))
+
+
+class _MeasureEvaluation(DoubtedMeasure):
     """The evaluation of one measure.
 
     Parameters
@@ -115,17 +113,27 @@ class _Evaluation(DoubtedMeasure):
         self.states = states
         self.slopes, self.count = slopes, slopes.shape[1]
         self._begins = _begins(expression)
-        self._reduced: dict[int, Value] = {}  # by index of the instruction
-        self._functionals: dict[str, Value] = {}  # by source text
+        self._reduced: dict[int, DerivedValue] = {}  # by index of the instruction
+        self._functionals: dict[str, DerivedValue] = {}  # by source text
         self._largest_term = 0.0  # largest term of the derivative of an extremum
         self._duration = run.rows.time[-1] - run.rows.time[0]
 
-    def result(self) -> Value:
-        """Return the value of the measure."""
+    def derived(self) -> DerivedMeasure:
+        """Return the measure with its derivatives."""
         with np.errstate(all="ignore"):
-            return self._series(0, len(self.expression.program), self.run.rows)
+            found = self._series(0, len(self.expression.program), self.run.rows)
+        factor = self.expression.unit.factor
+        return DerivedMeasure(
+            float(found.value.reshape(-1)[0]) / factor,
+            found.slope.reshape(self.count, found.value.size)[:, 0] / factor,
+            self.size / factor,
+            tuple(dict.fromkeys(self.doubts)),
+            tuple(dict.fromkeys(self.remarks)),
+        )
 
-    def _series(self, begin: int, end: int, states: DifferentiatedStates, switches: list[Value] | None = None) -> Value:
+    def _series(
+        self, begin: int, end: int, states: DifferentiatedStates, switches: list[DerivedValue] | None = None
+    ) -> DerivedValue:
         """Return the value of some instructions in T states: (T,), (2, T) or, without quantities over time, (1,).
 
         Parameters
@@ -137,12 +145,12 @@ class _Evaluation(DoubtedMeasure):
         place = iter(range(begin, end))
         are_rows = states is self.run.rows
 
-        def step(operation: str, number: float, *operands: Value) -> Value:
+        def step(operation: str, number: float, *operands: DerivedValue) -> DerivedValue:
             index = next(place)
             if operation == "const":
-                return Value.number(number, self.slopes[index])
+                return DerivedValue.number(number, self.slopes[index])
             if operation == "t":
-                time = Value.constant(states.time, self.count)
+                time = DerivedValue.constant(states.time, self.count)
                 if are_rows:
                     time.slope[:, -1] = self.run.end
                 return time
@@ -162,7 +170,7 @@ class _Evaluation(DoubtedMeasure):
 
         return execute(self.expression.program[begin:end], step)
 
-    def _reduction(self, index: int, name: str, number: int, operands: Sequence[Value]) -> Value:
+    def _reduction(self, index: int, name: str, number: int, operands: Sequence[DerivedValue]) -> DerivedValue:
         """Return the value of the reduction over time at this index of the program.
 
         `operands` are the values of its operands in the rows.
@@ -189,36 +197,41 @@ class _Evaluation(DoubtedMeasure):
             self._functionals[functional.text] = total
         if name == "integral":
             return total
-        mean = of_operands("div", 0.0, total, Value(np.array([self._duration]), self.run.end[:, None]))
+        mean = of_operands("div", 0.0, total, DerivedValue(np.array([self._duration]), self.run.end[:, None]))
         return self._root(mean, rows) if name == "rms" else mean
 
-    def _root(self, mean: Value, rows: Value) -> Value:
+    def _root(self, mean: DerivedValue, rows: DerivedValue) -> DerivedValue:
         """Return the root of a mean square; add a warning if the root is zero but its derivatives are not."""
         if np.any(mean.value != 0.0):
             return of_operands("sqrt", 0.0, mean)
         if not rows.slope.any():
-            return Value.constant(mean.value, self.count)
+            return DerivedValue.constant(mean.value, self.count)
         self._note_sides("the operand of 'rms' is zero over the whole run")
-        return Value(mean.value, np.full_like(mean.slope, np.nan))
+        return DerivedValue(mean.value, np.full_like(mean.slope, np.nan))
 
     def _of_operand(
-        self, index: int, states: DifferentiatedStates, *, square: bool = False, switches: list[Value] | None = None
-    ) -> Value:
+        self,
+        index: int,
+        states: DifferentiatedStates,
+        *,
+        square: bool = False,
+        switches: list[DerivedValue] | None = None,
+    ) -> DerivedValue:
         """Return the operand of a reduction in T states, (T,) or (2, T)."""
         is_value = self.expression.program[index][0] == REDUCE + "at"  # the second operand of `at` is a time
         found = self._series(self._begins[index], self._begins[index - 1] if is_value else index, states, switches)
         found = of_operands("mul", 0.0, found, found) if square else found
         shape = (*found.value.shape[:-1], len(states.time))
-        return Value(np.broadcast_to(found.value, shape), np.broadcast_to(found.slope, (self.count, *shape)))
+        return DerivedValue(np.broadcast_to(found.value, shape), np.broadcast_to(found.slope, (self.count, *shape)))
 
     # --- integrals
 
-    def _integral(self, functional: Functional | None, index: int, rows: Value, *, square: bool) -> Value:
+    def _integral(self, functional: Functional | None, index: int, rows: DerivedValue, *, square: bool) -> DerivedValue:
         """Return an integral over time, (1,), or (2, 1) of a vector."""
         rows = of_operands("mul", 0.0, rows, rows) if square else rows
         if functional is None:
             time = self.run.rows.time
-            total = Value(
+            total = DerivedValue(
                 np.trapezoid(rows.value, time, axis=-1)[..., None], np.trapezoid(rows.slope, time, axis=-1)[..., None]
             )
             last = 0.5 * (rows.value[..., -2:-1] + rows.value[..., -1:])
@@ -227,23 +240,23 @@ class _Evaluation(DoubtedMeasure):
                 self._of_stages(index, square) if functional.is_of_stages else self._split(functional, index, square)
             )
             last = rows.value[..., -1:]
-        return Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
+        return DerivedValue(total.value, total.slope + np.multiply.outer(self.run.end, last))
 
-    def _of_stages(self, index: int, square: bool) -> Value:
+    def _of_stages(self, index: int, square: bool) -> DerivedValue:
         """Return an integral as a sum over the stages with the weights of the method."""
         nodes = self.run.nodes
         assert nodes is not None
         assert nodes.weight is not None
         return _weighted(self._of_operand(index, nodes, square=square), nodes.weight)
 
-    def _split(self, functional: Functional, index: int, square: bool) -> Value:
+    def _split(self, functional: Functional, index: int, square: bool) -> DerivedValue:
         """Return an integral over the continuous motion, divided where the integrand changes its form."""
-        total: Value | None = None
+        total: DerivedValue | None = None
         for number, part in enumerate(self.run.motions[0].parts):
             found = self._sampled(functional, number)
             nodes = found.quadrature(found.steps)
             states = self.states.at(number, nodes.time)
-            switches: list[Value] = []
+            switches: list[DerivedValue] = []
             values = self._of_operand(index, states, square=square, switches=switches)
             self._note_rest(switches, nodes.time)
             weights = np.column_stack([nodes.weight, np.zeros((len(nodes.weight), self.count))])
@@ -252,8 +265,10 @@ class _Evaluation(DoubtedMeasure):
             if part.corner is not None:
                 moved = self._moved_corner(number)
                 sides = self._of_operand(index, self._at_corner(number), square=square).value
-                piece = Value(piece.value, piece.slope + np.multiply.outer(moved, sides[..., :1] - sides[..., 1:]))
-            total = piece if total is None else Value(total.value + piece.value, total.slope + piece.slope)
+                piece = DerivedValue(
+                    piece.value, piece.slope + np.multiply.outer(moved, sides[..., :1] - sides[..., 1:])
+                )
+            total = piece if total is None else DerivedValue(total.value + piece.value, total.slope + piece.slope)
         assert total is not None
         return total
 
@@ -267,7 +282,6 @@ class _Evaluation(DoubtedMeasure):
         return joined_states([one_after_another([one.before, one.after]) for one in corners])
 
     def _sampled(self, functional: Functional, number: int) -> Sampled:
-        """Return the samples of a functional over a part of the motion."""
         known: Integrals = {
             text: tuple(x.value[:, 0].tolist()) if x.value.ndim > 1 else float(x.value[0])
             for text, x in self._functionals.items()
@@ -276,7 +290,7 @@ class _Evaluation(DoubtedMeasure):
 
     # --- extrema
 
-    def _peak(self, functional: Functional, index: int, rows: Value) -> Value:
+    def _peak(self, functional: Functional, index: int, rows: DerivedValue) -> DerivedValue:
         """Return an extremum of the continuous motion; add a warning if it is not unique.
 
         `rows` are the values of the quantity in the rows.
@@ -287,7 +301,7 @@ class _Evaluation(DoubtedMeasure):
         for number in range(len(self.run.motions[0].parts)):
             samples = self._sampled(functional, number)
             if np.isnan(samples.values).any():
-                return Value.number(np.nan, np.full(self.count, np.nan))
+                return DerivedValue.number(np.nan, np.full(self.count, np.nan))
             lowest, highest = min(lowest, np.min(samples.values)), max(highest, np.max(samples.values))
             found += [(number, one) for one in samples.peaks()]
         best = max(sign * one.value for _, one in found)
@@ -307,10 +321,9 @@ class _Evaluation(DoubtedMeasure):
             self._note_several(functional.reduction, list(slopes))
         return first
 
-    def _at_peak(self, number: int, peak: Peak, index: int) -> Value:
-        """Return the value with derivatives at an extremum."""
+    def _at_peak(self, number: int, peak: Peak, index: int) -> DerivedValue:
         part, time = self.run.motions[0].parts[number], np.array([peak.time])
-        switches: list[Value] = []
+        switches: list[DerivedValue] = []
         here = self._of_operand(index, self.states.at(number, time), switches=switches)
         self._largest_term = max(self._largest_term, float(np.max(np.abs(here.slope), initial=0.0)))
         for place, one in enumerate(switches):
@@ -331,7 +344,7 @@ class _Evaluation(DoubtedMeasure):
             if not moved.any():
                 return here
         slope, rate, of_switch = self._limit(number, peak, index, side)
-        return Value(here.value, (slope[:, 0] + rate * (moved if of_switch is None else of_switch))[:, None])
+        return DerivedValue(here.value, (slope[:, 0] + rate * (moved if of_switch is None else of_switch))[:, None])
 
     def _limit(
         self, number: int, peak: Peak, index: int, side: float
@@ -350,12 +363,12 @@ class _Evaluation(DoubtedMeasure):
         time = np.clip(peak.time + side * width * places, *part.span)
         powers = np.vander(side * places, increasing=True)
         to_limit = np.linalg.inv(powers)[:2]
-        switches: list[Value] = []
+        switches: list[DerivedValue] = []
         values = self._of_operand(index, self.states.at(number, time), switches=switches)
 
-        def extrapolated(x: Value) -> tuple[Value, np.ndarray]:
+        def extrapolated(x: DerivedValue) -> tuple[DerivedValue, np.ndarray]:
             value, rate = x.value @ to_limit[0], x.value @ to_limit[1]
-            return Value(value[..., None], (x.slope @ to_limit[0])[..., None]), rate / width
+            return DerivedValue(value[..., None], (x.slope @ to_limit[0])[..., None]), rate / width
 
         value, rate = extrapolated(values)
         if peak.switch < 0:
@@ -365,7 +378,7 @@ class _Evaluation(DoubtedMeasure):
 
     # --- values at times
 
-    def _at(self, functional: Functional | None, index: int, time: Value, operand: Value) -> Value:
+    def _at(self, functional: Functional | None, index: int, time: DerivedValue, operand: DerivedValue) -> DerivedValue:
         """Return an operand at a time.
 
         It is the value in the row with this time. If there is no such row, it is the value of the motion between the
@@ -374,7 +387,7 @@ class _Evaluation(DoubtedMeasure):
         """
         rows, at = self.run.rows.time, float(time.value.reshape(-1)[0])
         if not rows[0] <= at <= rows[-1]:
-            return Value.constant(np.full((*operand.value.shape[:-1], 1), np.nan), self.count)
+            return DerivedValue.constant(np.full((*operand.value.shape[:-1], 1), np.nan), self.count)
         if functional is None or not self.run.motions:
             return self._between_rows(at, time, operand)
         moved = time.slope.reshape(self.count, time.value.size)[:, 0]
@@ -392,20 +405,20 @@ class _Evaluation(DoubtedMeasure):
         self._functionals[functional.text] = found
         return found
 
-    def _on_part(self, number: int, at: float, index: int, moved: np.ndarray) -> Value:
+    def _on_part(self, number: int, at: float, index: int, moved: np.ndarray) -> DerivedValue:
         """Return an operand at the time `at` in a part of the motion; `moved` (K,) has the derivatives of the time."""
         here = self._of_operand(index, self.states.at(number, np.array([at])))
         return self._moved(here, number, at, index, moved)
 
-    def _moved(self, here: Value, number: int, at: float, index: int, moved: np.ndarray) -> Value:
+    def _moved(self, here: DerivedValue, number: int, at: float, index: int, moved: np.ndarray) -> DerivedValue:
         """Return an operand with derivatives that include those of its time `at`, `moved` (K,)."""
         if not moved.any():
             return here
         side = 1.0 if at == self.run.motions[0].parts[number].span[0] else -1.0
         _, rate, _ = self._limit(number, Peak(np.nan, at), index, side)
-        return Value(here.value, here.slope + np.multiply.outer(moved, rate[..., None]))
+        return DerivedValue(here.value, here.slope + np.multiply.outer(moved, rate[..., None]))
 
-    def _between_rows(self, at: float, time: Value, operand: Value) -> Value:
+    def _between_rows(self, at: float, time: DerivedValue, operand: DerivedValue) -> DerivedValue:
         """Return an operand at a time, interpolated linearly between the neighbouring rows."""
         rows = self.run.rows.time
         k = int(np.clip(np.searchsorted(rows, at, side="right") - 1, 0, len(rows) - 2))
@@ -417,20 +430,20 @@ class _Evaluation(DoubtedMeasure):
         if k == len(rows) - 2:  # the time of the last row depends on the parameters
             moved = moved - share * self.run.end
         slope = slope + np.multiply.outer(moved, rate)
-        return Value(value[..., None], slope[..., None])
+        return DerivedValue(value[..., None], slope[..., None])
 
-    def _of_event(self, quantity: Quantity) -> Value:
+    def _of_event(self, quantity: Quantity) -> DerivedValue:
         """Return a quantity of an event: the time of its first or last crossing, or their number."""
         found = [crossing for crossing in self.run.crossings if crossing.name == quantity.name]
         if quantity.attribute == "count":
-            return Value.constant(np.array([float(len(found))]), self.count)
+            return DerivedValue.constant(np.array([float(len(found))]), self.count)
         if not found:
             self.doubts.append(f"the event '{quantity.name}' does not happen, so that its time has no derivative")
-            return Value.number(np.nan, np.full(self.count, np.nan))
+            return DerivedValue.number(np.nan, np.full(self.count, np.nan))
         one = found[0 if quantity.attribute == "time" else -1]
-        return Value.number(one.time, one.slope)
+        return DerivedValue.number(one.time, one.slope)
 
-    def _extremum(self, name: str, rows: Value) -> Value:
+    def _extremum(self, name: str, rows: DerivedValue) -> DerivedValue:
         """Return the largest or smallest value in the rows; add a warning if it is not unique."""
         values = rows.value if name == "max" else -rows.value
         index = int(np.argmax(values))
@@ -457,13 +470,13 @@ def _begins(expression: MeasureExpression) -> list[int]:
     return begins
 
 
-def _weighted(values: Value, weights: np.ndarray) -> Value:
+def _weighted(values: DerivedValue, weights: np.ndarray) -> DerivedValue:
     """Return the sum of values (..., T) times weights (T, 1 + K), with derivatives, (..., 1)."""
     moved = np.moveaxis(values.value @ weights[:, 1:], -1, 0)
-    return Value((values.value @ weights[:, 0])[..., None], (values.slope @ weights[:, 0] + moved)[..., None])
+    return DerivedValue((values.value @ weights[:, 0])[..., None], (values.slope @ weights[:, 0] + moved)[..., None])
 
 
-def _corner_of(motion: DifferentiatedMotion, number: int) -> Corner:
+def _corner_of(motion: DifferentiatedMotion, number: int) -> LawCorner:
     corner = motion.parts[number].corner
     assert corner is not None
     return corner

@@ -16,11 +16,10 @@ from mbdkit.plugin.measures import MeasureExpression
 from mbdkit.plugin.runs import build, make_method, measured_in
 from mbdkit.plugin.specs import VariedSpecs
 from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps
-from mbdkit_gradients.differentiated_expressions import of_measure, slopes_of
 from mbdkit_gradients.differentiated_run import Needs, differentiated_run
 from mbdkit_gradients.gradient_check import Settings
 from mbdkit_gradients.law_corners import with_sides
-from mbdkit_gradients.measured_derivatives import MeasureOfRun
+from mbdkit_gradients.measured_derivatives import derived_measures
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
 ASSUMED_STEPS = 2_000
@@ -87,13 +86,10 @@ class Reference:
         step = min(step, self.step / FINER) if fixed else step
         other = with_other_steps(other, step, fixed=fixed, tightest=TOLERANCE)
         try:
-            measure = MeasureOfRun(differentiated_run(other, seeds, self.needs))
-            constants = [slopes_of(one.program, seeds, of_measure(name)) for name, one in self.expressions.items()]
-            measure.prepare(self.expressions.values())
-            slopes = [measure.of(*both)[1] for both in zip(self.expressions.values(), constants, strict=True)]
+            derived = derived_measures(differentiated_run(other, seeds, self.needs), self.expressions, seeds)
         except (MbdkitError, ArithmeticError):
             return unknown
-        return np.array(slopes).reshape(unknown.shape)
+        return np.array([one.slope for one in derived.values()]).reshape(unknown.shape)
 
     def _others(self, spec: RunSpec, interval: float | None) -> list[RunSpec]:
         return other_methods(spec, self._method, build(spec)[0], ASSUMED_STEPS, interval)

@@ -23,7 +23,7 @@ from mbdkit.plugin.methods import CompiledMethod, Moment, Seeds, StepTaken, Stre
 from mbdkit_gradients.differentiated_states import DifferentiatedStates
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit_gradients.law_corners import Condition, FurtherCondition
+from mbdkit_gradients.law_corners import FurtherCondition, LawCondition
 
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""
@@ -56,7 +56,7 @@ class Sides:
 
 
 @dataclass(frozen=True)
-class Corner:
+class LawCorner:
     """A corner that a run has passed.
 
     Attributes
@@ -99,7 +99,7 @@ class SidedStepper(DifferentiatedStepper):
         workspace: Workspace,
         timetable: Timetable,
         seeds: Seeds,
-        conditions: Sequence[Condition | FurtherCondition],
+        conditions: Sequence[LawCondition | FurtherCondition],
         *,
         with_nodes: bool,
     ):
@@ -107,7 +107,7 @@ class SidedStepper(DifferentiatedStepper):
         assert self.steps is not None
         self.conditions = conditions
         self.history: list[Sides] = []
-        self.corners: list[Corner] = []
+        self.corners: list[LawCorner] = []
         self._evaluator = StateEvaluator(self.steps, seeds.count)
         self._observer = StateObserver(workspace)
         self._at_once = 0
@@ -225,7 +225,7 @@ class SidedStepper(DifferentiatedStepper):
         directions = [(here.q[0, :, k], here.v[0, :, k], numbers[:, k]) for k in range(1, width)]
         motion = here.v[0, :, 0], here.observed.acc[0, :, 0], 0.0 * self._numbers
         for condition in self.conditions:
-            if not isinstance(condition, Condition):
+            if not isinstance(condition, LawCondition):
                 values += condition.values(forces[None], state[0][None], state[1][None], self._numbers)
                 *own_slopes, own_rate = condition.slopes(state, [*directions, motion])
                 slopes.append(np.array(own_slopes))
@@ -242,7 +242,6 @@ class SidedStepper(DifferentiatedStepper):
         return np.array(values), np.array(slopes), np.array(rates)
 
     def _ahead(self, here: DifferentiatedStates) -> np.ndarray:
-        """Return the sides (C,) shortly after a state."""
         value, _, rate = self._conditions(here)
         later = value + AHEAD * float(self.timetable.step or 1.0) * rate
         return np.where(later >= 0.0, 1.0, -1.0)
@@ -273,5 +272,5 @@ class SidedStepper(DifferentiatedStepper):
         rates = before.observed.state_rates[0, :, 0] - after.observed.state_rates[0, :, 0]
         run.z[:, some] += np.outer(rates, moved)
         run.energy[:, some] += np.outer(before.power[0, :, 0] - after.power[0, :, 0], moved)
-        self.corners.append(Corner(before, after, moved, self.sides))
+        self.corners.append(LawCorner(before, after, moved, self.sides))
         self._note()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.gradients.checks import assert_passed
 from tests.gradients.slider_crank import SLIDER_CRANK
 
 import mbdkit
@@ -43,16 +44,6 @@ def test_gradient_of_the_slider_crank_of_sundials(integrator: dict[str, Any], st
     )
     assert found.value == pytest.approx([3.3366067994828], rel=0, abs=1e-10)
     np.testing.assert_allclose(found.jacobian, [[0.333448106128, -0.363754033971]], rtol=0, atol=1e-10)
-
-
-def test_the_differentiated_run_has_the_values_of_the_run() -> None:
-    # expected: the same bits, since the gradient is that of the numbers that a run computes
-    measures = ["final(bodies.rod.angle)", "max(abs(joints.B.force))", "final(energy.dissipated)"]
-    for integrator in ({"name": "rk4"}, {"name": "gauss", "stages": 2}):
-        sections = {"integrator": integrator, "time": {"end": 1.0, "step": 0.02}}
-        found = mbdkit.gradient(SLIDER_CRANK, measures, "k", check=False, **sections)
-        run = mbdkit.run(SLIDER_CRANK, measures=dict(zip("abc", measures, strict=True)), **sections)
-        assert found.value.tolist() == [run.measures[name] for name in "abc"]
 
 
 def test_values_of_parameters_may_be_given_with_their_names() -> None:
@@ -255,8 +246,7 @@ def test_numbers_that_are_zero_but_for_rounding_errors_pass_the_check() -> None:
     rest = {"mbdkit": 1, "model": {"name": "single-pendulum", "angle": "-pi/2"}}
     method = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}}
     found = mbdkit.gradient(rest | method, measures, ["model.length", "model.mass"])
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
     np.testing.assert_allclose(found.jacobian, 0.0, rtol=0, atol=1e-14)
     checked = mbdkit.run(rest | method | {"check": True, "measures": {"across": measures[0]}})
     assert checked.measure_errors["across"] < 1e-12
@@ -416,8 +406,7 @@ def test_parameters_in_the_expression_of_a_measure_are_differentiated_too() -> N
     by_k = found["energy", "k"]
     assert found["product", "k"] == pytest.approx(2.0 * energy + 2.0 * by_k, rel=1e-12)
     assert found["power", "k"] == pytest.approx(power * (np.log(-angle) + 1.5 * found["angle", "k"] / angle), rel=1e-12)
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
 
 
 def test_a_parameter_that_changes_the_form_of_an_expression_is_refused() -> None:
@@ -429,8 +418,7 @@ def test_a_parameter_that_changes_the_form_of_an_expression_is_refused() -> None
 def test_a_parameter_at_the_limit_of_its_range_is_checked_on_the_valid_side() -> None:
     spec = {**SLIDER_CRANK, "parameters": {"k": 1.0, "c": 0.0}, **PENDULUM}
     found = mbdkit.gradient(spec, "final(energy.kinetic)", ["k", "c"])
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
     assert found.check.direction[1] > 0.0
     assert found.check.error[0] < 1e-8
 

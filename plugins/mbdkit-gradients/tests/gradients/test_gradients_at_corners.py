@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.gradients.bouncing_ball import GAUSS, GRAVITY, HEIGHT, MEASURES, PAD, STIFFNESS, ball, bounce, expected
+from tests.gradients.checks import assert_passed
 
 import mbdkit
 
@@ -22,8 +23,7 @@ def test_gradients_through_a_jump_of_the_force_are_those_of_the_motion(end: floa
     law = {} if engages_at == PAD else {"engages_at": engages_at}
     found = mbdkit.gradient(ball(end, 0.01, **law), MEASURES, ["y", "k", "c"])
     np.testing.assert_allclose(found.jacobian, expected(end, engages_at=engages_at), rtol=2e-7, atol=1e-12)
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
 
 
 def test_gradients_within_the_step_in_which_the_force_jumps() -> None:
@@ -65,8 +65,7 @@ def test_events_and_integrals_of_a_run_with_corners() -> None:
     spec["events"]["touch"] = {"when": "ball.y - 0.2", "action": "note"}
     measures = ["events.touch.time", "final(t)", "integral(forces.pad.value)", "final(bodies.ball.vy)"]
     found = mbdkit.gradient(spec, measures, ["y", "k", "c"])
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
     assert 0.37 < found.value[0] < 0.45
 
 
@@ -97,8 +96,7 @@ def test_measures_of_the_continuous_motion_through_corners_and_their_gradients(g
     found = mbdkit.gradient(spec, list(expected), "model.bodies.b.velocity.0")
     np.testing.assert_allclose(found.value, [value for value, _ in expected.values()], rtol=1e-7)
     np.testing.assert_allclose(found.jacobian[:, 0], [slope for _, slope in expected.values()], rtol=1e-6)
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
 
 
 def test_the_blow_of_a_limit_stop_has_a_gradient_that_agrees_with_differences() -> None:
@@ -110,8 +108,7 @@ def test_the_blow_of_a_limit_stop_has_a_gradient_that_agrees_with_differences() 
         time={"end": 0.5, "step": 0.005},  # the stop is reached after 0.43 s
         output={"every": 1},
     )
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
     assert np.max(found.check.error / np.abs(found.check.derivative)) < 1e-4
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.gradients.checks import assert_passed
 from tests.gradients.slider_crank import SLIDER_CRANK
 
 import mbdkit
@@ -55,8 +56,7 @@ def test_gradients_of_every_kind_of_step(kind: str, exact: np.ndarray) -> None:
     # expected: differences of runs, which have the same steps; and the derivatives of the motion, up to the error of
     # the method
     found = mbdkit.gradient(SLIDER_CRANK, MEASURES, PARAMETERS, **KINDS[kind])
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
     assert np.max(found.check.error / np.abs(found.check.derivative)) < 1e-5
     np.testing.assert_allclose(found.jacobian[[0, 2, 3]], exact, rtol=0, atol=2e-5)
 
@@ -78,8 +78,7 @@ def test_events_have_derivatives_with_every_kind_of_step(kind: str) -> None:
     found = mbdkit.gradient(spec, ["final(t)", "final(bodies.crank.angle)", "integral(energy.kinetic)"], ["k", "c"])
     assert 0.0 < found.value[0] < 1.0
     np.testing.assert_allclose(found.jacobian[1], 0.0, rtol=0, atol=1e-10)
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
 
 
 @pytest.mark.parametrize(

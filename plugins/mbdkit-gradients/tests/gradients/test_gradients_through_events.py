@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.special import ellipk
+from tests.gradients.checks import assert_passed
 
 import mbdkit
 from mbdkit import SpecError
@@ -66,8 +67,7 @@ def test_state_and_integrals_at_an_event_that_ends_the_run_move_with_its_time() 
     by_length = rate * (0.5 / LENGTH - LENGTH / inertia)
     np.testing.assert_allclose(found.value, [rate, -LENGTH * sin(ANGLE), 0.0], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.jacobian[:, 0], [by_length, -sin(ANGLE), 0.0], rtol=0, atol=1e-9)
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
 
 
 def test_functions_of_a_moving_end_move_with_it() -> None:
@@ -110,8 +110,7 @@ def test_parameters_and_forces_in_the_expression_of_an_event() -> None:
     inertia = LENGTH**2 + INERTIA
     rate = -sqrt(2.0 * GRAVITY * LENGTH * (cos(0.1) - cos(ANGLE)) / inertia)
     assert found["events.turned.time", "limit"] == pytest.approx(0.5 / rate, rel=1e-9)
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
 
 
 def test_an_event_that_does_not_happen_has_no_derivative() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from tests.gradients.checks import assert_passed
 
 import mbdkit
 from mbdkit import Mechanism, SpecError
@@ -87,8 +88,7 @@ def test_a_gradient_is_that_of_the_sensitivity_equations(
 def test_a_gradient_is_that_of_the_discrete_run(integrator: dict[str, Any]) -> None:
     """At large steps it agrees with differences of runs with the same steps, not with the sensitivity equations."""
     found = gradient(integrator, 0.02, check=True)
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
     np.testing.assert_allclose(found.check.derivative, found.check.extrapolated, rtol=1e-7)
 
 
@@ -194,8 +194,7 @@ def test_a_gradient_through_a_stop_includes_the_jump_of_the_rate_of_a_state(inte
     spec = {"mbdkit": 1, "parameters": VALUES, "model": model, "integrator": integrator}
     keys = [*VALUES, "model.forces.stop.stiffness", "model.forces.stop.free_length"]
     found = mbdkit.gradient(spec | {"time": {"end": 0.2, "step": 0.002}}, ["final(leg.angle)", "final(states.i)"], keys)
-    assert found.check is not None
-    assert found.check.is_passed, str(found)
+    assert_passed(found)
     np.testing.assert_allclose(found.check.derivative, found.check.extrapolated, rtol=1e-6)
 
 

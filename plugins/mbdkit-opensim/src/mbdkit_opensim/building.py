@@ -13,7 +13,7 @@ import numpy as np
 
 from mbdkit import Mechanism, SpecError
 from mbdkit.plugin import did_you_mean, listed, quoted
-from mbdkit_opensim.frames import Frame, Frames
+from mbdkit_opensim.frames import OffsetFrame, OsimFrames
 from mbdkit_opensim.functions import center_of, constant
 from mbdkit_opensim.osim_document import (
     flag_of,
@@ -27,7 +27,7 @@ from mbdkit_opensim.osim_document import (
     text_of,
 )
 from mbdkit_opensim.osim_muscles import CURVES, MuscleReader, UnreadError, read_muscle
-from mbdkit_opensim.planar_joints import Coordinate, PlanarJoint, Term, coordinates_of, planar_joint
+from mbdkit_opensim.planar_joints import OsimCoordinate, PlanarJoint, Term, coordinates_of, planar_joint
 from mbdkit_opensim.understood import IDLE, Unread, is_actuator, is_off, unread_in
 
 Names: TypeAlias = defaultdict[str, list[str]]
@@ -76,10 +76,10 @@ def build_mechanism(
         If the file is not a planar model, in which case the message names the component, or if a coordinate does not
         exist.
     """
-    return _Builder(read_model(file), initial, speeds, muscles).mechanism()
+    return _ModelBuilder(read_model(file), initial, speeds, muscles).mechanism()
 
 
-class _Builder:
+class _ModelBuilder:
     """Places the bodies of a model one after another, from the ground outwards."""
 
     def __init__(self, model: Element, initial: Mapping[str, float], speeds: Mapping[str, float], muscles: bool):
@@ -94,7 +94,7 @@ class _Builder:
         self.bodies = _by_name(objects_of(model, "BodySet"))
         self.centres = {name: numbers_of(body, "mass_center", 3, "0 0 0")[:2] for name, body in self.bodies.items()}
         self.centres["ground"] = np.zeros(2)
-        self.frames = Frames(self.bodies, model)
+        self.frames = OsimFrames(self.bodies, model)
         self.poses = {"ground": _Pose(np.zeros(2), 0.0, np.zeros(2), 0.0)}
         self.heights = {"ground": 0.0}
 
@@ -156,7 +156,7 @@ class _Builder:
         """Return the muscles that exert forces and whose classes can be read."""
         return [one for one in objects_of(self.model, "ForceSet") if one.tag in CURVES and not is_off(one)]
 
-    def ends(self, joint: Element) -> tuple[Frame, Frame]:
+    def ends(self, joint: Element) -> tuple[OffsetFrame, OffsetFrame]:
         """Return the parent and the child frame of a joint."""
         return self.frames.of_joint(joint, "socket_parent_frame"), self.frames.of_joint(joint, "socket_child_frame")
 
@@ -203,7 +203,7 @@ class _Builder:
         what = f"the prescribed motion of {listed(names, 'and')} is left out: these coordinates are free"
         return [what] if names else []
 
-    def add(self, joint: Element, parent: Frame, child: Frame) -> None:
+    def add(self, joint: Element, parent: OffsetFrame, child: OffsetFrame) -> None:
         """Add a joint and its child body."""
         label = label_of(joint)
         if child.body == "ground" or child.body in self.poses:
@@ -214,7 +214,7 @@ class _Builder:
         self.place(child, parent, moved)
         self.connect(name_of(joint), parent, child, moved)
 
-    def place(self, child: Frame, parent: Frame, moved: PlanarJoint) -> None:
+    def place(self, child: OffsetFrame, parent: OffsetFrame, moved: PlanarJoint) -> None:
         """Add the child body at its initial position."""
         angle, slope = self.relative(parent, child, moved)
         turned = 0.0 if moved.angle.coordinate is None else moved.angle.coordinate.value
@@ -239,7 +239,7 @@ class _Builder:
             child.body, mass=mass, inertia=inertia or None, position=centre.tolist(), velocity=motion.tolist(), **angles
         )
 
-    def relative(self, parent: Frame, child: Frame, moved: PlanarJoint) -> tuple[float, float]:
+    def relative(self, parent: OffsetFrame, child: OffsetFrame, moved: PlanarJoint) -> tuple[float, float]:
         """Return offset and slope of the relative angle of the two bodies as a linear function of the joint's
         coordinate.
         """
@@ -247,7 +247,7 @@ class _Builder:
         between = _angle(parent.axes) - _angle(child.axes)
         return between + parent.side * intercept, parent.side * (slope[0] if slope else 0.0)
 
-    def connect(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint) -> None:
+    def connect(self, name: str, parent: OffsetFrame, child: OffsetFrame, moved: PlanarJoint) -> None:
         """Add the joint between two bodies, and assign the names of its coordinates."""
         rest = parent.place + sum(
             (parent.axes @ direction * term.value for direction, term in moved.directions if not term.varies),
@@ -271,13 +271,13 @@ class _Builder:
                 "weld, and a body that moves freely against the ground"
             )
 
-    def points(self, parent: Frame, child: Frame, place: np.ndarray) -> tuple[list[float], list[float]]:
+    def points(self, parent: OffsetFrame, child: OffsetFrame, place: np.ndarray) -> tuple[list[float], list[float]]:
         """Return the two points of a joint relative to the centres of mass; `place` is a position in the frame of the
         parent body.
         """
         return (place - self.centres[parent.body]).tolist(), (child.place - self.centres[child.body]).tolist()
 
-    def pin(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint, rest: np.ndarray) -> None:
+    def pin(self, name: str, parent: OffsetFrame, child: OffsetFrame, moved: PlanarJoint, rest: np.ndarray) -> None:
         """Add a revolute joint. A moving center is given relative to its position where the coordinate is 0."""
         offset, slope = self.relative(parent, child, moved)
         parts = [(parent.axes @ direction, term.function) for direction, term in moved.moving]
@@ -291,7 +291,7 @@ class _Builder:
         self.result.revolute(name, parent.body, child.body, points=points, center=center if parts else None)
         self.name_coordinate(moved.angle.coordinate, f"{name}.angle", slope, offset)
 
-    def free(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint, rest: np.ndarray) -> None:
+    def free(self, name: str, parent: OffsetFrame, child: OffsetFrame, moved: PlanarJoint, rest: np.ndarray) -> None:
         """Name the coordinates of a body that moves freely: those of a marker at the origin of its frame, and its
         angle.
         """
@@ -308,7 +308,7 @@ class _Builder:
         offset, slope = self.relative(parent, child, moved)
         self.name_coordinate(moved.angle.coordinate, f"{child.body}.angle", slope, offset)
 
-    def name_coordinate(self, coordinate: Coordinate | None, of: str, slope: float, offset: float) -> None:
+    def name_coordinate(self, coordinate: OsimCoordinate | None, of: str, slope: float, offset: float) -> None:
         """Assign the name of a coordinate to the quantity `of`, which equals ``slope * coordinate + offset``."""
         assert coordinate is not None, "only a free coordinate moves a joint"
         self.result.coordinate(coordinate.name, of, scale=1.0 / slope, offset=-float(offset) / slope)
@@ -328,7 +328,6 @@ def _is_linear(term: Term) -> bool:
 
 
 def _line(term: Term) -> tuple[float, float]:
-    """Return slope and offset of a linear function."""
     assert term.function.polynomial is not None
     offset, slope, *_ = term.function.polynomial
     return slope, offset

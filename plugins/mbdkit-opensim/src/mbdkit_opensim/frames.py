@@ -43,7 +43,7 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Frame:
+class OffsetFrame:
     """A frame in the plane of a body: its position in the frame of the body, (2,) [m], and its axes as columns, (2, 2).
 
     `height` is the offset of the frame along the z axis of the body [m]. The determinant of `axes` is -1 if the two z
@@ -61,7 +61,7 @@ class Frame:
         return 1.0 if np.linalg.det(self.axes) > 0 else -1.0
 
 
-class Frames:
+class OsimFrames:
     """The bodies and frames of a model by path, such as ``/bodyset/thigh`` and ``/jointset/hip/thigh_offset``."""
 
     def __init__(self, bodies: Mapping[str, Element], model: Element):
@@ -76,14 +76,13 @@ class Frames:
             self._add(joint.iterfind("frames/*"), _path_of_joint(joint))
 
     def _add(self, elements: Iterable[Element], owner: str) -> None:
-        """Add the offset frames among elements, and those in their components."""
         for element in elements:
             path = f"{owner}/{name_of(element)}"
             if element.tag == "PhysicalOffsetFrame":
                 self.offsets[path] = element
                 self._add(element.iterfind("components/*"), path)
 
-    def of_joint(self, joint: Element, socket: str) -> Frame:
+    def of_joint(self, joint: Element, socket: str) -> OffsetFrame:
         """Return the parent or child frame of a joint; raises SpecError if it does not lie in the plane."""
         frame = self._resolved(text_of(joint, socket), _path_of_joint(joint), joint)
         return self._planar(frame, joint, socket)
@@ -134,14 +133,14 @@ class Frames:
             raise refused(f"{label_of(element)} refers to the frame '{path}', which {state}")
         return matching[0]
 
-    def _planar(self, found: tuple[str, np.ndarray, np.ndarray], joint: Element, socket: str) -> Frame:
+    def _planar(self, found: tuple[str, np.ndarray, np.ndarray], joint: Element, socket: str) -> OffsetFrame:
         body, place, axes = found
         if math.hypot(axes[0, 2], axes[1, 2]) > FLAT:
             raise refused(
                 f"{label_of(joint)} is not planar: the z axis of its {socket.split('_')[1]} frame does not point along "
                 f"the z axis of {body}"
             )
-        return Frame(body, place[:2], axes[:2, :2], float(place[2]))
+        return OffsetFrame(body, place[:2], axes[:2, :2], float(place[2]))
 
 
 def _path_of_joint(joint: Element) -> str:

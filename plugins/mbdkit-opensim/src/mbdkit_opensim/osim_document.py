@@ -70,7 +70,6 @@ def read_model(file: str) -> Element:
 
 
 def _read_document(path: Path) -> tuple[Element, int]:
-    """Return the root of a file of OpenSim, and the size of the file."""
     try:
         content = read_data(path, LARGEST)
     except (SpecError, ResourceError) as error:

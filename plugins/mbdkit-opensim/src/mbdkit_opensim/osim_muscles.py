@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from mbdkit import SpecError
-from mbdkit_opensim.frames import Frames, turn
+from mbdkit_opensim.frames import OsimFrames, turn
 from mbdkit_opensim.functions import Function, function_named
 from mbdkit_opensim.osim_document import (
     flag_of,
@@ -65,7 +65,7 @@ class MuscleReader:
     """
 
     model: Element
-    frames: Frames
+    frames: OsimFrames
     centres: Mapping[str, np.ndarray]
     heights: Mapping[str, float]
     coordinates: Collection[str]

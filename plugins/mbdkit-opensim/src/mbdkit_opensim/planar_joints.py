@@ -21,7 +21,7 @@ IDENTITY = Function((0.0, 1.0))
 
 
 @dataclass(frozen=True)
-class Coordinate:
+class OsimCoordinate:
     """A coordinate in a file: its name, its initial value and speed, and whether it is locked at this value."""
 
     name: str
@@ -35,7 +35,7 @@ class Term:
     """A function of a coordinate; `coordinate` is None if the function is constant."""
 
     function: Function
-    coordinate: Coordinate | None = None
+    coordinate: OsimCoordinate | None = None
 
     @property
     def value(self) -> float:
@@ -88,25 +88,25 @@ class PlanarJoint:
         return [one for one in self.directions if one[1].varies]
 
     @property
-    def coordinates(self) -> list[Coordinate]:
+    def coordinates(self) -> list[OsimCoordinate]:
         """The free coordinates; that of the angle comes first."""
         terms = [self.angle, *(term for _, term in self.directions)]
         found = {term.coordinate.name: term.coordinate for term in terms if term.varies and term.coordinate}
         return list(found.values())
 
 
-def coordinates_of(joint: Element, values: Mapping[str, float], speeds: Mapping[str, float]) -> list[Coordinate]:
+def coordinates_of(joint: Element, values: Mapping[str, float], speeds: Mapping[str, float]) -> list[OsimCoordinate]:
     """Return the coordinates of a joint; given values and speeds replace those in the file."""
     found = []
     for one in joint.iterfind("coordinates/Coordinate"):
         name = name_of(one)
         value = values.get(name, number_of(one, "default_value", "0"))
         speed = speeds.get(name, number_of(one, "default_speed_value", "0"))
-        found.append(Coordinate(name, value, speed, flag_of(one, "locked")))
+        found.append(OsimCoordinate(name, value, speed, flag_of(one, "locked")))
     return found
 
 
-def planar_joint(joint: Element, coordinates: list[Coordinate]) -> PlanarJoint:
+def planar_joint(joint: Element, coordinates: list[OsimCoordinate]) -> PlanarJoint:
     """Return a joint as a motion in the plane. SpecError is raised if it leaves the plane, or if its class is
     unknown.
     """
@@ -131,8 +131,7 @@ def planar_joint(joint: Element, coordinates: list[Coordinate]) -> PlanarJoint:
     raise refused(f"{label} is not planar, or its class is not known here")
 
 
-def _custom(joint: Element, coordinates: Mapping[str, Coordinate]) -> PlanarJoint:
-    """Return a joint defined by a spatial transform: successive rotations about three axes, and displacements."""
+def _custom(joint: Element, coordinates: Mapping[str, OsimCoordinate]) -> PlanarJoint:
     label = label_of(joint)
     axes = {name_of(one): one for one in joint.iterfind("SpatialTransform/TransformAxis")}
     angle, turned = Term(constant(0.0)), np.eye(3)
@@ -172,7 +171,7 @@ def _custom(joint: Element, coordinates: Mapping[str, Coordinate]) -> PlanarJoin
     return PlanarJoint(label, angle, tuple(directions), height)
 
 
-def _axis_and_term(element: Element, coordinates: Mapping[str, Coordinate], owner: str) -> tuple[np.ndarray, Term]:
+def _axis_and_term(element: Element, coordinates: Mapping[str, OsimCoordinate], owner: str) -> tuple[np.ndarray, Term]:
     names = text_of(element, "coordinates").split()
     axis = numbers_of(element, "axis", 3)
     length = float(np.linalg.norm(axis))

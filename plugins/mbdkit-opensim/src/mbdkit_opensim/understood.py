@@ -1,7 +1,8 @@
 """What is understood of an `.osim` file, what cannot change motions and forces, and what else a file contains.
 
 OpenSim publishes no schema. `registry.json` lists its types of components with their properties and default values; it
-is written by ``tests/print_registry.py`` from the registry of the Python package `opensim`, whose version it states.
+is printed by ``tests.benchmarks.registry_of_opensim`` from the registry of the Python package `opensim`, whose version
+it states.
 A property is reported unless it is in `READ` or `IGNORED`, or has its default value.
 """
 
@@ -186,7 +187,6 @@ def _is_default(part: Element, default: str | None) -> bool:
 
 
 def _values(text: str) -> list[float | str]:
-    """Return the words of a text, numbers as numbers."""
     return [_value(word) for word in text.lower().split()]
 
 

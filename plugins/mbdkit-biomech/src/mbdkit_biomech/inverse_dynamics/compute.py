@@ -219,7 +219,6 @@ class Inverse:
         return (*told, *self._laws_out_of_range())
 
     def _laws_out_of_range(self) -> tuple[str, ...]:
-        """Return warnings about force laws that the motion uses outside their ranges."""
         workspace, motion = self.problem.prepared.workspace, self.motion
         ranges = LawRanges.of(self.problem.spec.mechanism(), workspace.mechanism, workspace)
         if ranges is None:
@@ -349,7 +348,6 @@ def recorded_states(result: Inverse) -> States:
 
 
 def _muscles(result: Inverse) -> Muscles | None:
-    """Return the recorded values of the recruited muscles."""
     one = result.recruited
     if one is None:
         return None

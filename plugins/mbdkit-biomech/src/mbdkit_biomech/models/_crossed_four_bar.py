@@ -16,7 +16,7 @@ _SCAN = math.radians(1.0)
 
 
 @dataclass(frozen=True)
-class Pose:
+class LinkagePose:
     """Positions of the joints in the tibia's frame: origin at A, x forward and y up when the leg is straight."""
 
     A: complex
@@ -70,7 +70,7 @@ class CrossedFourBar:
                 key="links",
             )
 
-    def pose(self, flexion: float) -> Pose:
+    def pose(self, flexion: float) -> LinkagePose:
         """Return the pose at a `flexion` [rad] that the linkage reaches from the straight leg.
 
         Raises
@@ -88,7 +88,7 @@ class CrossedFourBar:
             )
         return pose
 
-    def rod_rates(self, pose: Pose, rate: float) -> tuple[float, float]:
+    def rod_rates(self, pose: LinkagePose, rate: float) -> tuple[float, float]:
         """Return the angular velocities [rad/s] of the rods B-C and D-A if the tibia has the angular velocity `rate`.
 
         All angular velocities are relative to the femur. The velocity of B relative to A, expressed through the rods
@@ -128,11 +128,10 @@ class CrossedFourBar:
         return inside
 
     def _fits(self, flexion: float) -> bool:
-        """Return whether the rods are crossed at a flexion."""
         pose = self._solve(flexion, self._branch)
         return pose is not None and pose.crossed
 
-    def _solve(self, flexion: float, branch: int) -> Pose | None:
+    def _solve(self, flexion: float, branch: int) -> LinkagePose | None:
         """Return the pose at a flexion; None if the linkage cannot be assembled.
 
         Joint C is an intersection of the circles about B (radius acl) and about A - (D - C) (radius pcl); `branch`, 1
@@ -149,7 +148,7 @@ class CrossedFourBar:
         if across_squared < 0:
             return None
         c = b + line / distance * complex(along, branch * math.sqrt(across_squared))
-        return Pose(0j, b, c, c + femur)
+        return LinkagePose(0j, b, c, c + femur)
 
 
 def _cross(u: complex, v: complex) -> float:

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 from mbdkit.plugin import Body
 from mbdkit.plugin.equations import elementary
-from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar, Pose
-from mbdkit_biomech.models._segments import Segment
+from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar, LinkagePose
+from mbdkit_biomech.models._segments import RigidSegment
 
 MOUNTING = 0.009 / 1.78
 """Distance of the midpoint of the tibial link below the knee, as a share of body height."""
 
 
 @dataclass(frozen=True)
-class Frame:
+class MovingFrame:
     """A moving frame in the plane; points and velocities are complex numbers x + i y.
 
     Attributes
@@ -34,7 +34,7 @@ class Frame:
     rate: float = 0.0
 
     @classmethod
-    def at(cls, origin: complex, angle: float, velocity: complex = 0j, rate: float = 0.0) -> Frame:
+    def at(cls, origin: complex, angle: float, velocity: complex = 0j, rate: float = 0.0) -> MovingFrame:
         """Return the frame at this angle."""
         return cls(origin, elementary.unit_vector(angle), angle, velocity, rate)
 
@@ -46,7 +46,7 @@ class Frame:
         """Return the velocity of a point of the frame [m/s]."""
         return self.velocity + 1j * self.rate * (self.turn * point)
 
-    def carry(self, segment: Segment) -> Body:
+    def carry(self, segment: RigidSegment) -> Body:
         """Return a segment, given in this frame, as a body that moves with the frame."""
         return Body(
             mass=segment.mass,
@@ -80,11 +80,11 @@ class Knee:
     ends: dict[str, float]
     femoral: dict[str, complex]
     tibial: dict[str, complex]
-    shank: Frame
+    shank: MovingFrame
 
 
 def knee_of(
-    linkage: CrossedFourBar, height: float, thigh: Frame, flexion: tuple[float, float], rod_mass: float
+    linkage: CrossedFourBar, height: float, thigh: MovingFrame, flexion: tuple[float, float], rod_mass: float
 ) -> Knee:
     """Return the knee on a thigh.
 
@@ -132,8 +132,8 @@ def knee_of(
 
 
 def _shank(
-    thigh: Frame, pose: Pose, c: complex, b: complex, linkage: CrossedFourBar, flexion: tuple[float, float]
-) -> Frame:
+    thigh: MovingFrame, pose: LinkagePose, c: complex, b: complex, linkage: CrossedFourBar, flexion: tuple[float, float]
+) -> MovingFrame:
     """Return the frame of the shank; `c` and `b` are joint C in the thigh frame and joint B in the shank frame."""
     turn = thigh.turn * elementary.unit_vector(-flexion[0])
     rate = thigh.rate - flexion[1]
@@ -141,7 +141,7 @@ def _shank(
     spin = thigh.rate + linkage.rod_rates(pose, -flexion[1])[0]
     place = thigh.to_global(c) + acl
     velocity = thigh.velocity_of(c) + 1j * spin * acl
-    return Frame(place - turn * b, turn, thigh.angle - flexion[0], velocity - 1j * rate * (turn * b), rate)
+    return MovingFrame(place - turn * b, turn, thigh.angle - flexion[0], velocity - 1j * rate * (turn * b), rate)
 
 
 def xy(point: complex) -> tuple[float, float]:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from mbdkit.plugin import Body, Joint, Number, Revolute, SpecError, StrictModel, quoted
 from mbdkit.plugin.mechanisms import CoordinateTable, Marker, NamedCoordinate, PinFriction
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
-from mbdkit_biomech.models._knee_linkage import Frame, knee_of, xy
-from mbdkit_biomech.models._segments import Person
+from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
+from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 
 SUFFIX = "_left"
@@ -47,7 +47,7 @@ class Hip(NamedTuple):
         Position of the hip in the frame of this body [m].
     """
 
-    frame: Frame
+    frame: MovingFrame
     body: str
     point: tuple[float, float]
 
@@ -61,10 +61,10 @@ class LegParts(NamedTuple):
     markers: dict[str, Marker]
 
 
-def pinned_leg(person: Person, pose: LegPose, hip: Hip) -> LegParts:
+def pinned_leg(person: BodySegments, pose: LegPose, hip: Hip) -> LegParts:
     """Return a leg with a pinned knee."""
     thigh, knee = _thigh(pose, hip), -1j * person.thigh_length
-    shank = Frame.at(
+    shank = MovingFrame.at(
         thigh.to_global(knee),
         thigh.angle - pose.knee_flexion,
         thigh.velocity_of(knee),
@@ -78,7 +78,7 @@ def pinned_leg(person: Person, pose: LegPose, hip: Hip) -> LegParts:
 
 
 def four_bar_leg(
-    person: Person,
+    person: BodySegments,
     pose: LegPose,
     hip: Hip,
     *,
@@ -94,7 +94,7 @@ def four_bar_leg(
         If the linkage cannot be assembled at the flexion of the knee.
     """
     thigh, down = _thigh(pose, hip), -1j * person.thigh_length
-    top = Frame(thigh.to_global(down), thigh.turn, thigh.angle, thigh.velocity_of(down), thigh.rate)
+    top = MovingFrame(thigh.to_global(down), thigh.turn, thigh.angle, thigh.velocity_of(down), thigh.rate)
     try:
         knee = knee_of(linkage, person.height, top, (pose.knee_flexion, pose.knee_flexion_rate), rod_mass)
     except SpecError as error:
@@ -118,15 +118,17 @@ def four_bar_leg(
     )
 
 
-def _thigh(pose: LegPose, hip: Hip) -> Frame:
+def _thigh(pose: LegPose, hip: Hip) -> MovingFrame:
     trunk = hip.frame
-    return Frame.at(trunk.origin, trunk.angle + pose.hip_flexion, trunk.velocity, trunk.rate + pose.hip_flexion_rate)
+    return MovingFrame.at(
+        trunk.origin, trunk.angle + pose.hip_flexion, trunk.velocity, trunk.rate + pose.hip_flexion_rate
+    )
 
 
-def _leg(person: Person, pose: LegPose, hip: Hip, thigh: Frame, shank: Frame) -> LegParts:
+def _leg(person: BodySegments, pose: LegPose, hip: Hip, thigh: MovingFrame, shank: MovingFrame) -> LegParts:
     """Return a leg without the joints of its knee, given the frames of thigh and shank."""
     ankle = -1j * person.shank_length
-    foot = Frame.at(
+    foot = MovingFrame.at(
         shank.to_global(ankle),
         shank.angle + pose.ankle_dorsiflexion,
         shank.velocity_of(ankle),
@@ -220,7 +222,6 @@ class _Names:
 
 
 def _on_second(item: PathItem, names: _Names) -> PathItem:
-    """Return a point or circle of a muscle path, moved to the second leg."""
     change: dict[str, Any] = {"body": names.of(item.body)}
     if item.wrap is not None:
         change["wrap"] = item.wrap.model_copy(update={"body": names.of(item.wrap.body)})

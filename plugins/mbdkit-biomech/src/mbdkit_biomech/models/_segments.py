@@ -7,7 +7,7 @@ along the segment to this joint (up for a standing person), and x forward.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 WINTER = """@book{winter2009,
   author    = {Winter, David A.},
@@ -52,25 +52,25 @@ Winter's fractions for 75 kg and 1.8 m.
 
 
 @dataclass(frozen=True)
-class Segment:
+class RigidSegment:
     """A rigid segment: mass [kg], centre of mass x + i y [m], moment of inertia about that centre [kg m^2]."""
 
     mass: float
     centre: complex
     inertia: float
 
-    def __rmul__(self, share: float) -> Segment:
+    def __rmul__(self, share: float) -> RigidSegment:
         """Return a segment of the same shape with a share of the mass."""
-        return Segment(share * self.mass, self.centre, share * self.inertia)
+        return RigidSegment(share * self.mass, self.centre, share * self.inertia)
 
-    def __add__(self, other: Segment) -> Segment:
+    def __add__(self, other: RigidSegment) -> RigidSegment:
         """Return both segments joined rigidly, as one segment (parallel axis theorem)."""
         mass = self.mass + other.mass
         centre = (self.mass * self.centre + other.mass * other.centre) / mass
         reduced = self.mass * other.mass / mass
         arm = self.centre - other.centre
         inertia = self.inertia + other.inertia + reduced * (arm.real * arm.real + arm.imag * arm.imag)
-        return Segment(mass, centre, inertia)
+        return RigidSegment(mass, centre, inertia)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ the lateral malleolus and the radii of gyration of the column "transverse"."""
 
 
 @dataclass(frozen=True)
-class Person:
+class BodySegments:
     """The segments of a person.
 
     Parameters
@@ -137,16 +137,25 @@ class Person:
         Body height [m].
     table
         Name of the table of proportions.
+    measured_thigh, measured_shank
+        Lengths of thigh and shank [m]; None for those of the table.
     """
 
     body_mass: float
     height: float
     table: str = "winter"
+    measured_thigh: float | None = None
+    measured_shank: float | None = None
 
     @property
     def fractions(self) -> SegmentTable:
-        """The table of proportions."""
-        return TABLES[self.table]
+        """The table of proportions, with the measured lengths."""
+        table = TABLES[self.table]
+        thigh, shank = (
+            own if length is None else replace(own, length=length / self.height)
+            for own, length in ((table.thigh, self.measured_thigh), (table.shank, self.measured_shank))
+        )
+        return replace(table, thigh=thigh, shank=shank)
 
     @property
     def thigh_length(self) -> float:
@@ -169,37 +178,39 @@ class Person:
         return self.heel + self.fractions.foot.length * self.height
 
     @property
-    def trunk(self) -> Segment:
+    def trunk(self) -> RigidSegment:
         """Head, arms and trunk: the body mass without both legs; origin at the hips."""
         legs = 2 * (self.fractions.thigh.mass + self.fractions.shank.mass + self.fractions.foot.mass)
         mass = (1.0 - legs) * self.body_mass
         gyration = TRUNK_GYRATION * self.height
-        return Segment(mass, complex(0.0, TRUNK_CENTRE * self.height), mass * (gyration * gyration))
+        return RigidSegment(mass, complex(0.0, TRUNK_CENTRE * self.height), mass * (gyration * gyration))
 
     @property
-    def thigh(self) -> Segment:
+    def thigh(self) -> RigidSegment:
         """Thigh; origin at the hip."""
         return self._limb(self.fractions.thigh)
 
     @property
-    def shank(self) -> Segment:
+    def shank(self) -> RigidSegment:
         """Shank; origin at the knee."""
         return self._limb(self.fractions.shank)
 
     @property
-    def foot(self) -> Segment:
+    def foot(self) -> RigidSegment:
         """Foot, flat on the ground; origin at the ankle. Its centre of mass is at half the height of the ankle."""
         of = self.fractions.foot
         length, mass = of.length * self.height, of.mass * self.body_mass
         centre = complex(of.centre * length - HEEL_BEHIND_ANKLE * self.height, -0.5 * ANKLE_HEIGHT * self.height)
-        return Segment(mass, centre, mass * (of.gyration * length) * (of.gyration * length))
+        return RigidSegment(mass, centre, mass * (of.gyration * length) * (of.gyration * length))
 
     @property
-    def foot_on_shank(self) -> Segment:
+    def foot_on_shank(self) -> RigidSegment:
         """Foot at a right angle to the shank; origin at the knee."""
         foot = self.foot
-        return Segment(foot.mass, foot.centre - 1j * self.shank_length, foot.inertia)
+        return RigidSegment(foot.mass, foot.centre - 1j * self.shank_length, foot.inertia)
 
-    def _limb(self, of: Fractions) -> Segment:
+    def _limb(self, of: Fractions) -> RigidSegment:
         length, mass = of.length * self.height, of.mass * self.body_mass
-        return Segment(mass, complex(0.0, -of.centre * length), mass * (of.gyration * length) * (of.gyration * length))
+        return RigidSegment(
+            mass, complex(0.0, -of.centre * length), mass * (of.gyration * length) * (of.gyration * length)
+        )

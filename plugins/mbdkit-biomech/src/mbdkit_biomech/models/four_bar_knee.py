@@ -47,8 +47,8 @@ from pydantic import Field
 from mbdkit.plugin import Mechanism, NotNegative, Number, Point, Positive, SpecError, StrictModel
 from mbdkit.plugin.mechanisms import PinFriction, Points
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
-from mbdkit_biomech.models._knee_linkage import Frame, knee_of, xy
-from mbdkit_biomech.models._segments import FRACTIONS, GAIT2D, WINTER, Person
+from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
+from mbdkit_biomech.models._segments import FRACTIONS, GAIT2D, WINTER, BodySegments
 
 EXOSKELETON = """@misc{group3exoskeleton,
   author       = {{emelieseguin}},
@@ -146,8 +146,8 @@ def build(options: FourBarKneeOptions) -> Mechanism:
     SpecError
         If the linkage cannot be assembled at this flexion, or if the name of a spring is not valid.
     """
-    person = Person(options.body_mass, options.height)
-    thigh = Frame.at(0j, options.thigh_angle + 0.5 * math.pi)
+    person = BodySegments(options.body_mass, options.height)
+    thigh = MovingFrame.at(0j, options.thigh_angle + 0.5 * math.pi)
     four_bar = linkage(options.height, options.links, options.pitches)
     knee = knee_of(four_bar, options.height, thigh, (options.flexion, options.flexion_rate), options.rod_mass)
     leg = person.shank + person.foot_on_shank

@@ -52,10 +52,9 @@ from pydantic import Field
 
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, Number, Point, Positive, SpecError, listed, quoted
 from mbdkit.plugin.mechanisms import Force, Marker, MechanismData, NamedCoordinate, PinFriction
-from mbdkit_biomech.models._knee_linkage import Frame, xy
-from mbdkit_biomech.models._measured_segments import MeasuredPerson
+from mbdkit_biomech.models._knee_linkage import MovingFrame, xy
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
-from mbdkit_biomech.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
+from mbdkit_biomech.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, BodySegments
 from mbdkit_biomech.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_contact.contact import Contact
@@ -161,15 +160,14 @@ def build_four_bar(options: LegFourBarOptions) -> Mechanism:
     return _mechanism("leg-four-bar", options, leg)
 
 
-def person_of(o: LegOptions) -> Person:
+def person_of(o: LegOptions) -> BodySegments:
     """Return the segments of the options."""
-    return MeasuredPerson(o.body_mass, o.height, o.table, o.thigh_length, o.shank_length)
+    return BodySegments(o.body_mass, o.height, o.table, o.thigh_length, o.shank_length)
 
 
-def _mechanism(name: str, o: LegOptions, leg: Callable[[Person, LegPose, Hip], LegParts]) -> Mechanism:
-    """Return the mechanism of one or two legs and the further elements of the options."""
+def _mechanism(name: str, o: LegOptions, leg: Callable[[BodySegments, LegPose, Hip], LegParts]) -> Mechanism:
     person = person_of(o)
-    trunk = Frame.at(complex(*o.hip_position), o.trunk_angle, complex(*o.hip_velocity), o.trunk_rate)
+    trunk = MovingFrame.at(complex(*o.hip_position), o.trunk_angle, complex(*o.hip_velocity), o.trunk_rate)
     bodies: dict[str, Body] = {}
     root: dict[str, NamedCoordinate] = {}
     hip, at_hip = Hip(trunk, GROUND, o.hip_position), Marker(body="thigh", point=xy(-person.thigh.centre))

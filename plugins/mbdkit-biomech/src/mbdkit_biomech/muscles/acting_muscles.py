@@ -332,7 +332,6 @@ def check_acting(mechanism: Mechanism) -> None:
 
 
 def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
-    """Raise SpecError unless a circle lies between two points with equal offsets."""
     if before.wrap is not None or after.wrap is not None:
         raise SpecError(
             "in a run, a path has at most one circle between two points; several are for inverse dynamics only", key=key

@@ -34,7 +34,7 @@ Points = Sequence[Any]
 """First distinct control point of a segment, and the differences between consecutive distinct control points."""
 
 
-class Corner(NamedTuple):
+class CurvePoint(NamedTuple):
     """A point of a graph, and the slope at this point."""
 
     x: float
@@ -61,7 +61,7 @@ class BezierCurve:
     slopes: tuple[float, float]
 
     @classmethod
-    def through(cls, corners: Sequence[Corner], curviness: Sequence[float]) -> BezierCurve:
+    def through(cls, corners: Sequence[CurvePoint], curviness: Sequence[float]) -> BezierCurve:
         """Return the curve that has given slopes at given points.
 
         Parameters

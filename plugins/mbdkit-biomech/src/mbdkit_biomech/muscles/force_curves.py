@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 
 from mbdkit.plugin.equations import elementary
-from mbdkit_biomech.muscles.bezier_curve import BezierCurve, Corner
+from mbdkit_biomech.muscles.bezier_curve import BezierCurve, CurvePoint
 
 Curve = tuple[np.ndarray, np.ndarray]
 """Values of a curve and its slopes, both of the shape of the argument."""
@@ -145,12 +145,12 @@ def _active() -> BezierCurve:
     descent = -1.0 / ((end - gap) - (top + gap))
     return BezierCurve.through(
         [
-            Corner(start, 0.0, 0.0),
-            Corner(0.5 * (start + bend), 0.5 * y1, steep),
-            Corner(0.5 * (bend + shoulder), 0.5 * (y1 + 1.0), slope),
-            Corner(top, 1.0, 0.0),
-            Corner(0.5 * (top + gap + end), 0.5, descent),
-            Corner(end, 0.0, 0.0),
+            CurvePoint(start, 0.0, 0.0),
+            CurvePoint(0.5 * (start + bend), 0.5 * y1, steep),
+            CurvePoint(0.5 * (bend + shoulder), 0.5 * (y1 + 1.0), slope),
+            CurvePoint(top, 1.0, 0.0),
+            CurvePoint(0.5 * (top + gap + end), 0.5, descent),
+            CurvePoint(end, 0.0, 0.0),
         ],
         [curviness] * 5,
     )
@@ -161,7 +161,11 @@ def _passive() -> BezierCurve:
     stiff = 2.0 / strain
     foot = min(0.1 / stiff, 0.1 * strain)
     return BezierCurve.through(
-        [Corner(1.0, 0.0, 0.0), Corner(1.0 + foot, 0.5 * low * foot, low), Corner(1.0 + strain, 1.0, stiff)],
+        [
+            CurvePoint(1.0, 0.0, 0.0),
+            CurvePoint(1.0 + foot, 0.5 * low * foot, low),
+            CurvePoint(1.0 + strain, 1.0, stiff),
+        ],
         [curviness] * 2,
     )
 
@@ -170,11 +174,11 @@ def _velocity() -> BezierCurve:
     largest, near_shortening, isometric, near_lengthening = 1.4, 0.25, 5.0, 0.15
     return BezierCurve.through(
         [
-            Corner(-1.0, 0.0, 0.0),
-            Corner(-0.9, 0.05 * near_shortening, near_shortening),
-            Corner(0.0, 1.0, isometric),
-            Corner(0.9, largest - 0.05 * near_lengthening, near_lengthening),
-            Corner(1.0, largest, 0.0),
+            CurvePoint(-1.0, 0.0, 0.0),
+            CurvePoint(-0.9, 0.05 * near_shortening, near_shortening),
+            CurvePoint(0.0, 1.0, isometric),
+            CurvePoint(0.9, largest - 0.05 * near_lengthening, near_lengthening),
+            CurvePoint(1.0, largest, 0.0),
         ],
         [0.6, 0.6, 0.9, 0.9],
     )
@@ -188,7 +192,8 @@ def _tendon() -> BezierCurve:
     run = x_toe - 0.5 * toe / stiff - foot  # from the foot to where the straight line has half of the force `toe`
     slope = 0.5 * toe / run
     return BezierCurve.through(
-        [Corner(1.0, 0.0, 0.0), Corner(foot + 0.5 * run, 0.25 * toe, slope), Corner(x_toe, toe, stiff)], [curviness] * 2
+        [CurvePoint(1.0, 0.0, 0.0), CurvePoint(foot + 0.5 * run, 0.25 * toe, slope), CurvePoint(x_toe, toe, stiff)],
+        [curviness] * 2,
     )
 
 

@@ -61,7 +61,7 @@ class PathState:
         return rate
 
 
-class _Place:
+class _PathPlace:
     """A point of a path, or the center of one of its circles, which may move with coordinates."""
 
     def __init__(self, item: PathItem, names: QuantityNames, key: str):
@@ -97,7 +97,7 @@ class _Placed:
 
     def __init__(
         self,
-        place: _Place,
+        place: _PathPlace,
         q: np.ndarray,
         x: np.ndarray,
         y: np.ndarray,
@@ -136,7 +136,8 @@ class MusclePath:
     def __init__(self, name: str, muscle: Muscle, names: QuantityNames):
         self.name = name
         self._places = [
-            _Place(item, names, f"model.muscles.{quoted(name)}.path[{index}]") for index, item in enumerate(muscle.path)
+            _PathPlace(item, names, f"model.muscles.{quoted(name)}.path[{index}]")
+            for index, item in enumerate(muscle.path)
         ]
 
     def at(self, time: np.ndarray, q: np.ndarray) -> PathState:
@@ -157,8 +158,9 @@ class MusclePath:
             length[rows], gradient[rows] = self._of_pattern(time[rows], q[rows], places)
         return PathState(length, gradient)
 
-    def _of_pattern(self, time: np.ndarray, q: np.ndarray, places: Sequence[_Place]) -> tuple[np.ndarray, np.ndarray]:
-        """Return length and gradient of a path that consists of these places in all frames."""
+    def _of_pattern(
+        self, time: np.ndarray, q: np.ndarray, places: Sequence[_PathPlace]
+    ) -> tuple[np.ndarray, np.ndarray]:
         length, gradient = np.zeros(len(q)), np.zeros_like(q)
         placed = [place.at(q) for place in places]
         ends = [index for index, place in enumerate(places) if place.radius == 0]
@@ -222,7 +224,6 @@ class MusclePath:
                 )
 
     def _require_no_turn(self, time: np.ndarray, centers: Sequence[np.ndarray], index: int, radius: float) -> None:
-        """Raise RunError if a path changes between two frames from a large turn around a circle to the other side."""
         sweep = _sweep(centers[index - 1], centers[index], centers[index + 1], radius)
         jumps = np.flatnonzero(np.abs(np.diff(sweep)) > WIDEST)
         if jumps.size:

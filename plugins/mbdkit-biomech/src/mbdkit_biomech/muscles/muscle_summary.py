@@ -34,7 +34,6 @@ def activations(run: Run) -> list[Headline]:
 
 
 def _largest_activations(run: Run) -> str:
-    """Return the largest activations of muscles and their times, in descending order."""
     peaks = []
     for name, muscle in run.muscles.items():
         row = int(np.argmax(muscle.activation))

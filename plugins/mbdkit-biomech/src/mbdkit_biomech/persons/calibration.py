@@ -12,7 +12,7 @@ from mbdkit.plugin import SpecError, did_you_mean, listed, quoted, shown
 from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.persons.joint_centers import (
     JointCenter,
-    Pair,
+    SegmentPair,
     functional_center,
     hip_center,
     landmark_center,
@@ -22,7 +22,7 @@ from mbdkit_biomech.persons.landmarks import LEFT, SIDES, Side, landmark, side_o
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 from mbdkit_biomech.persons.person_sections import Center, Midpoint
-from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses, poses_of, rate_of
+from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, Poses, poses_of, rate_of
 
 LEAST_TURN = np.radians(20.0)
 """A calibration trial is used for a functional centre if the joint turns by at least this angle in it [rad]."""
@@ -59,7 +59,7 @@ class Trial:
     artefacts: Mapping[str, Artefact]
 
     @classmethod
-    def of(cls, file: MarkerFile, clusters: Mapping[str, Cluster]) -> Trial:
+    def of(cls, file: MarkerFile, clusters: Mapping[str, MarkerCluster]) -> Trial:
         """Return the trial of a file."""
         markers = {body: file.markers(one.names, f"motion.clusters.{body}") for body, one in clusters.items()}
         poses = {body: poses_of(clusters[body].template, own) for body, own in markers.items()}
@@ -84,7 +84,7 @@ class Segments:
 
     legs: tuple[str, ...]
     """Suffixes of the names of the legs."""
-    clusters: Mapping[str, Cluster]
+    clusters: Mapping[str, MarkerCluster]
     """Clusters by body."""
     motion: Trial
     static: Trial | None
@@ -120,7 +120,7 @@ class Segments:
             names, key = tuple(asked[body]), f"motion.clusters.{body}"
             if len(set(names)) < len(names):
                 raise SpecError("has a marker twice", key=key)
-            clusters[body] = Cluster.of(body, names, (static or motion).markers(names, key))
+            clusters[body] = MarkerCluster.of(body, names, (static or motion).markers(names, key))
         trial = Trial.of(motion, clusters)
         together = np.flatnonzero(np.all([own.known for own in trial.poses.values()], axis=0))
         if not together.size:
@@ -142,10 +142,10 @@ class Segments:
             return "l" if leg else "r"
         return side_of(self.clusters[f"thigh{leg}"].names)
 
-    def pair(self, joint: str, trial: Trial, plane: MotionPlane) -> Pair:
+    def pair(self, joint: str, trial: Trial, plane: MotionPlane) -> SegmentPair:
         """Return both segments of a joint in a trial."""
         a, b = self.joints[joint]
-        return Pair(
+        return SegmentPair(
             joint,
             (self.clusters[a], self.clusters[b]),
             (trial.artefacts[a], trial.artefacts[b]),
@@ -219,7 +219,6 @@ class Segments:
         return points[0], points[1], np.mean(points[2:], axis=0)
 
     def _inside(self, landmark: tuple[Trial, str]) -> np.ndarray:
-        """Return a landmark of the pelvis in the frame of its cluster."""
         trial, name = landmark
         own = trial.poses["trunk"].inside(trial.file.marker(name, "motion.clusters.trunk"))
         if np.isnan(own[:, 0]).all():

@@ -27,7 +27,7 @@ import numpy as np
 from mbdkit.plugin import SpecError
 from mbdkit.plugin.equations import elementary, inverse_of, product, symmetric_eigenvectors
 from mbdkit_biomech.persons.landmarks import Side
-from mbdkit_biomech.persons.rigid_clusters import Artefact, Cluster, Poses
+from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, Poses
 
 MOST_FRAMES = 300
 """Largest number of frames, evenly spaced, in a functional calibration."""
@@ -72,7 +72,7 @@ assumption."""
 
 
 @dataclass(frozen=True)
-class Fit:
+class CenterFit:
     """How the points of two segments stay together in a calibration."""
 
     residual: float
@@ -97,7 +97,7 @@ class JointCenter:
     covariance: np.ndarray
     """(3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
     the reference frame of the person [m^2]."""
-    fit: Fit
+    fit: CenterFit
     turn: float
     """Range of the angle between both segments in these frames [rad]."""
     misfit: float = 0.0
@@ -116,11 +116,11 @@ class JointCenter:
 
 
 @dataclass(frozen=True)
-class Pair:
+class SegmentPair:
     """Both segments of a joint in the frames of a calibration, and the axes of the plane of motion."""
 
     joint: str
-    clusters: tuple[Cluster, Cluster]
+    clusters: tuple[MarkerCluster, MarkerCluster]
     artefacts: tuple[Artefact, Artefact]
     """Clusters of the proximal and the distal segment, and their artefacts."""
     poses: tuple[Poses, Poses]
@@ -147,7 +147,7 @@ class Pair:
         """Return the centre with its fit and the range of the joint."""
         return JointCenter(method, *points, covariance, self.fit(points), turn_of(*self.known()))
 
-    def fit(self, points: tuple[np.ndarray, np.ndarray]) -> Fit:
+    def fit(self, points: tuple[np.ndarray, np.ndarray]) -> CenterFit:
         """Return how the points of both segments stay together."""
         first, second = self.known()
         gap = first.point(points[0]) - second.point(points[1])
@@ -160,7 +160,7 @@ class Pair:
         whole = sizes + alike
         slip = np.sqrt(np.maximum(0.0, square * whole / np.sum(whole) - sizes) / 3.0).tolist()
         weight = float(whole[1] / np.sum(whole))
-        return Fit(float(np.sqrt(square)), (slip[0], slip[1]), (weight, 1.0 - weight))
+        return CenterFit(float(np.sqrt(square)), (slip[0], slip[1]), (weight, 1.0 - weight))
 
 
 def turn_of(first: Poses, second: Poses) -> float:
@@ -170,7 +170,7 @@ def turn_of(first: Poses, second: Poses) -> float:
     return float(np.max(elementary.acos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))))
 
 
-def functional_center(pair: Pair, other: JointCenter | None = None) -> JointCenter:
+def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> JointCenter:
     """Return the symmetrical centre of rotation of two segments.
 
     Parameters
@@ -256,7 +256,7 @@ def _combined(points: np.ndarray, covariance: np.ndarray, other: JointCenter) ->
     return points + product(gain, gap), birge * (covariance - product(gain, covariance[:3])), misfit
 
 
-def _turn_together(pair: Pair, turn: float, deviation: float) -> SpecError:
+def _turn_together(pair: SegmentPair, turn: float, deviation: float) -> SpecError:
     """Return the error that a motion does not determine a centre, because a joint hardly turns [deg]."""
     size = f"to {1000 * deviation:.0f} mm only" if np.isfinite(deviation) else "not at all"
     return SpecError(
@@ -288,7 +288,7 @@ def _spread(matrix: np.ndarray, covariance: np.ndarray, correlation: np.ndarray)
     return found
 
 
-def landmark_center(pair: Pair, method: str, points: np.ndarray) -> JointCenter:
+def landmark_center(pair: SegmentPair, method: str, points: np.ndarray) -> JointCenter:
     """Return a centre midway between landmarks.
 
     Parameters
@@ -303,7 +303,7 @@ def landmark_center(pair: Pair, method: str, points: np.ndarray) -> JointCenter:
     return pair.center(method, found, LANDMARKS * LANDMARKS * np.eye(3))
 
 
-def hip_center(pair: Pair, landmarks: tuple[np.ndarray, np.ndarray, np.ndarray], side: Side) -> JointCenter:
+def hip_center(pair: SegmentPair, landmarks: tuple[np.ndarray, np.ndarray, np.ndarray], side: Side) -> JointCenter:
     """Return the centre of a hip by regression.
 
     M. E. Harrington et al., J. Biomech. 40 (2007) 595-602: from the middle of the anterior superior iliac spines, with

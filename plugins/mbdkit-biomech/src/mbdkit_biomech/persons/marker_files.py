@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.plugin import SpecError, did_you_mean, listed, shown
-from mbdkit_biomech.inverse_dynamics.files.measured_table import HEADINGS_SHOWN, Table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import HEADINGS_SHOWN, MeasuredTable
 from mbdkit_biomech.inverse_dynamics.motion.measured import si_values, times_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ColumnOfTable, TimeColumn
 
@@ -19,11 +19,11 @@ LARGEST_LABORATORY = 1e4
 class MarkerFile:
     """A table with markers, and its times (T,) [s]."""
 
-    table: Table
+    table: MeasuredTable
     time: np.ndarray
 
     @classmethod
-    def of(cls, table: Table, time: TimeColumn) -> MarkerFile:
+    def of(cls, table: MeasuredTable, time: TimeColumn) -> MarkerFile:
         """Return a table of markers and its times."""
         return cls(table, times_of(table, time, "motion.time"))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.plugin import Finding, SpecError, listed
 from mbdkit.plugin.equations import product, symmetric_eigenvectors
-from mbdkit_biomech.models._measured_segments import MeasuredPerson
+from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.persons.calibration import ENDS, LEAST_FRAMES, Segments, angle_of
 from mbdkit_biomech.persons.joint_centers import JointCenter
 from mbdkit_biomech.persons.landmarks import LEFT
@@ -111,188 +111,68 @@ class Person:
         }
 
 
-class Builder:
-    """Builds a person from its segments; raises SpecError with key and reason if the markers do not determine it."""
+@dataclass(frozen=True)
+class Skeleton:
+    """A person before the plates are assigned to its feet."""
 
-    def __init__(self, subject: Subject, segments: Segments, plane: PlaneAxes | None, centers: Mapping[str, Center]):
-        self.subject, self.segments = subject, segments
-        self.poses, self.time = segments.motion.poses, segments.motion.file.time
-        self.findings: list[Finding] = []
-        self.plane = plane_of(plane, self.poses, self.time)
-        self._require_units()
-        self.centers = segments.centers(centers, self.plane)
-        self.positions = {
-            joint: self.centers[joint].position(self.poses[a], self.poses[b])
-            for joint, (a, b) in segments.joints.items()
-        }
-        self._face_forward()
-        self._require_sides()
-        self.plane = self.plane.with_residual(list(self.positions.values()))
-        self._judge_plane()
-        for joint, one in self.centers.items():
-            if one.misfit > MISFIT:
-                self._doubt(
-                    "centers",
-                    f"landmarks and motion determine centres of {joint} that differ {one.misfit:.1f} times as much as "
-                    f"their uncertainties explain (doubtful above {MISFIT:g}): check names and places of the markers, "
-                    f"or choose one of both with `motion.centers.{joint}`",
-                )
-        self.points = {joint: self.plane.coordinates(points) for joint, points in self.positions.items()}
-        self.lengths = {name: self._length(name) for name in ENDS}
-        self._judge_lengths()
-        self.zeros: dict[str, float] = {}
-        self.angles = {body: self._angle(body) for body in self.poses if body.startswith(("trunk", "foot"))}
+    subject: Subject
+    segments: Segments
+    plane: MotionPlane
+    centers: Mapping[str, JointCenter]
+    """Joint centres by joint."""
+    points: Mapping[str, np.ndarray]
+    """(T, 3) joint centres by joint, as (forward, up, right)."""
+    lengths: Mapping[str, SegmentLength]
+    angles: Mapping[str, np.ndarray]
+    """(T,) angles of trunk and feet by body [rad], zero as when the person stands upright."""
+    zeros: Mapping[str, float]
+    findings: tuple[Finding, ...]
 
-    def _doubt(self, criterion: str, sentence: str) -> None:
-        self.findings.append(Finding(criterion, "doubtful", sentence))
+    @classmethod
+    def of(
+        cls, subject: Subject, segments: Segments, asked_plane: PlaneAxes | None, asked_centers: Mapping[str, Center]
+    ) -> Skeleton:
+        """Determine plane, joint centres, lengths and angles from the segments of a person.
 
-    def _require_units(self) -> None:
-        up, (least, most) = self.plane.axes[1], TRUNK_ABOVE_FEET
-        heights = {body: float(np.nanmean(np.sum(own.position * up, axis=1))) for body, own in self.poses.items()}
-        above = heights["trunk"] - min(heights.values())
-        if not least <= above / self.subject.height <= most:
-            raise SpecError(
-                f"the markers of the trunk are {above:.3g} m above those of the feet, which is "
-                f"{above / self.subject.height:.3g} times the height of the person ({least:g} to {most:g} is "
-                "possible): check the unit of length that the file states, such as mm or m, and `subject.height`",
-                key="motion.file",
-            )
-
-    def _face_forward(self) -> None:
-        """Let the plane point forward: knees bend backward, and feet point forward."""
-        turns, feet = [], []
-        for leg in self.segments.legs:
-            points = [self.positions[f"{name}{leg}"] for name in ("hip", "knee", "ankle")]
-            points.append(self.poses[f"foot{leg}"].position)
-            hip, knee, ankle, foot = map(self.plane.coordinates, points)
-            turn = angle_of(hip - knee) - angle_of(knee - ankle)
-            turns.append(turn - 2 * np.pi * np.round(turn / (2 * np.pi)))
-            feet.append((foot - ankle)[:, 0])
-        least, most = float(np.nanmin(turns)), float(np.nanmax(turns))
-        if (most + least if max(most, -least) >= LEAST_FLEXION else float(np.nanmean(feet))) >= 0:
-            return
-        if not self.plane.is_fitted:
-            raise SpecError(
-                "is opposite to the direction in which the person faces, as knees and feet show: reverse its sign, or "
-                "leave out `plane`",
-                key="motion.plane.forward",
-            )
-        self.plane = self.plane.reversed()
-        signs = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, 1.0]])  # forward and right change theirs
-        self.centers = {joint: replace(one, covariance=signs * one.covariance) for joint, one in self.centers.items()}
-
-    def _require_sides(self) -> None:
-        mean = {body: float(np.nanmean(self.plane.coordinates(own.position)[:, 2])) for body, own in self.poses.items()}
-        if len(self.segments.legs) == 2:
-            wrong = [name for name in ("thigh", "shank", "foot") if mean[name] < mean[name + LEFT]]
-            if wrong:
-                raise SpecError(
-                    f"sides are exchanged: the markers of {listed(wrong, 'and')}, the right side, are to the left of "
-                    f"those of {listed([name + LEFT for name in wrong], 'and')} as the person faces",
-                    key=f"motion.clusters.{wrong[0]}",
-                )
-        elif (mean["thigh"] > mean["trunk"]) != ((side := self.segments.side("")) == "r"):
-            leg = "right" if side == "r" else "left"
-            self._doubt(
-                "centers", f"by the names of its markers, the leg is the {leg} one, but it is on the other side"
-            )
-
-    def _judge_plane(self) -> None:
-        off, residual = float(np.degrees(self.plane.off)), self.plane.residual
-        if off > STATED and self.plane.sideways > 0:
-            self._doubt(
-                "plane",
-                f"the stated plane is {off:.0f} deg off the one across which the segments move least (doubtful from "
-                f"{STATED:g} deg); leave out `motion.plane` to use that one",
-            )
-        if residual > THICKNESS:
-            self._doubt(
-                "plane",
-                f"joint centres leave the plane by {1000 * residual:.0f} mm (root mean square, doubtful above "
-                f"{1000 * THICKNESS:.0f} mm): the person turns or moves sideways, which a planar model leaves out",
-            )
-
-    def _length(self, name: str) -> SegmentLength:
-        values, variances, variation = {}, [], 0.0
-        for leg in self.segments.legs:
-            first, last = (f"{end}{leg}" for end in ENDS[name])
-            gap = (self.points[first] - self.points[last])[:, :2]
-            sizes = np.linalg.norm(gap, axis=1)
-            direction = gap[self.segments.reference] / sizes[self.segments.reference]
-            covariance = (self.centers[first].covariance + self.centers[last].covariance)[:2, :2]
-            values[f"{name}{leg}"] = float(np.nanmean(sizes))
-            variances.append(float(np.sum(direction[:, None] * covariance * direction)))
-            variation = max(variation, float(np.nanstd(sizes)))
-        weights, size = 1.0 / np.array(variances), float(np.sqrt(sum(variances)))
-        lengths = list(values.values())
-        if abs(lengths[0] - lengths[-1]) > SIDES * size:
-            self._doubt(
-                "lengths",
-                f"{listed([f'{body} {own:.3f} m' for body, own in values.items()], 'and')} long differ by more than "
-                f"{SIDES:g} standard deviations ({1000 * size:.0f} mm): check markers and joint centres of both legs",
-            )
-        mean = float(np.sum(weights * np.array(lengths)) / np.sum(weights))
-        return SegmentLength(mean, float(np.sqrt(1.0 / np.sum(weights))), variation, values)
-
-    def _judge_lengths(self) -> None:
-        for name, one in self.lengths.items():
-            if one.variation > VARIES:
-                self._doubt(
-                    "lengths",
-                    f"the length of the {name} varies by {1000 * one.variation:.0f} mm (standard deviation, doubtful "
-                    f"above {1000 * VARIES:.0f} mm): markers move with the skin or belong to another segment",
-                )
-        whole, (least, most) = sum(one.value for one in self.lengths.values()), LEG_SHARE
-        if not least <= whole / self.subject.height <= most:
-            self._doubt(
-                "lengths",
-                f"thigh and shank together are {whole:.3f} m long, {whole / self.subject.height:.3f} of the body "
-                f"height of {self.subject.height:g} m (doubtful outside {least:g} to {most:g}): check `subject.height` "
-                "and the joint centres",
-            )
-
-    def _angle(self, body: str) -> np.ndarray:
-        """Return the angle of trunk or foot (T,) [rad], zero as when the person stands upright."""
-        poses, static = self.poses[body], self.segments.static
-        rotation = poses.rotation[[self.segments.reference]]
-        if static is not None:
-            rotation = static.poses[body].rotation[static.still()]
-        upright = np.sum(rotation * self.plane.axes[1][:, None], axis=1)
-        mean = np.mean(upright, axis=0)
-        found = angle_of(self.plane.coordinates(product(poses.rotation, mean)))
-        if static is not None:
-            lean = upright - mean
-            self.zeros[body] = float(np.sqrt(np.mean(np.sum(lean * lean, axis=1))))
-            return found
-        if body == "trunk":
-            self.zeros[body] = np.nan
-            sentence = "without `motion.static`, the mean angle of the trunk counts as upright"
-            self.findings.append(Finding("centers", None, sentence))
-            return np.asarray(found - np.nanmean(found))
-        rest = found[self.foot(body, found).at_rest & ~np.isnan(found)]
-        if len(rest) < LEAST_FRAMES:
-            raise SpecError(
-                f"is needed, because '{body}' rests flat on the ground in {len(rest)} frames of the motion "
-                f"({LEAST_FRAMES} are needed): the file of a trial in which the person stands upright",
-                key="motion.static",
-            )
-        flat = float(np.median(rest))
-        self.zeros[body] = 1.4826 * float(np.median(np.abs(rest - flat)))
-        return np.asarray(found - flat)
-
-    def foot(self, body: str, angle: np.ndarray) -> FootMotion:
-        """Return the motion of a foot by its angle (T,)."""
-        middle = self.plane.coordinates(self.poses[body].position)
-        return FootMotion(middle, rate_of(middle, self.time), rate_of(angle, self.time))
+        Raises
+        ------
+        SpecError
+            With key and reason, if the markers do not determine the person.
+        """
+        poses = segments.motion.poses
+        plane = plane_of(asked_plane, poses, segments.motion.file.time)
+        _require_units(subject, segments, plane)
+        centers = segments.centers(asked_centers, plane)
+        positions = {joint: centers[joint].position(poses[a], poses[b]) for joint, (a, b) in segments.joints.items()}
+        if not _faces_forward(segments, plane, positions):
+            plane = plane.reversed()
+            signs = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, 1.0]])  # forward and right change theirs
+            centers = {joint: replace(one, covariance=signs * one.covariance) for joint, one in centers.items()}
+        findings = [*_side_doubts(segments, plane)]
+        plane = plane.with_residual(list(positions.values()))
+        findings += [*_plane_doubts(plane), *_center_doubts(centers)]
+        points = {joint: plane.coordinates(own) for joint, own in positions.items()}
+        lengths = {}
+        for name in ENDS:
+            lengths[name], doubts = _length(name, segments, centers, points)
+            findings += doubts
+        findings += _length_doubts(subject, lengths)
+        angles, zeros = {}, {}
+        for body in poses:
+            if body.startswith(("trunk", "foot")):
+                angles[body], zeros[body], remarks = _angle(body, segments, plane)
+                findings += remarks
+        return cls(subject, segments, plane, centers, points, lengths, angles, zeros, tuple(findings))
 
     def feet(self) -> dict[str, FootMotion]:
         """Return the motion of the feet by body."""
-        return {body: self.foot(body, angle) for body, angle in self.angles.items() if body != "trunk"}
+        own = {body: angle for body, angle in self.angles.items() if body != "trunk"}
+        return {body: _foot(body, angle, self.segments, self.plane) for body, angle in own.items()}
 
     def person(self, plates: PlateResult) -> Person:
-        """Return the person."""
+        """Return the person with its plates."""
         of, lengths = self.subject, self.lengths
-        own = MeasuredPerson(of.mass, of.height, f"de-leva-{of.sex}", lengths["thigh"].value, lengths["shank"].value)
+        own = BodySegments(of.mass, of.height, f"de-leva-{of.sex}", lengths["thigh"].value, lengths["shank"].value)
         masses = {name: getattr(own, name).mass for name in ("trunk", "thigh", "shank", "foot")}
         hips = np.mean([self.points[f"hip{leg}"] for leg in self.segments.legs], axis=0)
         points = {"hip": hips} | {name: own for name, own in self.points.items() if not name.startswith("hip")}
@@ -301,14 +181,15 @@ class Builder:
         findings = (*self.findings, *plates.findings)
         return Person(
             of, self.plane, self.centers, lengths, masses, self.segments.motion.artefacts, self.zeros, plates, findings,
-            self.time, columns, self.segments.reference, self._shifts(list(columns)),
+            self.segments.motion.file.time, columns, self.segments.reference, self._shifts(list(columns)),
         )  # fmt: skip
 
     def _shifts(self, columns: Sequence[str]) -> dict[str, np.ndarray]:
         """Return the shifts of columns by artefacts; see `Person.shifts`."""
         found = {}
         for body, cluster in self.segments.clusters.items():
-            size, rotation = self.segments.motion.artefacts[body].deviation, self.poses[body].rotation
+            motion = self.segments.motion
+            size, rotation = motion.artefacts[body].deviation, motion.poses[body].rotation
             to_plane = product(self.plane.axes, rotation[self.segments.reference])
             values, vectors = symmetric_eigenvectors(cluster.inverse_inertia)
             turns = size * vectors * np.sqrt(np.maximum(values, 0.0))
@@ -335,3 +216,166 @@ class Builder:
                 shifts.append(slip)
             found[body] = np.hstack(shifts)
         return found
+
+
+def _doubt(criterion: str, sentence: str) -> Finding:
+    return Finding(criterion, "doubtful", sentence)
+
+
+def _require_units(subject: Subject, segments: Segments, plane: MotionPlane) -> None:
+    up, (least, most) = plane.axes[1], TRUNK_ABOVE_FEET
+    poses = segments.motion.poses
+    heights = {body: float(np.nanmean(np.sum(own.position * up, axis=1))) for body, own in poses.items()}
+    above = heights["trunk"] - min(heights.values())
+    if not least <= above / subject.height <= most:
+        raise SpecError(
+            f"the markers of the trunk are {above:.3g} m above those of the feet, which is "
+            f"{above / subject.height:.3g} times the height of the person ({least:g} to {most:g} is possible): check "
+            "the unit of length that the file states, such as mm or m, and `subject.height`",
+            key="motion.file",
+        )
+
+
+def _faces_forward(segments: Segments, plane: MotionPlane, positions: Mapping[str, np.ndarray]) -> bool:
+    """Return whether the plane points forward: knees bend backward, and feet point forward. Raise SpecError if a stated
+    plane does not.
+    """
+    turns, feet = [], []
+    for leg in segments.legs:
+        points = [positions[f"{name}{leg}"] for name in ("hip", "knee", "ankle")]
+        points.append(segments.motion.poses[f"foot{leg}"].position)
+        hip, knee, ankle, foot = map(plane.coordinates, points)
+        turn = angle_of(hip - knee) - angle_of(knee - ankle)
+        turns.append(turn - 2 * np.pi * np.round(turn / (2 * np.pi)))
+        feet.append((foot - ankle)[:, 0])
+    least, most = float(np.nanmin(turns)), float(np.nanmax(turns))
+    if (most + least if max(most, -least) >= LEAST_FLEXION else float(np.nanmean(feet))) >= 0:
+        return True
+    if not plane.is_fitted:
+        raise SpecError(
+            "is opposite to the direction in which the person faces, as knees and feet show: reverse its sign, or "
+            "leave out `plane`",
+            key="motion.plane.forward",
+        )
+    return False
+
+
+def _side_doubts(segments: Segments, plane: MotionPlane) -> Iterator[Finding]:
+    """Yield a doubt about the side of a single leg; raise SpecError if two legs are exchanged."""
+    poses = segments.motion.poses
+    mean = {body: float(np.nanmean(plane.coordinates(own.position)[:, 2])) for body, own in poses.items()}
+    if len(segments.legs) == 2:
+        wrong = [name for name in ("thigh", "shank", "foot") if mean[name] < mean[name + LEFT]]
+        if wrong:
+            raise SpecError(
+                f"sides are exchanged: the markers of {listed(wrong, 'and')}, the right side, are to the left of those "
+                f"of {listed([name + LEFT for name in wrong], 'and')} as the person faces",
+                key=f"motion.clusters.{wrong[0]}",
+            )
+    elif (mean["thigh"] > mean["trunk"]) != ((side := segments.side("")) == "r"):
+        leg = "right" if side == "r" else "left"
+        yield _doubt("centers", f"by the names of its markers, the leg is the {leg} one, but it is on the other side")
+
+
+def _plane_doubts(plane: MotionPlane) -> Iterator[Finding]:
+    off, residual = float(np.degrees(plane.off)), plane.residual
+    if off > STATED and plane.sideways > 0:
+        yield _doubt(
+            "plane",
+            f"the stated plane is {off:.0f} deg off the one across which the segments move least (doubtful from "
+            f"{STATED:g} deg); leave out `motion.plane` to use that one",
+        )
+    if residual > THICKNESS:
+        yield _doubt(
+            "plane",
+            f"joint centres leave the plane by {1000 * residual:.0f} mm (root mean square, doubtful above "
+            f"{1000 * THICKNESS:.0f} mm): the person turns or moves sideways, which a planar model leaves out",
+        )
+
+
+def _center_doubts(centers: Mapping[str, JointCenter]) -> Iterator[Finding]:
+    for joint, center in centers.items():
+        if center.misfit > MISFIT:
+            yield _doubt(
+                "centers",
+                f"landmarks and motion determine centres of {joint} that differ {center.misfit:.1f} times as much as "
+                f"their uncertainties explain (doubtful above {MISFIT:g}): check names and places of the markers, or "
+                f"choose one of both with `motion.centers.{joint}`",
+            )
+
+
+def _length(
+    name: str, segments: Segments, centers: Mapping[str, JointCenter], points: Mapping[str, np.ndarray]
+) -> tuple[SegmentLength, list[Finding]]:
+    """Return the length of a segment, with a doubt if those of both legs differ."""
+    values, variances, variation = {}, [], 0.0
+    for leg in segments.legs:
+        first, last = (f"{end}{leg}" for end in ENDS[name])
+        gap = (points[first] - points[last])[:, :2]
+        sizes = np.linalg.norm(gap, axis=1)
+        direction = gap[segments.reference] / sizes[segments.reference]
+        covariance = (centers[first].covariance + centers[last].covariance)[:2, :2]
+        values[f"{name}{leg}"] = float(np.nanmean(sizes))
+        variances.append(float(np.sum(direction[:, None] * covariance * direction)))
+        variation = max(variation, float(np.nanstd(sizes)))
+    weights, size = 1.0 / np.array(variances), float(np.sqrt(sum(variances)))
+    lengths, doubts = list(values.values()), []
+    if abs(lengths[0] - lengths[-1]) > SIDES * size:
+        doubts = [
+            _doubt(
+                "lengths",
+                f"{listed([f'{body} {own:.3f} m' for body, own in values.items()], 'and')} long differ by more than "
+                f"{SIDES:g} standard deviations ({1000 * size:.0f} mm): check markers and joint centres of both legs",
+            )
+        ]
+    mean = float(np.sum(weights * np.array(lengths)) / np.sum(weights))
+    return SegmentLength(mean, float(np.sqrt(1.0 / np.sum(weights))), variation, values), doubts
+
+
+def _length_doubts(subject: Subject, lengths: Mapping[str, SegmentLength]) -> Iterator[Finding]:
+    for name, length in lengths.items():
+        if length.variation > VARIES:
+            yield _doubt(
+                "lengths",
+                f"the length of the {name} varies by {1000 * length.variation:.0f} mm (standard deviation, doubtful "
+                f"above {1000 * VARIES:.0f} mm): markers move with the skin or belong to another segment",
+            )
+    whole, (least, most) = sum(length.value for length in lengths.values()), LEG_SHARE
+    if not least <= whole / subject.height <= most:
+        yield _doubt(
+            "lengths",
+            f"thigh and shank together are {whole:.3f} m long, {whole / subject.height:.3f} of the body height of "
+            f"{subject.height:g} m (doubtful outside {least:g} to {most:g}): check `subject.height` and the joint "
+            "centres",
+        )
+
+
+def _angle(body: str, segments: Segments, plane: MotionPlane) -> tuple[np.ndarray, float, list[Finding]]:
+    """Return the angle of trunk or foot (T,) [rad], the standard deviation of its zero, and remarks."""
+    poses, static = segments.motion.poses[body], segments.static
+    rotation = poses.rotation[[segments.reference]]
+    if static is not None:
+        rotation = static.poses[body].rotation[static.still()]
+    upright = np.sum(rotation * plane.axes[1][:, None], axis=1)
+    mean = np.mean(upright, axis=0)
+    found = angle_of(plane.coordinates(product(poses.rotation, mean)))
+    if static is not None:
+        lean = upright - mean
+        return found, float(np.sqrt(np.mean(np.sum(lean * lean, axis=1)))), []
+    if body == "trunk":
+        sentence = "without `motion.static`, the mean angle of the trunk counts as upright"
+        return np.asarray(found - np.nanmean(found)), np.nan, [Finding("centers", None, sentence)]
+    rest = found[_foot(body, found, segments, plane).at_rest & ~np.isnan(found)]
+    if len(rest) < LEAST_FRAMES:
+        raise SpecError(
+            f"is needed, because '{body}' rests flat on the ground in {len(rest)} frames of the motion "
+            f"({LEAST_FRAMES} are needed): the file of a trial in which the person stands upright",
+            key="motion.static",
+        )
+    flat = float(np.median(rest))
+    return np.asarray(found - flat), 1.4826 * float(np.median(np.abs(rest - flat))), []
+
+
+def _foot(body: str, angle: np.ndarray, segments: Segments, plane: MotionPlane) -> FootMotion:
+    middle, time = plane.coordinates(segments.motion.poses[body].position), segments.motion.file.time
+    return FootMotion(middle, rate_of(middle, time), rate_of(angle, time))

@@ -12,7 +12,7 @@ from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import source_table
 from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
-from mbdkit_biomech.persons.person import Builder, Person
+from mbdkit_biomech.persons.person import Person, Skeleton
 from mbdkit_biomech.persons.person_sections import OF_PERSONS
 from mbdkit_biomech.persons.plate_contacts import PlateResult, plate_numbers, plates_under_feet
 from mbdkit_biomech.persons.scaled_model import leg_options, scaled_model
@@ -38,26 +38,25 @@ def person_of_spec(spec: InverseSpec) -> tuple[Person, InverseSpec]:
         if motion.static is not None:
             static = MarkerFile.of(read_table(spec.folder / motion.static, "motion.static"), motion.time)
     segments = Segments.of(motion.clusters, legs_of(model.legs), file, static)
-    builder = Builder(subject, segments, motion.plane if motion.plane != "fit" else None, motion.centers or {})
-    person = builder.person(_plates(spec, file, builder))
+    plane = motion.plane if motion.plane != "fit" else None
+    skeleton = Skeleton.of(subject, segments, plane, motion.centers or {})
+    person = skeleton.person(_plates(spec, file, skeleton))
     return person, _expanded(spec, person)
 
 
-def _plates(spec: InverseSpec, file: MarkerFile, builder: Builder) -> PlateResult:
-    """Return the loads of force plates."""
+def _plates(spec: InverseSpec, file: MarkerFile, skeleton: Skeleton) -> PlateResult:
     asked: dict[str, tuple[str, Sequence[int]]] = {
         name: (load.body, load.plates) for name, load in spec.loads.items() if load.plates is not None
     }
-    numbers, feet, every = plate_numbers(file), builder.feet(), bool(spec.loads)
+    numbers, feet, every = plate_numbers(file), skeleton.feet(), bool(spec.loads)
     if not every and numbers:
         asked = {LOADS[body]: (body, numbers) for body in feet}
     if not asked:
         return PlateResult()
-    return plates_under_feet(file, builder.plane, feet, asked, spec.motion.smooth, every=every)
+    return plates_under_feet(file, skeleton.plane, feet, asked, spec.motion.smooth, every=every)
 
 
 def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
-    """Return the spec of the motion of the scaled model."""
     data = json.loads(spec.canonical_json())
     del data["subject"]
     data.pop("uncertainty", None)

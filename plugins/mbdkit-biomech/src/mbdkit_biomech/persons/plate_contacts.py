@@ -53,7 +53,7 @@ class FootMotion(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Contact:
+class PlateContact:
     """A contact of a foot with a plate, from a first frame to the one before `end`, at a mean horizontal distance of
     the point of application from the middle of the foot [m].
     """
@@ -96,7 +96,7 @@ class PlateResult(NamedTuple):
     """Loads of feet by name, contacts, offset in time of the plates (None without contacts), and what was found."""
 
     loads: Mapping[str, PlateLoad] = {}
-    contacts: Sequence[Contact] = ()
+    contacts: Sequence[PlateContact] = ()
     offset: Offset | None = None
     findings: Sequence[Finding] = ()
 
@@ -127,7 +127,7 @@ class _Plate:
         """Return the horizontal distances of the points of application from the middle of a foot in some frames."""
         return np.asarray(np.linalg.norm((self.point - foot.middle)[frames][:, [0, 2]], axis=1))
 
-    def contacts(self, feet: Mapping[str, FootMotion], time: np.ndarray, key: str) -> list[Contact]:
+    def contacts(self, feet: Mapping[str, FootMotion], time: np.ndarray, key: str) -> list[PlateContact]:
         """Return the contacts; raise SpecError if a force acts far from all feet, unless `key` is empty."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.acts, [False]]))).reshape(-1, 2)
         found = []
@@ -140,7 +140,7 @@ class _Plate:
                 own = ~np.isnan(gap) & (weight > 0)
                 distances[body] = float(np.sum((weight * gap)[own]) / np.sum(weight[own])) if own.any() else np.inf
             body = min(distances, key=lambda name: distances[name])
-            contact = Contact(self.number, body, first, end, distances[body])
+            contact = PlateContact(self.number, body, first, end, distances[body])
             if contact.distance <= FARTHEST:
                 found.append(contact)
             elif key:
@@ -244,7 +244,7 @@ def later(time: np.ndarray, values: np.ndarray, late: float) -> np.ndarray:
 
 
 def _load(
-    plates: Sequence[_Plate], contacts: Sequence[Contact], time: np.ndarray, late: float, smooth: Smoothing
+    plates: Sequence[_Plate], contacts: Sequence[PlateContact], time: np.ndarray, late: float, smooth: Smoothing
 ) -> PlateLoad:
     """Return the sum of the forces of contacts at the point about which they have no moment but the free torques.
 
@@ -271,7 +271,7 @@ def _load(
     return PlateLoad(force, np.where(acts[:, None], np.stack([x, y], axis=1), np.nan), torque)
 
 
-def _offset(time: np.ndarray, contacts: Sequence[tuple[_Plate, Contact, FootMotion]]) -> Offset | None:
+def _offset(time: np.ndarray, contacts: Sequence[tuple[_Plate, PlateContact, FootMotion]]) -> Offset | None:
     """Return the offset of the plates for which the points of the feet at the points of application have the least mean
     square velocity; None if it is not known.
 

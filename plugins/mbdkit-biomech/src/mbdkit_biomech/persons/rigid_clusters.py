@@ -78,7 +78,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Cluster:
+class MarkerCluster:
     """Markers that count as fixed to a segment."""
 
     body: str
@@ -89,7 +89,7 @@ class Cluster:
     parallel to those of the laboratory in the first frame of the template."""
 
     @classmethod
-    def of(cls, body: str, names: tuple[str, ...], markers: np.ndarray) -> Cluster:
+    def of(cls, body: str, names: tuple[str, ...], markers: np.ndarray) -> MarkerCluster:
         """Return the mean shape of markers (T, N, 3); raise SpecError if there are less than three, if they lie on a
         line, or if no frame has all of them.
         """

@@ -16,7 +16,7 @@ import numpy as np
 
 from mbdkit.plugin import QuantityNames, SpecError
 from mbdkit_biomech.models._one_leg import SUFFIX
-from mbdkit_biomech.models._segments import Person
+from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.models.leg import LegFourBarOptions, LegOptions, person_of
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 from mbdkit_biomech.persons.person_sections import Subject
@@ -64,7 +64,7 @@ def scaled_model(spec: InverseSpec, subject: Subject, lengths: Mapping[str, floa
     return changed | {"muscles": muscles}
 
 
-def _points_of_segments(generic: Person, person: Person) -> dict[str, tuple[float, float, float]]:
+def _points_of_segments(generic: BodySegments, person: BodySegments) -> dict[str, tuple[float, float, float]]:
     """Return by body: the factor of its points, and what is added to x and y, as centres of mass move."""
     found = {}
     for body, size in {"trunk": "height", "thigh": "thigh_length", "shank": "shank_length", "foot": "height"}.items():

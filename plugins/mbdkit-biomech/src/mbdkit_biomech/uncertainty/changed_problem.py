@@ -124,7 +124,6 @@ class Changer:
         return ("", LEFT) if f"hip{LEFT}" in self.person.centers else ("",)
 
     def _angle(self, body: str) -> np.ndarray:
-        """Return the angle (T,) of a body."""
         return np.asarray(self.result.motion.q[:, 3 * self.problem.names.body(body, "model") + 2])
 
     @cached_property
@@ -180,7 +179,6 @@ class Changer:
     def _moved(
         self, problem: InverseProblem, fitted: Fitted, change: Change
     ) -> tuple[Fitted, Independent | None, Motion]:
-        """Return the fitted data, the independent coordinates and the motion with changes of columns and lengths."""
         own, fitter, time = self.result, problem.fitter, self.result.motion.time
         shift, measured = self._shifts(change), fitted.measured
         measured = replace(measured, raw=measured.raw + shift, values=measured.values + shift)
@@ -196,7 +194,6 @@ class Changer:
 
     @cached_property
     def _how(self) -> list[Any]:
-        """Smoothing of each coordinate, with the parameters of the result."""
         independent = self.result.independent
         assert independent is not None
         values = independent.quantities.values(self.result.fitted.q)

@@ -122,7 +122,6 @@ def has_contributions(run: Run) -> bool:
 
 
 def _forces(run: Run) -> np.ndarray:
-    """Return the magnitudes (T, J) of the forces of the joints."""
     return np.asarray(np.hypot(*np.moveaxis(run.array("joints/reaction_force"), -1, 0)[:2]))
 
 

@@ -69,7 +69,7 @@ ADVICE = {
 
 
 @dataclass(frozen=True)
-class Source:
+class UncertainScalar:
     """A scalar that is not known exactly."""
 
     group: str
@@ -115,7 +115,7 @@ def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
     return spec.uncertainty or Uncertainty()
 
 
-def sources_of(problem: InverseProblem) -> list[Source]:
+def sources_of(problem: InverseProblem) -> list[UncertainScalar]:
     """Return the sources of uncertainty of a problem; empty if it has none. Raise SpecError if the spec states the
     uncertainty of something that it does not have, or asks for no error bars.
     """
@@ -127,7 +127,7 @@ def sources_of(problem: InverseProblem) -> list[Source]:
     return found
 
 
-def change_of(sources: Sequence[Source], values: np.ndarray) -> dict[Place, float]:
+def change_of(sources: Sequence[UncertainScalar], values: np.ndarray) -> dict[Place, float]:
     """Return the changes of places for values (K,) of the scalars."""
     found: dict[Place, float] = {}
     for source, value in zip(sources, values.tolist(), strict=True):
@@ -143,7 +143,7 @@ class _Sources:
         self.problem, self.asked = problem, asked
         self.person = problem.source.person
 
-    def all(self) -> Iterator[Source]:
+    def all(self) -> Iterator[UncertainScalar]:
         yield from self._centers()
         segments = dict.fromkeys(segment_of(name, self.person) for name in self.problem.names.mechanism.bodies)
         for key in ("lengths", "masses", "inertias"):
@@ -152,7 +152,9 @@ class _Sources:
         yield from self._of_loads()
         yield from self._angles()
         if self.person is not None and self.person.plates.offset is not None and self.person.plates.loads:
-            yield Source("offset in time of the plates", "person", {("offset",): self.person.plates.offset.deviation})
+            yield UncertainScalar(
+                "offset in time of the plates", "person", {("offset",): self.person.plates.offset.deviation}
+            )
         yield from self._of_muscles()
 
     def _size(self, key: str) -> Any:
@@ -160,15 +162,15 @@ class _Sources:
         given = getattr(self.asked, key)
         return given if given is not None or self.person is None else DEFAULTS.get(key)
 
-    def _scalar(self, key: str, element: str, size: float, kind: Kind = "person") -> Source:
-        return Source(WORDS[key].format(element.replace("_", " ")), kind, {(key, element): size})
+    def _scalar(self, key: str, element: str, size: float, kind: Kind = "person") -> UncertainScalar:
+        return UncertainScalar(WORDS[key].format(element.replace("_", " ")), kind, {(key, element): size})
 
     def _require(self, key: str, reason: str) -> None:
         """Raise SpecError if the spec itself has a key that needs something else."""
         if getattr(self.asked, key):
             raise SpecError(reason, key=f"uncertainty.{key}")
 
-    def _centers(self) -> Iterator[Source]:
+    def _centers(self) -> Iterator[UncertainScalar]:
         if self.person is None:
             self._require("centers", "needs `subject`: only a person from markers has joint centres that are measured")
             return
@@ -183,9 +185,9 @@ class _Sources:
             name = f"centre of the {joint.replace('_', ' ')}"
             for x, y in ((first, shared), (0.0, np.sqrt(max(0.0, yy - shared * shared)))):
                 if x or y:
-                    yield Source(name, "person", {("centers", joint, "x"): x, ("centers", joint, "y"): y})
+                    yield UncertainScalar(name, "person", {("centers", joint, "x"): x, ("centers", joint, "y"): y})
 
-    def _of_loads(self) -> Iterator[Source]:
+    def _of_loads(self) -> Iterator[UncertainScalar]:
         loads = self.problem.loads
         pressed = [name for name, one in loads.items() if one.point is not None and one.frame < 0]
         forced = [name for name, one in loads.items() if np.any(one.force != 0)]
@@ -195,7 +197,7 @@ class _Sources:
             elif size := self._size(key):
                 yield from (self._scalar(key, name, size) for name in names)
 
-    def _angles(self) -> Iterator[Source]:
+    def _angles(self) -> Iterator[UncertainScalar]:
         size, measured = self.asked.angles, self.problem.measured
         angles = [name for name, one in zip(measured.names, measured.quantities.is_angle, strict=True) if one]
         if not angles:
@@ -204,9 +206,9 @@ class _Sources:
             zero = self.person.zeros[name.split(".")[1]] if size is None and self.person is not None else size
             if zero:
                 zero = TRUNK_ZERO if np.isnan(zero) else zero
-                yield Source(f"zero of {name}", "person", {("angles", name): zero})
+                yield UncertainScalar(f"zero of {name}", "person", {("angles", name): zero})
 
-    def _of_muscles(self) -> Iterator[Source]:
+    def _of_muscles(self) -> Iterator[UncertainScalar]:
         recruiter = self.problem.recruiter
         keys = ("max_force", "optimal_length", "tendon_length", "muscle_points", "exponent", "minimum")
         if recruiter is None:
@@ -215,7 +217,7 @@ class _Sources:
             return
         if (size := self._size("max_force")) and self.problem.source.recruitment.deviations is None:
             moves: dict[Place, float] = {("max_force", name): size for name in recruiter.muscles}
-            yield Source("strength of all muscles", "muscles", moves)
+            yield UncertainScalar("strength of all muscles", "muscles", moves)
         for key in keys[:3]:
             if size := self._size(key):
                 yield from (self._scalar(key, name, size, "muscles") for name in recruiter.muscles)
@@ -223,7 +225,7 @@ class _Sources:
             for name, muscle in recruiter.muscles.items():
                 group = f"points of {name.replace('_', ' ')}"
                 for place in product(["muscle_points"], [name], dict.fromkeys(item.on for item in muscle.path), "xy"):
-                    yield Source(group, "muscles", {place: size})
+                    yield UncertainScalar(group, "muscles", {place: size})
         for key, name, value in (
             ("exponent", "exponent of recruitment", recruiter.exponent),
             ("minimum", "least activation", recruiter.asked.minimum),
@@ -235,7 +237,7 @@ class _Sources:
                 raise SpecError(f"needs `recruitment.exponent` of 2 or more, not {recruiter.asked.exponent}",
                                 key=f"uncertainty.{key}")  # fmt: skip
             if own[0] < own[1] or own[0] != value:
-                yield Source(name, "muscles", {(key,): 1.0}, (own[0] - value, own[1] - value))
+                yield UncertainScalar(name, "muscles", {(key,): 1.0}, (own[0] - value, own[1] - value))
 
 
 def segment_of(body: str, person: Any) -> str:

@@ -33,7 +33,7 @@ from mbdkit_biomech.uncertainty.changed_problem import (
     Changer,
     with_moved_points,
 )
-from mbdkit_biomech.uncertainty.sources import Place, Source
+from mbdkit_biomech.uncertainty.sources import Place, UncertainScalar
 
 ROWS = 10_000
 """Number of programmes of recruitment that are solved together; more of them do not fit in the caches."""
@@ -98,7 +98,7 @@ class StackedOutcomes:
     The changes of positions and velocities of the bodies by a change of each scalar by 1 are `moves` (K, T, B, 6).
     """
 
-    def __init__(self, result: Inverse, sources: Sequence[Source]):
+    def __init__(self, result: Inverse, sources: Sequence[UncertainScalar]):
         self.result, self.sources = result, sources
         self.recruiter = result.problem.recruiter
         self._names = [] if self.recruiter is None else list(self.recruiter.muscles)
@@ -117,7 +117,9 @@ class StackedOutcomes:
         self._smooth_places = list(slopes)
         self._slopes = np.stack([*slopes.values()], axis=1) if slopes else self._base[:, None][:, :0]
 
-    def _slope(self, changer: Changer, source: Source, smooth: Mapping[Place, float], index: int) -> np.ndarray:
+    def _slope(
+        self, changer: Changer, source: UncertainScalar, smooth: Mapping[Place, float], index: int
+    ) -> np.ndarray:
         """Return the derivatives (T, W) with respect to a scalar, from changes by one standard deviation."""
         sides, states = [], []
         for sign in (1.0, -1.0):
@@ -182,12 +184,10 @@ class StackedOutcomes:
         return out
 
     def _total(self, values: np.ndarray, place: Place) -> np.ndarray:
-        """Return the changes (S,) of a place."""
         moves = ((column, source.moves.get(place)) for column, source in zip(values.T, self.sources, strict=True))
         return sum((size * column for column, size in moves if size is not None), start=np.zeros(len(values)))
 
     def _fill(self, values: np.ndarray, rows: np.ndarray, out: Outcomes) -> None:
-        """Compute the outcomes of samples and put them into the rows (S,) of the arrays."""
         smooth = self._base[:, None] + products(values[:, self._smooth_places], self._slopes)  # (T, S, W)
         own = smooth.view(self._layout)[..., 0]
         recruiter, recruited = self.recruiter, self.result.recruited

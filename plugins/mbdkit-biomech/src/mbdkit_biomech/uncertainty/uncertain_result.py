@@ -8,8 +8,8 @@ each other and come in pairs of opposite sign: for linear functions, mean square
 
 The share of a source in the mean square of a change d is ``E[d_k . d] / E[d . d]``, with the change d_k of the source
 alone: its variance plus the product of its mean change with the mean change of all. Moments of d_k are those of a
-quadrature (`Source.nodes`), which is first order for linear functions and follows corners otherwise. Interactions are
-what the shares leave.
+quadrature (`UncertainScalar.nodes`), which is first order for linear functions and follows corners otherwise.
+Interactions are what the shares leave.
 
 First order alone would not suffice. For a person without muscles, its bars are within 10 % of those of samples at all
 times; for nine muscles of one leg in 29 % of the frames, and for 18 muscles of two legs in 46 %. They are mostly too
@@ -27,7 +27,7 @@ from mbdkit.plugin import counted
 from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
-from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, Source, asked_uncertainty, sources_of
+from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, UncertainScalar, asked_uncertainty, sources_of
 from mbdkit_biomech.uncertainty.stacked_outcomes import Outcomes, StackedOutcomes
 
 OF_DATA, INTERACTIONS = "noise of the data", "interactions"
@@ -150,7 +150,7 @@ def _bound(sizes: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(2 * known >= len(sizes), found, np.nan))
 
 
-def drawn(sources: Sequence[Source], samples: int, random: np.random.Generator) -> np.ndarray:
+def drawn(sources: Sequence[UncertainScalar], samples: int, random: np.random.Generator) -> np.ndarray:
     """Return values (S, K) of the scalars of samples; S is even.
 
     Scalars with a range have each of their levels equally often. If there are fewer than twice as many samples as
@@ -173,7 +173,11 @@ def drawn(sources: Sequence[Source], samples: int, random: np.random.Generator) 
 
 
 def _shares(
-    stacked: StackedOutcomes, sources: Sequence[Source], nominal: Outcomes, force: np.ndarray, groups: Sequence[str]
+    stacked: StackedOutcomes,
+    sources: Sequence[UncertainScalar],
+    nominal: Outcomes,
+    force: np.ndarray,
+    groups: Sequence[str],
 ) -> np.ndarray:
     """Return the shares (G, T, J) of groups in the mean squares of changes `force` (S, T, J, 2); see the module."""
     known = np.isfinite(force)
@@ -190,7 +194,9 @@ def _shares(
     return found
 
 
-def _alone(stacked: StackedOutcomes, sources: Sequence[Source]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+def _alone(
+    stacked: StackedOutcomes, sources: Sequence[UncertainScalar]
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Yield the group, the weights (N,) and the forces (N, T, J, 2) of the nodes of each scalar."""
     units = zip(np.eye(len(sources)), sources, strict=True)
     values = np.array([value * unit for unit, one in units for value, _ in one.nodes])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from mbdkit.plugin import RunError, SpecError, listed
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import marker_columns
-from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter, Target
+from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.measured import rows_within, si_values, source_table, times_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ColumnOfTable
 
@@ -52,7 +53,7 @@ def changed_axes(problem: InverseProblem) -> str | None:
     for change, changed in positions:
         values = target.values.copy()
         values[:, columns] = changed
-        if _fits(fitter, Target(target.time, target.quantities, values, target.root_weight), start):
+        if _fits(fitter, FitTarget(target.time, target.quantities, values, target.root_weight), start):
             found.append(change)
     if not found:
         return None
@@ -75,14 +76,12 @@ def _third_axis(problem: InverseProblem, names: Sequence[str]) -> np.ndarray | N
     return z if np.all(np.isfinite(z)) else None
 
 
-def _fits(fitter: Fitter, target: Target, pose: np.ndarray) -> bool:
+def _fits(fitter: Fitter, target: FitTarget, pose: np.ndarray) -> bool:
     """Return whether the mechanism fits all frames of a target, which are fitted one after the other."""
-    size = np.where(target.quantities.is_angle, 1.0, fitter.manifold.length) * target.quantities.scale
-    for row in range(len(target.time)):
-        try:
-            pose, values = fitter.first_pose(target.rows(slice(row, row + 1)), pose)
-        except RunError:
-            return False
-        if np.sqrt(np.mean(((values - target.quantities.values(pose[None])[0]) / size) ** 2)) > FITS:
-            return False
-    return True
+    with suppress(RunError):
+        for row in range(len(target.time)):
+            pose, residual = fitter.misfit(target.rows(slice(row, row + 1)), pose)
+            if residual > FITS:
+                return False
+        return True
+    return False

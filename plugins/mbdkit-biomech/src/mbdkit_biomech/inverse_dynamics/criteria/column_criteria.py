@@ -126,8 +126,7 @@ def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> l
         doubts.append(sentence.rstrip("."))
     if doubts or not no_pose:
         return doubts
-    scale = np.where(measured.quantities.is_angle, 1.0, length) * measured.quantities.scale
-    ranges = np.ptp(measured.values, axis=0) / np.abs(scale)
+    ranges = np.ptp(measured.values, axis=0) / np.abs(measured.quantities.sizes(length))
     axes = [getattr(one, "axis", None) for one in measured.quantities.quantities]
     usual = np.array([np.median([size for size, own in zip(ranges, axes, strict=True) if own == one]) for one in axes])
     worst = int(np.argmax(ranges / np.maximum(usual, np.finfo(float).tiny)))
@@ -252,11 +251,9 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
 
 
 def _fit(result: Inverse) -> Iterator[Finding]:
-    """Yield a doubt if the mechanism fits the data poorly, always or for some time."""
     measured, residual = result.fitted.measured, result.fitted.residual
     length = result.problem.fitter.manifold.length
-    size = np.where(measured.quantities.is_angle, 1.0, length) * measured.quantities.scale
-    share = np.abs(residual) / size
+    share = np.abs(residual) / measured.quantities.sizes(length)
     rms = np.sqrt(np.nanmean(share**2, axis=0))
     if np.any(rms > RESIDUAL):
         large = [index for index in np.argsort(-rms) if rms[index] > RESIDUAL][:4]
@@ -299,7 +296,6 @@ def _cause_of_misfit(result: Inverse, share: np.ndarray, otherwise: str) -> str:
 
 
 def _noise(result: Inverse) -> Iterator[Finding]:
-    """Yield a doubt if the smoothing changes a column by much more than its stated noise can explain."""
     if isinstance(result.problem.spec.motion.smooth, NoSmoothing | QuinticSpline):
         return
     measured = result.fitted.measured

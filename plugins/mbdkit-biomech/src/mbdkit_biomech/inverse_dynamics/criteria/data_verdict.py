@@ -4,7 +4,7 @@ accept.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.record_criteria import large_error
 from mbdkit_biomech.inverse_dynamics.criteria.shared_columns import equal_columns, shared_columns
 from mbdkit_biomech.inverse_dynamics.criteria.smoothing_criteria import cutoff_doubts
 from mbdkit_biomech.inverse_dynamics.criteria.turn_criteria import knee_doubts, turn_doubts, uncertain_turns
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.errors.stated_deviations import large_deviations
 from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
 
@@ -42,59 +42,62 @@ class DataDoubts(NamedTuple):
     remarks: tuple[str, ...] = ()
 
 
-def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
+def doubts_about_data(result: Inverse, bars: ResultBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
     found = findings("data", result, bars, kind="inverse")
-    remarks = (
-        *equal_columns(result.problem),
-        *forces_at_centres(result.problem),
-        *uncertain_turns(result),
-        *large_deviations(result, bars),
-        *inertias_about_joints(result.problem.names.mechanism),
-    )
-    added = (str(one) for one in found if one.level is None)
-    return _sorted(found, result.problem.spec.accept)._replace(remarks=(*remarks, *added))
+    remarks = tuple(str(finding) for finding in found if finding.level is None)
+    return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
 
 
-def doubts_of_columns(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
-    """Return the doubts about columns of the motion and their smoothing."""
-    return [*shared_columns(result.problem), *column_doubts(result), *cutoff_doubts(result)]
+def doubts_of_columns(result: Inverse, bars: ResultBars | None) -> list[Finding]:
+    """Return the doubts about columns of the motion and their smoothing, and remarks on columns."""
+    return [
+        *shared_columns(result.problem),
+        *column_doubts(result),
+        *cutoff_doubts(result),
+        *_remarks(equal_columns(result.problem)),
+    ]
 
 
-def doubts_of_loads(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
-    """Return the doubts about loads."""
-    return [*load_doubts(result, bars)]
+def doubts_of_loads(result: Inverse, bars: ResultBars | None) -> list[Finding]:
+    """Return the doubts about loads, and remarks on forces without a point."""
+    return [*load_doubts(result, bars), *_remarks(forces_at_centres(result.problem))]
 
 
-def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
+def doubts_of_model(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the model, about forces without a point, and about turns and signs of angles."""
+    mechanism = result.problem.names.mechanism
+    remarks = [*uncertain_turns(result), *large_deviations(result, bars), *inertias_about_joints(mechanism)]
     return [
         *model_doubts(result),
         *missing_points(result.problem),
         *turn_doubts(result),
         *knee_doubts(result),
         *compression_doubts(result),
+        *_remarks(remarks),
     ]
 
 
-def doubts_of_record(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
+def doubts_of_record(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the record, the units of loads, and errors."""
     return [*record_doubts(result, bars), *units_of_loads(result.problem), *large_errors(result, bars)]
 
 
-def doubts_of_person(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
+def doubts_of_person(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the person and remarks on it."""
     uncertain = None if bars is None else bars.uncertain
-    found = person_findings(result.problem)
-    if uncertain is not None and uncertain.failed:
-        found.append(Finding("max-force", None, uncertain.failures, is_named=False))
-    return found
+    failures = [uncertain.failures] if uncertain is not None and uncertain.failed else []
+    return [*person_findings(result.problem), *_remarks(failures)]
 
 
 def person_findings(problem: InverseProblem) -> list[Finding]:
     """Return what was found about the person of a spec."""
     person = problem.source.person
     return [] if person is None else [*person.findings]
+
+
+def _remarks(sentences: Iterable[str]) -> Iterator[Finding]:
+    return (Finding("", None, sentence, is_named=False) for sentence in sentences)
 
 
 def doubts_before_computation(problem: InverseProblem) -> DataDoubts:

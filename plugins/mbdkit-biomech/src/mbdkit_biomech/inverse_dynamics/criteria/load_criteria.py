@@ -20,7 +20,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import (
     spans,
 )
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import centre_of_pressure, in_body, load_point_doubts
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
 
@@ -114,7 +114,7 @@ def units_of_loads(problem: InverseProblem) -> Iterator[Finding]:
         yield from (doubt("units", f"{sentence}.") for sentence in load.contradictions)
 
 
-def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
+def load_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     """Yield doubts about measured loads."""
     for index, (name, load) in enumerate(result.problem.spec.loads.items()):
         if load.is_plate:
@@ -185,7 +185,6 @@ def _lag(result: Inverse, index: int, name: str) -> Iterator[Finding]:
 
 
 def _direction(result: Inverse, index: int, name: str) -> Iterator[Finding]:
-    """Yield a doubt if a plate pulls its body down on average, or pushes it sideways more than up."""
     gravity = np.array(result.problem.names.mechanism.gravity, dtype=float)
     if not np.any(gravity):
         return
@@ -211,7 +210,6 @@ def _direction(result: Inverse, index: int, name: str) -> Iterator[Finding]:
 
 
 def _horizontal_sign(result: Inverse, index: int, name: str) -> Iterator[Finding]:
-    """Yield a doubt if a plate under a free mechanism probably gives its horizontal force with the wrong sign."""
     mechanism, q = result.problem.names.mechanism, result.motion.q
     gravity = np.array(mechanism.gravity, dtype=float)
     if len(free_roots(mechanism)) != 1 or not np.any(gravity):
@@ -250,7 +248,7 @@ def _offset(result: Inverse, index: int, name: str) -> Iterator[Finding]:
         )
 
 
-def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
+def _balance(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     """Yield a doubt if the loads and the motion of a mechanism with one free root contradict Newton's second law."""
     mechanism = result.problem.names.mechanism
     roots = free_roots(mechanism)
@@ -311,7 +309,7 @@ def _peaks(residual: np.ndarray, noise: np.ndarray, limits: np.ndarray, inside: 
 
 
 def _residual_wrench(
-    result: Inverse, root: str, bars: ErrorBars | None, *, only_residuals: bool
+    result: Inverse, root: str, bars: ResultBars | None, *, only_residuals: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the forces x, y and the moment of the actuators of a root, and their error bars, (T, 3) each.
 

@@ -129,7 +129,6 @@ def _share_outside(result: Inverse, index: int, point: np.ndarray, outlines: np.
 
 
 def _outside_of_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
-    """Yield a doubt if a load acts far from its body."""
     series, size = result.problem.loads[name], np.linalg.norm(result.loads.force[:, index], axis=1)
     centre, shift = centre_of_pressure(result, index)
     if _share_outside(result, index, centre, outlines) <= OFTEN:
@@ -158,7 +157,6 @@ def _outside_of_body(result: Inverse, index: int, name: str, outlines: np.ndarra
 
 
 def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
-    """Yield a doubt if a load acts near its body, but nearer to another body."""
     size, own = np.linalg.norm(result.loads.force[:, index], axis=1), result.problem.loads[name].body
     bodies, (centre, _) = result.problem.fitter.bodies, centre_of_pressure(result, index)
     extent = np.linalg.norm(outlines[:, 1] - outlines[:, 0], axis=1)
@@ -177,7 +175,6 @@ def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray)
 
 
 def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
-    """Yield a doubt if the points of a plate with a small unit, such as mm, are probably in metres."""
     load, rows = result.problem.spec.loads[name], np.any(result.loads.force[:, index] != 0, axis=1)
     declared = {
         axis: one.unit
@@ -201,7 +198,6 @@ def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Ite
 
 
 def _zeros(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
-    """Yield a doubt if a coordinate of the point of a load in the global frame is zero because it was lost."""
     load, series = result.problem.spec.loads[name], result.problem.loads[name]
     if series.point is None or load.point_frame != GROUND:
         return

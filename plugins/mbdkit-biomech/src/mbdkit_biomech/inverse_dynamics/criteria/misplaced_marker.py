@@ -9,7 +9,7 @@ from mbdkit.plugin import RunError, listed
 from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import marker_columns
-from mbdkit_biomech.inverse_dynamics.motion.fit import Target
+from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget
 
 ON_OTHER, FARTHER = 3.0, 4.0
 """A marker seems to be on another body if the residuals of the other columns are smaller by the first factor without
@@ -83,9 +83,8 @@ def _without(result: Inverse, rows: np.ndarray, columns: list[int]) -> tuple[np.
     target = fitted.measured.target.rows(rows)
     weight = np.array(np.broadcast_to(target.root_weight, target.values.shape))
     weight[:, columns] = 0.0
-    q = result.problem.fitter.refined(Target(target.time, target.quantities, target.values, weight), fitted.q[rows])
-    size = np.where(target.quantities.is_angle, 1.0, manifold.length) * target.quantities.scale
-    return q, (target.values - target.quantities.values(q)) / size
+    q = result.problem.fitter.refined(FitTarget(target.time, target.quantities, target.values, weight), fitted.q[rows])
+    return q, (target.values - target.quantities.values(q)) / target.quantities.sizes(manifold.length)
 
 
 def _spread(pose: np.ndarray, at: np.ndarray) -> float:

@@ -88,7 +88,6 @@ def mechanism_doubts(mechanism: Mechanism) -> Iterator[Finding]:
 
 
 def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
-    """Yield a doubt for each muscle whose fibres leave the range of lengths in which they have an active force."""
     low, high = PULLING
     for index, (name, muscle) in enumerate(result.problem.names.mechanism.muscles.items()):
         lengths = recruited.contraction.fiber_length[:, index] / muscle.optimal_length
@@ -103,7 +102,6 @@ def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
 
 
 def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
-    """Yield a doubt for each reserve that supplies a large share of the moment to which it contributes."""
     problem = result.problem
     names = [actuator.name for actuator in problem.actuators]
     reserves = [actuator.name for actuator in problem.recorded_actuators[len(names) :]]
@@ -124,7 +122,6 @@ def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
 
 
 def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
-    """Yield a doubt for each muscle that is negligible at every joint on which it acts."""
     problem = result.problem
     arms = np.max(np.abs(recruited.sharing.arms), axis=0)  # (U, M)
     peaks = np.max(np.abs(result.dynamics.value), axis=0)

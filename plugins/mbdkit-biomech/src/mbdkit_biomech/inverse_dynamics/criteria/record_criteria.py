@@ -13,7 +13,7 @@ from mbdkit.plugin import Finding, listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline
 
 OF_ENDS = 0.1
@@ -62,7 +62,7 @@ class _Peak(NamedTuple):
         return f"{self.label} (by up to {most:.2g} {self.unit})" if np.isfinite(most) else self.label
 
 
-def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
+def record_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     """Yield doubts about actuators and joint forces whose values in long gaps, or largest values near the ends, are
     uncertain.
     """
@@ -71,24 +71,24 @@ def record_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
         rows = (time > start) & (time < end)
         open_peaks = [one for one in peaks if np.any(one.reached[rows] > one.value)]
         if open_peaks:
+            told = listed((one.told(time) for one in open_peaks), "and", NAMED)
             yield doubt(
                 "gaps",
-                f"the data do not determine the largest values of {_some([one.told(time) for one in open_peaks])}, "
-                f"because of {gap}: its values are interpolated, and larger ones are possible. Fill it with measured "
-                "values, or cut the motion with `time.start` or `time.end`.",
+                f"the data do not determine the largest values of {told}, because of {gap}: its values are "
+                "interpolated, and larger ones are possible. Fill it with measured values, or cut the motion with "
+                "`time.start` or `time.end`.",
             )
         elif wrong := [one for one in peaks if np.any(one.hidden[rows] > OF_GAPS * one.value)]:
+            told = listed((one.wrong_by(rows) for one in wrong), "and", NAMED)
             yield doubt(
                 "gaps",
-                f"errors are unknown because of {gap}: values of {_some([one.wrong_by(rows) for one in wrong])} may be "
-                f"wrong there (doubtful above {OF_GAPS:g} of the largest value). Do not use values in the gap, or fill "
-                "it with measured values.",
+                f"errors are unknown because of {gap}: values of {told} may be wrong there (doubtful above {OF_GAPS:g} "
+                "of the largest value). Do not use values in the gap, or fill it with measured values.",
             )
     yield from _doubts_at_ends(result, peaks)
 
 
 def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding]:
-    """Yield doubts about largest values near the ends, and about larger ones that the smoothing may have removed."""
     time = result.motion.time
     cutoff = "" if isinstance(result.problem.spec.motion.smooth, QuinticSpline) else ", one period of the cutoff"
     for at_start in (True, False):
@@ -103,25 +103,25 @@ def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding
         more = f"record at least {longest_period(result):.2g} s more {beyond}"
         move = f"or move `time.{side}` if it cuts the data there."
         if near:
-            worst = max(near, key=lambda one: one.of_ends / one.value)
+            worst, told = max(near, key=lambda one: one.of_ends / one.value), [one.told(time) for one in near]
             yield doubt(
                 "ends",
-                f"the largest values of {_some([one.told(time) for one in near])} are so close to the {side} of the "
-                f"record that the smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} "
-                f"(doubtful above {OF_ENDS:g} of the value): {more} them{cutoff}, {move}",
+                f"the largest values of {listed(told, 'and', NAMED)} are so close to the {side} of the record that the "
+                f"smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} (doubtful above "
+                f"{OF_ENDS:g} of the value): {more} them{cutoff}, {move}",
             )
         if lost:
-            most, worst = max(lost, key=lambda pair: pair[0] / pair[1].value)
+            (most, worst), told = max(lost, key=lambda pair: pair[0] / pair[1].value), [x.told(time) for _, x in lost]
             yield doubt(
                 "ends",
-                f"the true largest values of {_some([one.told(time) for _, one in lost])} may lie at the {side} of the "
-                f"record, where the smoothing takes accelerations for zero: the data before smoothing show about "
-                f"{most:.2g} {worst.unit} for {worst.label} there (doubtful above {1 + OF_ENDS:g} times the largest "
-                f"value): {more} the motion{cutoff}, {move}",
+                f"the true largest values of {listed(told, 'and', NAMED)} may lie at the {side} of the record, where "
+                f"the smoothing takes accelerations for zero: the data before smoothing show about {most:.2g} "
+                f"{worst.unit} for {worst.label} there (doubtful above {1 + OF_ENDS:g} times the largest value): "
+                f"{more} the motion{cutoff}, {move}",
             )
 
 
-def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
+def _peaks(result: Inverse, bars: ResultBars | None) -> list[_Peak]:
     """Return the largest values of all joint forces and actuators that are not zero; residual actuators should be zero
     and are left out.
     """
@@ -150,11 +150,6 @@ def _peaks(result: Inverse, bars: ErrorBars | None) -> list[_Peak]:
     return found
 
 
-def _some(told: Sequence[str]) -> str:
-    more = len(told) - NAMED
-    return listed([*told[:NAMED], *([f"{more} more"] if more > 0 else [])], "and")
-
-
 MOSTLY, OF_LARGEST = 1.5, 0.1
 """The values of an actuator are mostly noise if the root mean square of their error bars exceeds `MOSTLY` times their
 own root mean square, and `MOSTLY` times the share `OF_LARGEST` of the largest one of all actuators with the same unit.
@@ -163,7 +158,7 @@ Noise alone gives 1.96. In the packaged examples of walking, the ratio is at mos
 """
 
 
-def large_errors(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
+def large_errors(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     """Yield a doubt about the actuators, except residual ones and reserves, whose values are mostly noise.
 
     The parts of errors due to the ends of the record are left out, because they have their own criterion.
@@ -181,12 +176,11 @@ def large_errors(result: Inverse, bars: ErrorBars | None) -> Iterator[Finding]:
         if error > MOSTLY * max(values[place], OF_LARGEST * largest):
             told.append(f"{one.name} ({values[place]:.3g} {one.unit}, with error bars of {error:.3g} {one.unit})")
     if told:
-        more = [f"{len(told) - NAMED} more"] if len(told) > NAMED else []
         is_smoothed = not isinstance(result.problem.spec.motion.smooth, NoSmoothing)
         cure = "use a lower cutoff" if is_smoothed else "smooth the motion with `motion.smooth`"
         yield doubt(
             "large-errors",
             f"values of actuators are mostly noise, according to their root mean squares: "
-            f"{listed([*told[:NAMED], *more], 'and')} (doubtful above {MOSTLY:g} times as much; noise alone gives 2): "
+            f"{listed(told, 'and', NAMED)} (doubtful above {MOSTLY:g} times as much; noise alone gives 2): "
             f"{cure}, or check deviations that the spec states.",
         )

@@ -75,7 +75,6 @@ def equal_columns(problem: InverseProblem) -> Iterator[str]:
 
 
 def _tied(problem: InverseProblem, first: int, second: int) -> bool:
-    """Return whether the mechanism, in its initial pose, ties two observed quantities to each other."""
     manifold, pose = problem.fitter.manifold, problem.prepared.equations.q0[None]
     free = manifold.directions(manifold.frames(problem.measured.time[:1], pose).jacobian).free[0]
     slopes = product(problem.measured.quantities.jacobian(pose)[0] * manifold.scale, free)

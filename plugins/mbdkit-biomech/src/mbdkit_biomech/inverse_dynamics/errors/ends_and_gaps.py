@@ -29,7 +29,7 @@ from mbdkit.engine.stacked_matrices import products, pseudoinverses
 from mbdkit.plugin import listed
 from mbdkit.plugin.equations import product, symmetric_eigenvectors
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.errors.noise import NoisePath
+from mbdkit_biomech.inverse_dynamics.errors.noise import NoisePath, NoisyData
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed, cutoff_of, fixed, smoothed_each, spline_of_ends
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 
@@ -135,58 +135,34 @@ def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -
     return path.smoothed(changes)
 
 
-def changes_at_ends(
-    time: np.ndarray,
-    coordinates: np.ndarray,
-    series: Smoothed,
-    how: Sequence[Smoothing],
-    path: NoisePath,
-    *,
-    deviation: np.ndarray,
-) -> Smoothed:
+def changes_at_ends(data: NoisyData) -> Smoothed:
     """Return changes (T, U, 2 U) of the coordinates and their derivatives by what the smoothing takes for zero at the
     ends, each the effect of one of U independent combinations of the coordinates at one end: bounds of the
     accelerations or, for quintic splines, typical third derivatives.
-
-    Parameters
-    ----------
-    time
-        (T,) [s].
-    coordinates
-        (T, U) the coordinates before smoothing.
-    series
-        (T, U) the smoothed coordinates.
-    how
-        Smoothing of each coordinate, with fixed parameters; the same method for all of them.
-    path
-        Propagation of noise.
-    deviation
-        (K,) standard deviations of the noise of the observed quantities.
     """
+    time, how, path, series = data.time, data.how, data.path, data.series
     if isinstance(how[0], QuinticSpline):
-        third, spline = _third_derivatives(time, series, path, deviation), spline_of_ends(time)
+        third, spline = _third_derivatives(time, series, path, data.deviation), spline_of_ends(time)
         return Smoothed(*(np.kron(spline(time, order)[:, None], third) for order in range(3)))
-    blocks = path.samples(deviation, DRAWS, np.random.default_rng(0))
-    noise = np.concatenate([path.smoothed(one, [NoSmoothing()] * len(how)).value for one in blocks], axis=2)
+    blocks = path.samples(data.deviation, DRAWS, np.random.default_rng(0))
+    noise = np.concatenate([path.smoothed(block, [NoSmoothing()] * len(how)).value for block in blocks], axis=2)
     scatter = np.sqrt(np.mean(_end_accelerations(time, noise, how) ** 2, axis=2))
-    bounds = np.abs(_end_accelerations(time, coordinates[:, :, None], how)[:, :, 0]) + END_FACTOR * scatter
+    bounds = np.abs(_end_accelerations(time, data.coordinates[:, :, None], how)[:, :, 0]) + END_FACTOR * scatter
     largest = np.maximum(np.max(np.abs(series.acceleration), axis=0), bounds)
     size, wrong = largest[:, :, None] * _correlation_root(series.acceleration), _response_to_ends(time, how)
     return Smoothed(*(np.concatenate(list(part[..., None] * size[:, None]), axis=2) for part in wrong))
 
 
-def likely_at_ends(time: np.ndarray, coordinates: np.ndarray, series: Smoothed, how: Sequence[Smoothing]) -> Smoothed:
-    """Return the smoothed coordinates `series` (T, U) with the accelerations at both ends that the coordinates before
-    smoothing show, in place of zero; for quintic splines, `series` itself.
+def likely_at_ends(data: NoisyData) -> Smoothed:
+    """Return the smoothed coordinates with the accelerations at both ends that the coordinates before smoothing show,
+    in place of zero; for quintic splines, the smoothed coordinates themselves.
     """
-    if isinstance(how[0], QuinticSpline):
-        return series
-    estimate = _end_accelerations(time, coordinates[:, :, None], how)
-    parts = (series.value, series.rate, series.acceleration)
-    wrong = _response_to_ends(time, how)
-    return Smoothed(*(
-        part - np.sum(by * estimate[:, None, :, 0], axis=0) for part, by in zip(parts, wrong, strict=True)
-    ))  # fmt: skip
+    if isinstance(data.how[0], QuinticSpline):
+        return data.series
+    estimate = _end_accelerations(data.time, data.coordinates[:, :, None], data.how)
+    wrong = _response_to_ends(data.time, data.how)
+    parts = zip(data.series, wrong, strict=True)
+    return Smoothed(*(part - np.sum(by * estimate[:, None, :, 0], axis=0) for part, by in parts))
 
 
 def _response_to_ends(time: np.ndarray, how: Sequence[Smoothing]) -> list[np.ndarray]:
@@ -196,9 +172,8 @@ def _response_to_ends(time: np.ndarray, how: Sequence[Smoothing]) -> list[np.nda
     from_middle = time - 0.5 * (time[0] + time[-1])
     exact = [np.repeat(one[:, None], len(how), axis=1) for one in
              (0.5 * from_middle**2, from_middle, np.ones_like(time))]  # fmt: skip
-    found = smoothed_each(time, exact[0], how)
     side = np.stack([from_middle < 0, from_middle >= 0])[:, :, None]
-    return [(one - true) * side for one, true in zip((found.value, found.rate, found.acceleration), exact, strict=True)]
+    return [(part - true) * side for part, true in zip(smoothed_each(time, exact[0], how), exact, strict=True)]
 
 
 def _end_accelerations(time: np.ndarray, coordinates: np.ndarray, how: Sequence[Smoothing]) -> np.ndarray:

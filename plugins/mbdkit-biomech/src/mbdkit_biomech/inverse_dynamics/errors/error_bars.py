@@ -23,7 +23,7 @@ from functools import partial
 import numpy as np
 
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import Accuracy, RunError, SpecError, listed
+from mbdkit.plugin import Accuracy, RunError, listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, recorded_states
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
     LongGap,
@@ -33,26 +33,23 @@ from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
     long_gaps,
     told_gaps,
 )
-from mbdkit_biomech.inverse_dynamics.errors.noise import Noise, NoisePath, noise_of
+from mbdkit_biomech.inverse_dynamics.errors.noise import Noise, NoisePath, NoisyData
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, motion_of_series, other_coordinates
-from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed, fixed, smoothed, smoothed_each, with_cutoff
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed, fixed, smoothed, smoothed_each
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
-from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ErrorBars as Asked
-from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline
 from mbdkit_biomech.uncertainty.uncertain_result import UncertainResult, uncertain_result
-
-CUTOFFS = (0.8, 1.25)
-"""The result is compared with results whose cutoff is multiplied by these factors."""
-
 
 HIDDEN = 0.1
 """An error is unknown if a long gap may hide a change that exceeds this share of the other errors."""
 
+NAMED = 6
+"""Largest number of columns and coordinates that are named."""
 LOAD_UNITS = {"force": "N", "point": "m", "torque": "N m"}
 
 
 @dataclass(frozen=True)
-class ErrorBars:
+class ResultBars:
     """Bounds of the errors of a result in T frames, each of which holds with the probability `LEVEL`.
 
     Attributes
@@ -127,37 +124,26 @@ def _outcome(result: Inverse) -> _Outcome:
     return _Outcome(result.actuators[:, :, 0], states.reactions, q, v, muscles)
 
 
-def error_bars(result: Inverse) -> ErrorBars | None:
+def error_bars(result: Inverse) -> ResultBars | None:
     """Return the error bars of a result.
 
     Returns
     -------
-    ErrorBars or None
+    ResultBars or None
         None if no error bars are requested, if derivatives are part of the data, if the noise of a column is neither
         stated nor can be estimated from the residuals, or if recruitment couples the frames.
     """
     begin = time.perf_counter()
-    problem, fitted, independent = result.problem, result.fitted, result.independent
-    asked = problem.spec.motion.errors
-    if asked == "none" or independent is None or not independent.names:
-        return None
-    recruiter = problem.recruiter
+    recruiter = result.problem.recruiter
     if recruiter is not None and recruiter.couples_frames:
         return None  # forces of muscles depend on the noise of other frames; the covariances are those within a frame
-    random = np.random.default_rng(asked.seed)
-    measured, times = fitted.measured, result.motion.time
-    coordinates = independent.quantities.values(fitted.q)
-    how = fixed(times, coordinates, problem.spec.motion.smooth)
-    path = NoisePath(result, independent, how)
-    left = measured.raw - measured.quantities.values(result.motion.q)
-    seen = noise_of(path, left, measured.deviation, random)
-    deviation = path.white(seen, left)
-    if np.any(np.isnan(deviation)):
+    data = NoisyData.of(result)
+    if data is None:
         return None
-    response = _Response(result, independent)
-    groups = [_other_cutoffs(response, path, coordinates, how), _other_coordinates(response)]
-    covariance, *of_others = _covariances(path, deviation, asked, [*groups[0], *groups[1]], random)
-    series = smoothed_each(times, coordinates, how)
+    times, series = data.time, data.series
+    response = _Response(result, data.independent)
+    groups = [_other_cutoffs(response, data), _other_coordinates(response)]
+    covariance, *of_others = _covariances(data, [*groups[0], *groups[1]])
     sensitivity = _sensitivity(response, series, covariance)
     squares = [bound**2 for bound in _bounds(*_with_loads(result, sensitivity, covariance))]
     for group in groups:
@@ -168,34 +154,26 @@ def error_bars(result: Inverse) -> ErrorBars | None:
             ):
                 beyond[index] += (change**2 - noise) / len(group)
         squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
-    at_ends = changes_at_ends(times, coordinates, series, how, path, deviation=deviation)
-    of_ends = _squares_of_changes(sensitivity, at_ends)
-    likely = response(likely_at_ends(times, coordinates, series, how))
+    of_ends = _squares_of_changes(sensitivity, changes_at_ends(data))
+    likely = response(likely_at_ends(data))
     squares = [square + more for square, more in zip(squares, of_ends, strict=True)]
-    uncertain, of_data = uncertain_result(result, random), squares[1]
+    uncertain, of_data = uncertain_result(result, data.random), squares[1]
     if uncertain is not None:
         squares = [square + more for square, more in zip(squares, uncertain.squares, strict=True)]
     gaps = long_gaps(result)
-    of_gaps = _squares_of_changes(sensitivity, changes_in_gaps(result, path, gaps))
+    of_gaps = _squares_of_changes(sensitivity, changes_in_gaps(result, data.path, gaps))
     for square, more in zip(squares, of_gaps, strict=True):
         square[more > HIDDEN**2 * square] = np.nan
-    method = _method(result, deviation, *([one.name for one in group] for group in groups), gaps=gaps)
+    method = _method(result, data.deviation, *([one.name for one in group] for group in groups), gaps=gaps)
     method += "" if uncertain is None else uncertain.told
     parts = {} if uncertain is None else uncertain.parts(of_data, squares[1])
     actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
-    return ErrorBars(
-        seen,
+    return ResultBars(
+        data.noise,
         actuators,
         muscles,
         Accuracy(
-            times,
-            position,
-            velocity,
-            force,
-            torque,
-            float(times[-1]),
-            np.nan,
-            method,
+            *(times, position, velocity, force, torque, float(times[-1]), np.nan, method),
             time.perf_counter() - begin,
             parts=parts,
         ),
@@ -206,21 +184,18 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     )
 
 
-def _covariances(
-    path: NoisePath, deviation: np.ndarray, asked: Asked, others: Sequence[_Other], random: np.random.Generator
-) -> list[np.ndarray]:
+def _covariances(data: NoisyData, others: Sequence[_Other]) -> list[np.ndarray]:
     """Return covariances (T, 3 U, 3 U), due to noise, of the coordinates, their rates and accelerations in each frame.
 
     The first covariances are those of the result. Each of the following ones belongs to the differences between the
     coordinates with one of the smoothings `others` and the coordinates of the result.
     """
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
-    for white in path.samples(deviation, asked.samples, random):
-        noise = white + path.artefacts(white.shape[2], random)
-        own = path.smoothed(noise).every
+    for noise in data.samples(data.asked.samples):
+        own = data.path.smoothed(noise).every
         for index, change in enumerate([own, *(one.noise(noise).every - own for one in others)]):
             totals[index] = totals[index] + products(change, np.swapaxes(change, 1, 2))
-    return [np.asarray(total / asked.samples) for total in totals]
+    return [np.asarray(total / data.asked.samples) for total in totals]
 
 
 def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) -> list[np.ndarray]:
@@ -229,16 +204,15 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
 
     Differences are central. The step of each variable is the typical standard deviation of its noise.
     """
-    parts = (series.value, series.rate, series.acceleration)
     count = series.value.shape[1]
     typical = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
     found: list[list[np.ndarray]] = []
     for index in range(3 * count):
         order, column = divmod(index, count)
-        step = typical[index] or 1e-6 * max(1.0, float(np.max(np.abs(parts[order][:, column]))))
+        step = typical[index] or 1e-6 * max(1.0, float(np.max(np.abs(series[order][:, column]))))
         sides = []
         for sign in (1.0, -1.0):
-            moved = [part.copy() for part in parts]
+            moved = [part.copy() for part in series]
             moved[order][:, column] += sign * step
             sides.append(response(Smoothed(*moved)))
         found.append([one / (2 * step) for one in sides[0].minus(sides[1]).parts])
@@ -296,7 +270,7 @@ def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.nd
 def _squares(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
     """Return the mean squares, due to noise, of actuators, force norms, torques, positions, velocities and muscles."""
     actuators, reactions, position, velocity, muscles = sensitivity
-    x, y, torque = (_product(moveaxi, moveaxi, covariance) for moveaxi in np.moveaxis(reactions, -1, 0))
+    x, y, torque = (_product(component, component, covariance) for component in np.moveaxis(reactions, -1, 0))
     own, place, rate, pull = (_product(one, one, covariance) for one in (actuators, position, velocity, muscles))
     return [own, x + y, torque, place, rate, pull]
 
@@ -354,20 +328,12 @@ class _Other:
         return cls(name, noise, [one.actuators, force, torque, one.position, one.velocity, one.muscles])
 
 
-def _other_cutoffs(response: _Response, path: NoisePath, coordinates: np.ndarray, how: list[Smoothing]) -> list[_Other]:
-    """Return smoothings with the other cutoffs that the sampling rate allows."""
-    times, base = response.result.motion.time, _outcome(response.result)
-    found = []
-    for factor in CUTOFFS:
-        moved = [with_cutoff(one, factor) or one for one in how]
-        if moved == how:
-            continue
-        try:
-            series = smoothed_each(times, coordinates, moved)
-        except SpecError:  # the cutoff is too high for the sampling rate
-            continue
-        found.append(_Other.of(f"{factor:g}", partial(path.smoothed, how=moved), response(series), base))
-    return found
+def _other_cutoffs(response: _Response, data: NoisyData) -> list[_Other]:
+    base = _outcome(response.result)
+    return [
+        _Other.of(f"{factor:g}", partial(data.path.smoothed, how=how), response(series), base)
+        for factor, how, series in data.other_cutoffs()
+    ]
 
 
 def _other_coordinates(response: _Response) -> list[_Other]:
@@ -393,11 +359,7 @@ def _other_coordinates(response: _Response) -> list[_Other]:
     except RunError:  # no pose fits the smoothed quantities, and the effect of the choice is unknown
         outcome = _Outcome(*(np.full_like(part, np.nan) for part in base.parts))
     noise = partial(NoisePath(result, other, how).smoothed_as, quantities)
-    return [_Other.of(_some(other.names), noise, outcome, base)]
-
-
-def _some(names: Sequence[str]) -> str:
-    return listed(names[:6], "" if len(names) > 6 else "and") + (f" and {len(names) - 6} more" if names[6:] else "")
+    return [_Other.of(listed(other.names, "and", NAMED), noise, outcome, base)]
 
 
 def _method(
@@ -433,8 +395,8 @@ def _method(
     unknown = "".join(f" Unknown (nan) in {one}." for one in told_gaps(result, gaps).values())
     return (
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
-        f"to sample, with the standard deviations {_some(told)}, passed through the linearised fit, smoothing and "
-        f"dynamics{of_loads}{''.join(effects)}{' by root sum of squares' if effects else ''}"
+        f"to sample, with the standard deviations {listed(told, 'and', NAMED)}, passed through the linearised fit, "
+        f"smoothing and dynamics{of_loads}{''.join(effects)}{' by root sum of squares' if effects else ''}"
         f"{'' if factors else '; no cutoff was varied'}"
         f"{'; artefacts of the markers, correlated in time' if result.problem.source.person else ''}{ends}.{unknown}"
     )

@@ -6,19 +6,28 @@ The fit is linearised at the fitted poses; smoothing with fixed parameters is li
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.stacked_matrices import products
+from mbdkit.plugin import SpecError
 from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions
 from mbdkit_biomech.inverse_dynamics.motion.measured import bridged
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent
-from mbdkit_biomech.inverse_dynamics.motion.smoothing import FEWEST, Smoothed, local_derivatives, smoothed_each
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import (
+    FEWEST,
+    Smoothed,
+    fixed,
+    local_derivatives,
+    smoothed_each,
+    with_cutoff,
+)
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
-from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Smoothing
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ErrorBars, Smoothing
 
 DRAWS = 20
 """Number of noise samples per column used to estimate the share of the noise that remains in the residuals."""
@@ -31,6 +40,10 @@ LEAST_SHARE = 0.01
 
 NUMBERS_AT_ONCE = 4_000_000
 """Largest number of noise values that are smoothed together."""
+
+
+CUTOFFS = (0.8, 1.25)
+"""The result is compared with results whose cutoff is multiplied by these factors."""
 
 
 class NoisePath:
@@ -256,3 +269,75 @@ def _estimated(share: np.ndarray, actual: np.ndarray, stated: np.ndarray) -> np.
         variance[seen] = found
     deviation: np.ndarray = np.where(known | seen, np.sqrt(variance), np.nan)
     return deviation
+
+
+class NoisyData(NamedTuple):
+    """The coordinates of a result before and after smoothing, and the noise of its data.
+
+    Attributes
+    ----------
+    asked
+        How errors are estimated.
+    time
+        (T,) [s].
+    independent
+        The independent coordinates.
+    coordinates, series
+        (T, U) values before smoothing, and after.
+    how
+        Smoothing of each coordinate, with fixed parameters; the same method for all of them.
+    path
+        Propagation of noise.
+    noise
+        Noise of the observed quantities.
+    deviation
+        (K,) standard deviations of its part that is independent from sample to sample.
+    random
+        Generator of all samples.
+    """
+
+    asked: ErrorBars
+    time: np.ndarray
+    independent: Independent
+    coordinates: np.ndarray
+    series: Smoothed
+    how: list[Smoothing]
+    path: NoisePath
+    noise: Noise
+    deviation: np.ndarray
+    random: np.random.Generator
+
+    @classmethod
+    def of(cls, result: Inverse) -> NoisyData | None:
+        """Return the data of a result; None if no error bars are requested, if derivatives are part of the data, or if
+        the noise of a column is neither stated nor can be estimated from the residuals.
+        """
+        spec, independent = result.problem.spec, result.independent
+        asked = spec.motion.errors
+        if asked == "none" or independent is None or not independent.names:
+            return None
+        random = np.random.default_rng(asked.seed)
+        measured, time = result.fitted.measured, result.motion.time
+        coordinates = independent.quantities.values(result.fitted.q)
+        how = fixed(time, coordinates, spec.motion.smooth)
+        path = NoisePath(result, independent, how)
+        left = measured.raw - measured.quantities.values(result.motion.q)
+        noise = noise_of(path, left, measured.deviation, random)
+        deviation = path.white(noise, left)
+        if np.any(np.isnan(deviation)):
+            return None
+        series = smoothed_each(time, coordinates, how)
+        return cls(asked, time, independent, coordinates, series, how, path, noise, deviation, random)
+
+    def samples(self, count: int) -> Iterator[np.ndarray]:
+        """Yield blocks (T, K, S) of noise with artefacts of markers, with `count` samples in total."""
+        for white in self.path.samples(self.deviation, count, self.random):
+            yield white + self.path.artefacts(white.shape[2], self.random)
+
+    def other_cutoffs(self) -> Iterator[tuple[float, list[Smoothing], Smoothed]]:
+        """Yield those of the factors `CUTOFFS` that the sampling rate allows, the smoothing, and the coordinates."""
+        for factor in CUTOFFS:
+            how = [with_cutoff(one, factor) or one for one in self.how]
+            if how != self.how:
+                with suppress(SpecError):  # the cutoff is too high for the sampling rate
+                    yield factor, how, smoothed_each(self.time, self.coordinates, how)

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.plugin import listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import LOAD_UNITS, ErrorBars
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import LOAD_UNITS, ResultBars
 
 TINY = np.finfo(float).tiny
 
@@ -28,7 +28,7 @@ NAMED = 4
 """Largest number of columns that are named."""
 
 
-def large_deviations(result: Inverse, bars: ErrorBars | None) -> Iterator[str]:
+def large_deviations(result: Inverse, bars: ResultBars | None) -> Iterator[str]:
     """Yield sentences on stated deviations that are much larger than the noise of the data, or than the data."""
     if bars is None:
         return
@@ -36,14 +36,14 @@ def large_deviations(result: Inverse, bars: ErrorBars | None) -> Iterator[str]:
     if told:
         yield (
             f"stated deviations are more than {LARGE:g} times the noise seen in the data, so that error bars are too "
-            f"wide: {_some(told)}. Check their units."
+            f"wide: {listed(told, 'and', NAMED)}. Check their units."
         )
     told = [*_above_values(result, bars)]
     if told:
-        yield f"stated deviations exceed the data themselves: {_some(told)}. Check their units."
+        yield f"stated deviations exceed the data themselves: {listed(told, 'and', NAMED)}. Check their units."
 
 
-def _above_noise(result: Inverse, bars: ErrorBars) -> Iterator[str]:
+def _above_noise(result: Inverse, bars: ResultBars) -> Iterator[str]:
     measured, noise = result.fitted.measured, bars.noise
     left = measured.raw - measured.quantities.values(result.motion.q)
     correlation = np.nanmean(left[1:] * left[:-1], axis=0) / np.maximum(np.nanmean(left**2, axis=0), TINY)
@@ -54,7 +54,7 @@ def _above_noise(result: Inverse, bars: ErrorBars) -> Iterator[str]:
             yield f"{measured.names[index]} {stated:.3g} {unit} (seen {noise.seen[index]:.2g} {unit})"
 
 
-def _above_values(result: Inverse, bars: ErrorBars) -> Iterator[str]:
+def _above_values(result: Inverse, bars: ResultBars) -> Iterator[str]:
     """Yield columns whose noise cannot be seen, and loads, which are not smoothed, whose deviations exceed the values.
 
     Angles and coordinates are compared with their ranges, forces and torques with their root mean squares, and points
@@ -75,8 +75,3 @@ def _above_values(result: Inverse, bars: ErrorBars) -> Iterator[str]:
                 yield f"{label} (longest link {size:.2g} m)"
             elif array != "point" and stated > rms > 0:
                 yield f"{label} (root mean square {rms:.2g} {LOAD_UNITS[array]})"
-
-
-def _some(told: list[str]) -> str:
-    more = len(told) - NAMED
-    return listed([*told[:NAMED], *([f"{more} more"] if more > 0 else [])], "and")

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbdkit.plugin import MbdkitError, SpecError, shown
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
 UNLOADED = 10.0
 """A plate counts as unloaded if the force along its normal [N] is below this.
@@ -54,7 +55,7 @@ LARGEST_PLATE = 20.0
 """Coordinates of plates are in mm if a file states no unit and the corners of a plate are farther apart than this."""
 
 
-class Columns(NamedTuple):
+class _Columns(NamedTuple):
     """Headings and values of a table.
 
     Parameters
@@ -76,7 +77,7 @@ class Columns(NamedTuple):
     remark: str = ""
 
 
-def read_c3d(path: Path, most_cells: int) -> Columns | None:
+def read_c3d(path: Path, most_cells: int) -> MeasuredTable | None:
     """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
 
     Forces and torques of plates are those in the file, in the frame of the laboratory. They are given at the times of
@@ -114,7 +115,7 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
             about, values = json.loads(str(arrays["about"])), arrays["values"]
     if "error" in about:
         raise SpecError(about["error"], file=path)
-    return Columns(values=values, **about) if about else None
+    return MeasuredTable(str(path), cells=values.tolist(), **about) if about else None
 
 
 def write_columns() -> None:
@@ -142,8 +143,7 @@ def _unreadable(path: Path, why: str) -> SpecError:
     return SpecError(f"this is not a C3D file that can be read: {why}", file=path)
 
 
-def _columns_of(path: Path, most_cells: int) -> Columns | None:
-    """Return what `read_c3d` does."""
+def _columns_of(path: Path, most_cells: int) -> _Columns | None:
     try:
         return _decoded(path, most_cells)
     except KeyError as error:
@@ -152,7 +152,7 @@ def _columns_of(path: Path, most_cells: int) -> Columns | None:
         raise _unreadable(path, shown(str(error) or type(error).__name__)) from None
 
 
-def _decoded(path: Path, most_cells: int) -> Columns | None:
+def _decoded(path: Path, most_cells: int) -> _Columns | None:
     import ezc3d
 
     remark = ""
@@ -203,7 +203,7 @@ def _decoded(path: Path, most_cells: int) -> Columns | None:
             headings += [f"plate{number}.{quantity}.{axis}" for axis in "xyz"]
             values += list(columns)
     places = [heading for heading in headings[1:] if heading and ".force." not in heading and ".torque." not in heading]
-    return Columns(headings, np.column_stack(values), dict.fromkeys(places, unit) if unit else {}, remark)
+    return _Columns(headings, np.column_stack(values), dict.fromkeys(places, unit) if unit else {}, remark)
 
 
 def _has_negative_offsets(about: Any) -> bool:
@@ -297,13 +297,8 @@ def _require_sound_parameters(content: bytes, first: int) -> None:
         Position of the parameters in the file.
     """
     order = ">h" if content[first + 3 : first + 4] == bytes([_MIPS]) else "<h"
-    place = first + 4
     analog, found = 0, []
-    while content[place]:  # length of the name of a group or parameter; 0 at the end
-        length, group = struct.unpack_from("2b", content, place)
-        name = content[place + 2 : place + 2 + abs(length)]
-        place += 2 + abs(length)
-        (offset,) = struct.unpack_from(order, content, place)
+    for name, group, place, offset in _entries(content, first, order):
         end = place + offset if offset else len(content)
         if name == b"ANALOG" and group < 0:
             analog = -group
@@ -316,15 +311,28 @@ def _require_sound_parameters(content: bytes, first: int) -> None:
                 raise ValueError("a parameter is longer than its place in the file")
             values = struct.unpack_from(order, content, place + 4 + count)[0] if size == 2 else 0
             found.append((group, name.rstrip(b"0123456789"), values, math.prod(shape)))
-        if offset == 0:
-            break
-        if not 0 < offset <= len(content) - place:
-            raise ValueError("the parameters are damaged")
-        place += offset
     channels = next((value for group, name, value, _ in found if (group, name) == (analog, b"USED")), 0)
     for wanted in (b"SCALE", b"OFFSET"):
         if channels > sum(count for group, name, _, count in found if (group, name) == (analog, wanted)):
             raise ValueError(f"some of its {channels} analog channels have no {wanted.decode().lower()}")
+
+
+def _entries(content: bytes, first: int, order: str) -> Iterator[tuple[bytes, int, int, int]]:
+    """Yield the groups and parameters of a file: name, number of the group (negative for a group itself), and the
+    position of the offset to the next entry with this offset, which is 0 in the last one.
+    """
+    place = first + 4
+    while content[place]:  # length of the name; 0 at the end
+        length, group = struct.unpack_from("2b", content, place)
+        name = content[place + 2 : place + 2 + abs(length)]
+        place += 2 + abs(length)
+        (offset,) = struct.unpack_from(order, content, place)
+        yield name, group, place, offset
+        if offset == 0:
+            return
+        if not 0 < offset <= len(content) - place:
+            raise ValueError("the parameters are damaged")
+        place += offset
 
 
 _MOST_AXES = 7
@@ -345,20 +353,13 @@ def _in_order_of_intel(content: bytes, first: int) -> bytes:
     found = bytearray(content)
     found[:_BLOCK] = (content[:2] + header).ljust(_BLOCK, b"\0")
     found[first + 3] = _INTEL
-    place = first + 4
-    while content[place]:  # length of the name of a group or parameter; 0 at the end
-        group = struct.unpack_from("b", content, place + 1)[0]
-        place += 2 + abs(struct.unpack_from("b", content, place)[0])
-        (offset,) = struct.unpack_from(">h", content, place)
+    for _, group, place, offset in _entries(content, first, ">h"):
         found[place : place + 2] = struct.pack("<h", offset)
         if group > 0:
             size, count = struct.unpack_from("bB", content, place + 2)
             begin = place + 4 + count
             length = abs(size) * int(np.prod(list(content[place + 4 : begin]), dtype=int))
             found[begin : begin + length] = _swapped(content[begin : begin + length], abs(size))
-        if offset <= 0:
-            break
-        place += offset
     data = _BLOCK * (more[0] - 1)
     found[data:] = _swapped(content[data:], 4 if scale[0] < 0 else 2)
     return bytes(found)

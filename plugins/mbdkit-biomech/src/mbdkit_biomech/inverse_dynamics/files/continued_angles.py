@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.plugin import cited
-from mbdkit_biomech.inverse_dynamics.files.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
 RATE_SAMPLES = 5
 """Largest number of intervals next to a gap from which the rate of an angle is computed; with fewer intervals, noise
@@ -13,7 +13,9 @@ would have a greater effect.
 """
 
 
-def continued(time: np.ndarray, values: np.ndarray, period: float, where: tuple[Table, str, np.ndarray]) -> np.ndarray:
+def continued(
+    time: np.ndarray, values: np.ndarray, period: float, where: tuple[MeasuredTable, str, np.ndarray]
+) -> np.ndarray:
     """Return an angle (T,) continued over full turns, from sample to sample and across gaps, which remain nan.
 
     Between neighbouring samples, the angle changes by at most half a turn. Across a gap, the number of turns is chosen

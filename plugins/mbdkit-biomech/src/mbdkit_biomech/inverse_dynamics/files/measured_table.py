@@ -36,7 +36,7 @@ def unit_of_time_as_cause(interval: float) -> str:
 
 
 @dataclass(frozen=True)
-class Table:
+class MeasuredTable:
     """A table of numbers, whose cells are converted when a column is used.
 
     Parameters
@@ -249,7 +249,7 @@ def _is_plain(cell: Any) -> bool:
     return not isinstance(cell, str) or (cell.isascii() and "_" not in cell)
 
 
-def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> Table:
+def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> MeasuredTable:
     """Return a table with the given columns by heading; raise SpecError if the columns differ in length."""
     lengths = {heading: len(values) for heading, values in data.items()}
     if len(set(lengths.values())) > 1:
@@ -257,4 +257,4 @@ def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> Table:
             f"columns should be of equal length, not {listed(f'{cited(name)} {n}' for name, n in lengths.items())}",
             key=key,
         )
-    return Table("", list(data), list(zip(*data.values(), strict=True)))
+    return MeasuredTable("", list(data), list(zip(*data.values(), strict=True)))

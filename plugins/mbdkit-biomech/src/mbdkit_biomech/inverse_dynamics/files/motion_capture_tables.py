@@ -7,10 +7,11 @@ the description of motion data files in the manual of Qualisys Track Manager.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from mbdkit.plugin import SpecError, cited, listed
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
 Rows = Sequence[tuple[int, list[str]]]
 """Rows of cells with the numbers of their lines, without empty lines."""
@@ -23,16 +24,6 @@ _QUALISYS = ("NO_OF_FRAMES", "FILE_VERSION", "NO_OF_SAMPLES", "TOT_NO_OF_CHAN")
 """First words of files of Qualisys Track Manager."""
 
 
-class Columns(NamedTuple):
-    """Headings, cells by row, number of the line of each row, units by heading, and a remark on what was not read."""
-
-    headings: list[str]
-    cells: list[list[Any]]
-    lines: list[int]
-    units: Mapping[str, str]
-    remark: str = ""
-
-
 def is_qualisys(first_line: str) -> bool:
     """Return whether a file with this first line is one of Qualisys Track Manager."""
     return first_line.split("\t")[0].strip() in _QUALISYS
@@ -43,7 +34,7 @@ def is_vicon(first_line: str) -> bool:
     return first_line.strip().strip(",;\t") in SECTIONS
 
 
-def read_qualisys(file: str, rows: Rows) -> Columns:
+def read_qualisys(file: str, rows: Rows) -> MeasuredTable:
     """Read the markers of a motion data file of Qualisys Track Manager; coordinates are in mm.
 
     The columns are called MARKER.x, MARKER.y and MARKER.z. Without a column of times, they follow from the frequency;
@@ -70,14 +61,14 @@ def read_qualisys(file: str, rows: Rows) -> Columns:
     has_heads = place < len(rows) and not _is_number(_first(rows[place][1]))
     data = rows[place + has_heads :]
     headings = [f"{marker}.{axis}" for marker in markers for axis in "xyz"]
-    width = max((len(_stripped(cells)) for _, cells in data), default=0)
+    width = max((len(stripped(cells)) for _, cells in data), default=0)
     has_time = width > len(headings) or (has_heads and _first(rows[place][1]).lower() == "frame")
     lead = 2 if has_time else 0
     cells: list[list[Any]] = []
     lines: list[int] = []
     for row, (line, given) in enumerate(data):
         values: list[Any] = [cell.strip() for cell in given]
-        if len(_stripped(values)) > lead + len(headings):
+        if len(stripped(values)) > lead + len(headings):
             raise SpecError(
                 f"this row has {len(values)} cells, but {len(markers)} markers need {lead + len(headings)}",
                 file=file,
@@ -90,7 +81,7 @@ def read_qualisys(file: str, rows: Rows) -> Columns:
         time = values[1] if has_time else row / _rate(header.get("FREQUENCY", [""])[0], file, None)
         cells.append([time, *values[lead : lead + len(headings)]])
         lines.append(line)
-    return Columns(["time", *headings], cells, lines, dict.fromkeys(headings, "mm"))
+    return MeasuredTable(file, ["time", *headings], cells, lines, units=dict.fromkeys(headings, "mm"))
 
 
 class _Section(NamedTuple):
@@ -104,7 +95,7 @@ class _Section(NamedTuple):
     rows: dict[tuple[int, int], tuple[int, list[Any]]]
 
 
-def read_vicon(file: str, rows: Rows) -> Columns:
+def read_vicon(file: str, rows: Rows) -> MeasuredTable:
     """Read a file of Vicon Nexus. Columns are called NAME.x, NAME.y and NAME.z, or NAME.Fx with other components.
 
     Frame 1 is at time 0. If the file has frames of the cameras, samples of devices are those at the frames.
@@ -139,17 +130,16 @@ def read_vicon(file: str, rows: Rows) -> Columns:
         for row, key in zip(cells, keys, strict=True):
             row.extend(section.rows.get(key, nothing)[1])
     remark = f"its sections {listed(other, 'and')} are not read" if other else ""
-    return Columns(headings, cells, [main.rows[key][0] for key in keys], units, remark)
+    return MeasuredTable(file, headings, cells, [main.rows[key][0] for key in keys], units=units, remark=remark)
 
 
 def _begins_section(rows: Rows, place: int) -> bool:
     """Return whether a row has nothing but a name, and the next one nothing but a number."""
-    name, rate = (_stripped(cells) for _, cells in rows[place : place + 2])
+    name, rate = (stripped(cells) for _, cells in rows[place : place + 2])
     return len(name) == len(rate) == 1 and not _is_number(name[0]) and _is_number(rate[0])
 
 
 def _section(file: str, name: str, rows: Rows) -> _Section:
-    """Return a section, given its rows."""
     if len(rows) < 6:
         raise SpecError(f"the section '{name}' has no frames", file=file, line=rows[0][0])
     rate = _rate(rows[1][1][0], file, rows[1][0])
@@ -169,9 +159,9 @@ def _section(file: str, name: str, rows: Rows) -> _Section:
         headings.append(f"{of_column}.{component}" if of_column and component else "")
     found: dict[tuple[int, int], tuple[int, list[Any]]] = {}
     for line, cells in rows[5:]:
-        if not _stripped(cells):
+        if not stripped(cells):
             continue
-        if len(_stripped(cells)) > count:
+        if len(stripped(cells)) > count:
             raise SpecError(f"this row has {len(cells)} cells, but there are {count} columns", file=file, line=line)
         frame, sub = (_whole(cell, file, line) for cell in cells[:2])
         found[frame, sub] = line, [*cells[2:count], *[None] * (count - max(2, len(cells)))]
@@ -206,9 +196,7 @@ def _first(cells: Sequence[str]) -> str:
     return cells[0].strip() if cells else ""
 
 
-def _stripped(cells: Sequence[Any]) -> list[Any]:
+def stripped(cells: Sequence[Any]) -> list[Any]:
     """Return cells without empty cells at their end."""
-    count = len(cells)
-    while count and (cells[count - 1] is None or not str(cells[count - 1]).strip()):
-        count -= 1
-    return list(cells[:count])
+    last = (at for at, cell in enumerate(cells, 1) if cell is not None and str(cell).strip())
+    return list(cells[: max(last, default=0)])

@@ -16,13 +16,13 @@ from mbdkit.base.units import NUMBER
 from mbdkit.plugin import SpecError, cited, read_data, read_unit
 from mbdkit.plugin.files import check_readable
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
-from mbdkit_biomech.inverse_dynamics.files.measured_table import DECIMAL_COMMA, Table, begins_like_number
+from mbdkit_biomech.inverse_dynamics.files.measured_table import DECIMAL_COMMA, MeasuredTable, begins_like_number
 from mbdkit_biomech.inverse_dynamics.files.motion_capture_tables import (
-    Columns,
     is_qualisys,
     is_vicon,
     read_qualisys,
     read_vicon,
+    stripped,
 )
 
 LONGEST_PREAMBLE = 100
@@ -38,7 +38,7 @@ MOST_CELLS = 10_000_000
 """Largest number of cells of a table; a cell takes about 70 bytes of memory."""
 
 
-def read_table(path: Path, key: str) -> Table:
+def read_table(path: Path, key: str) -> MeasuredTable:
     """Read a table from a file in the format given by its suffix: .csv, .tsv, .txt, .mot, .sto, .trc or .c3d.
 
     Text files of Vicon Nexus and of Qualisys Track Manager are recognized by their first line.
@@ -57,7 +57,10 @@ def read_table(path: Path, key: str) -> Table:
     suffix = path.suffix.lower()
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     if suffix == ".c3d":
-        return _read_c3d(path)
+        c3d = read_c3d(path, MOST_CELLS)
+        if c3d is None:
+            raise _too_many_cells(str(path))
+        return c3d
     readers = dict.fromkeys((".csv", ".tsv", ".txt"), _read_csv) | {
         ".mot": _read_storage,
         ".sto": _read_storage,
@@ -79,7 +82,7 @@ def read_table(path: Path, key: str) -> Table:
     return readers[suffix](str(path), text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
 
 
-def _read_csv(file: str, lines: list[str]) -> Table:
+def _read_csv(file: str, lines: list[str]) -> MeasuredTable:
     """Read a table with a line of headings and possibly a line of units, or a file of a motion capture program; lines
     that begin with # are comments.
     """
@@ -87,12 +90,12 @@ def _read_csv(file: str, lines: list[str]) -> Table:
     if first is None:
         raise _empty(file)
     if is_qualisys(first):
-        return _of_program(file, read_qualisys(file, _rows_of(file, lines, "\t")))
+        return read_qualisys(file, _rows_of(file, lines, "\t"))
     if is_vicon(first):
         delimiter = max(",;\t", key="\n".join(lines[:HEAD]).count)
-        return _of_program(file, read_vicon(file, _rows_of(file, lines, delimiter)))
+        return read_vicon(file, _rows_of(file, lines, delimiter))
     delimiter, begin = _data_in(lines) or (max(",;\t", key=first.count), 0)
-    rows = [(number, cells) for number, cells in _rows_of(file, lines, delimiter) if _stripped(cells)]
+    rows = [(number, cells) for number, cells in _rows_of(file, lines, delimiter) if stripped(cells)]
     if not rows:
         raise _empty(file)
     begin = next((index for index, (number, _) in enumerate(rows) if number > begin), 0)
@@ -113,7 +116,7 @@ def _read_csv(file: str, lines: list[str]) -> Table:
         )
     units = {names[headings.index(heading)]: unit for heading, unit in units.items()}
     return _checked(
-        Table(
+        MeasuredTable(
             file, names, cells, [number for number, _ in data], units=in_headings | units, full_headings=headings,
         )
     )  # fmt: skip
@@ -145,22 +148,16 @@ def _headings_above(rows: list[tuple[int, list[str]]], begin: int) -> int:
     It is the first row unless this row has fewer cells than the numbers, as a title or the settings of a device. In
     that case, the headings are in the last row, or the last but one above a row of units.
     """
-    width = len(_stripped(rows[begin][1]))
-    if len(_stripped(rows[0][1])) >= width:
+    width = len(stripped(rows[begin][1]))
+    if len(stripped(rows[0][1])) >= width:
         return 0
     for index in (begin - 1, begin - 2):
-        cells = _stripped(rows[index][1]) if index > 0 else []
+        cells = stripped(rows[index][1]) if index > 0 else []
         if len(cells) < 2 or any(map(begins_like_number, cells)):
             break
         if index == begin - 2 or not _units_in(cells, cells):
             return index
     return 0
-
-
-def _stripped(cells: Sequence[str]) -> Sequence[str]:
-    """Return the cells of a row without empty ones at its end."""
-    count = max((index for index, cell in enumerate(cells, 1) if cell.strip()), default=0)
-    return cells[:count]
 
 
 def _without_units(headings: Sequence[str]) -> tuple[list[str], dict[str, str]]:
@@ -200,11 +197,6 @@ def _rows_of(file: str, lines: list[str], delimiter: str) -> list[tuple[int, lis
     return list(_within(file, _csv_rows(file, lines, delimiter)))
 
 
-def _of_program(file: str, found: Columns) -> Table:
-    """Return the table of a file of a motion capture program."""
-    return Table(file, found.headings, found.cells, found.lines, units=found.units, remark=found.remark)
-
-
 def _units_in(headings: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     """Return the units in a row below the headings, by heading; empty if it has numbers, or no unit that is known."""
     stated = {heading: _usual(cell.strip().strip("[]()")) for heading, cell in zip(headings, cells, strict=False)}
@@ -223,7 +215,6 @@ def _is_unit(text: str) -> bool:
 
 
 def _is_row(line: str) -> bool:
-    """Return whether a line of a CSV file is neither empty nor a comment."""
     return bool(line.strip()) and not line.startswith("#")
 
 
@@ -271,7 +262,7 @@ def _too_many_cells(file: str) -> SpecError:
     return SpecError(message, file=file)
 
 
-def _read_storage(file: str, lines: list[str]) -> Table:
+def _read_storage(file: str, lines: list[str]) -> MeasuredTable:
     """Read an OpenSim storage file: a header up to ``endheader``, a line of headings, rows."""
     end = next((index for index, line in enumerate(lines) if line.strip().lower() == "endheader"), None)
     if end is None:
@@ -284,7 +275,7 @@ def _read_storage(file: str, lines: list[str]) -> Table:
     rows = [cells for _, cells in _within(file, ((number, split(line)) for number, line in kept))]
     lines_of = [number for number, _ in kept[1:]]
     _check_count(file, header, "nRows", len(rows) - 1)
-    table = _checked(Table(file, rows[0], rows[1:], lines_of, in_degrees=_is_in_degrees(file, header)))
+    table = _checked(MeasuredTable(file, rows[0], rows[1:], lines_of, in_degrees=_is_in_degrees(file, header)))
     if split is str.split:  # a missing cell would move the others
         for row, cells in enumerate(table.cells):
             if len(cells) < len(table.headings):
@@ -325,7 +316,7 @@ def _cells_of(headings: str) -> Any:
     return str.split
 
 
-def _read_trc(file: str, lines: list[str]) -> Table:
+def _read_trc(file: str, lines: list[str]) -> MeasuredTable:
     """Read a .trc file of markers; the columns are called MARKER.x, MARKER.y and MARKER.z."""
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise SpecError("this file does not begin with `PathFileType`, as a .trc file should", file=file)
@@ -345,7 +336,7 @@ def _read_trc(file: str, lines: list[str]) -> Table:
     rows = [cells for _, cells in _within(file, ((number, line.split("\t")) for number, line in kept))]
     _check_count(file, {"NumFrames": header.get("numframes") or "0"}, "NumFrames", len(rows))
     units = dict.fromkeys(headings[2:], header["units"])
-    return _checked(Table(file, headings, rows, [number for number, _ in kept], units=units))
+    return _checked(MeasuredTable(file, headings, rows, [number for number, _ in kept], units=units))
 
 
 def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
@@ -370,16 +361,7 @@ def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:
     return markers
 
 
-def _read_c3d(path: Path) -> Table:
-    """Read the markers and force plates of a C3D file; see `read_c3d`."""
-    found = read_c3d(path, MOST_CELLS)
-    if found is None:
-        raise _too_many_cells(str(path))
-    return Table(str(path), found.headings, found.values.tolist(), units=found.units, remark=found.remark)
-
-
-def _checked(table: Table) -> Table:
-    """Return the table; raise SpecError if a row has more cells than there are headings."""
+def _checked(table: MeasuredTable) -> MeasuredTable:
     for row, cells in enumerate(table.cells):
         if len(cells) > len(table.headings) and any(str(cell).strip() for cell in cells[len(table.headings) :]):
             raise table.error(f"this row has {len(cells)} cells, but there are {len(table.headings)} headings", row=row)

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.kernels import DIRECTIONS, DualStates, Observed, PinnedBundle, describe_duals
+from mbdkit.kernels import DIRECTIONS, DualStates, PinnedBundle, describe_duals
 from mbdkit.plugin import MbdkitError, SpecError
 from mbdkit.plugin.archives import archive_names, with_members
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
@@ -42,21 +42,16 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, 
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
 from mbdkit_biomech.muscles.muscle_values import Muscles
-from mbdkit_gradients.differentiated_expressions import (
-    Definitions,
-    Measures,
-    definitions_of,
-    expressions_of,
-)
+from mbdkit_gradients.differentiated_expressions import Definitions, Measures, definitions_of, expressions_of
 from mbdkit_gradients.differentiated_run import DifferentiatedRun
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states
 from mbdkit_gradients.differentiated_stepper import dual_laws
-from mbdkit_gradients.gradient import Gradient, gradient_of_run, require_derivatives
+from mbdkit_gradients.gradient import Gradient, GradientProblem
 from mbdkit_gradients.gradient_check import Settings
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
-WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
+WITHOUT_BARS = [(("motion", "errors"), "none")]
 """Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""
 
 
@@ -127,32 +122,36 @@ def gradient_of_inverse(
     spec: InverseSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool
 ) -> Gradient:
     """Return the gradient of measures of a validated spec; see `inverse_gradient`."""
-    spec = varied_inverse(spec, WITHOUT_BARS)
-    problem = InverseProblem.of(spec)
-    if problem.recruiter is not None:
-        require_derivatives_of(problem.recruiter)
-    expressions = expressions_of(spec, definitions)
-    require_derivatives(expressions)
-    result = compute(problem)
-    prepared = InversePreparation(result, definitions).derivatives(parameters)
-    _require_unique_forces(result, parameters, prepared)
-    firsts = range(0, len(parameters), DIRECTIONS)
-    parts = [_Frames(result, prepared.seeds.only(slice(first, first + DIRECTIONS))).states() for first in firsts]
-    run = DifferentiatedRun(joined_states(parts), None, np.zeros(len(parameters)), (), None)
-
-    def measured(settings: Settings) -> list[float]:
-        return _measured(varied_inverse(spec, settings), definitions)
-
-    return gradient_of_run(run, expressions, parameters, prepared, measured if check else None)
+    return _InverseDynamics(varied_inverse(spec, WITHOUT_BARS), definitions).gradient(parameters, check=check)
 
 
-def _measured(spec: InverseSpec, definitions: Definitions) -> list[float]:
-    """Return the measures of a computation; nan if it fails."""
-    try:
-        with compute_run(spec) as run:
-            return [one.of(run) for one in expressions_of(spec, definitions).values()]
-    except MbdkitError:
-        return [np.nan] * len(definitions)
+class _InverseDynamics(GradientProblem[InverseSpec]):
+    """Inverse dynamics without error bars, with its measures."""
+
+    def __init__(self, spec: InverseSpec, definitions: Definitions):
+        problem = InverseProblem.of(spec)
+        if problem.recruiter is not None:
+            require_derivatives_of(problem.recruiter)
+        super().__init__(spec, definitions)
+        self._result = compute(problem)
+
+    def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        prepared = InversePreparation(self._result, self.definitions).derivatives(parameters)
+        _require_unique_forces(self._result, parameters, prepared)
+        return prepared
+
+    def run(self, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> DifferentiatedRun:
+        firsts = range(0, len(parameters), DIRECTIONS)
+        parts = [_Frames(self._result, prepared.seeds.only(slice(k, k + DIRECTIONS))).states() for k in firsts]
+        return DifferentiatedRun(joined_states(parts), None, np.zeros(len(parameters)), (), None)
+
+    def measured(self, run: DifferentiatedRun, settings: Settings) -> list[float]:
+        varied = varied_inverse(self.spec, settings)
+        try:
+            with compute_run(varied) as other:
+                return [one.of(other) for one in expressions_of(varied, self.definitions).values()]
+        except MbdkitError:
+            return [np.nan] * len(self.definitions)
 
 
 def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> None:
@@ -164,12 +163,12 @@ def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], pre
     if not result.dynamics.surplus and len(problem.actuators) == problem.fitter.manifold.freedoms:
         return
     moved = [x for name in MOTION if (x := prepared.seeds.get(name)) is not None]
-    for k, one in enumerate(parameters):
+    for k, parameter in enumerate(parameters):
         if any(np.any(x[..., k]) for x in moved):
             raise SpecError(
-                f"the motion depends on '{one.name}'. There is no derivative with respect to this parameter, because "
-                f"the motion does not determine the values of the actuators; use parameters that do not affect the "
-                f"motion, such as masses and stiffnesses",
+                f"the motion depends on '{parameter.name}'. There is no derivative with respect to this parameter, "
+                f"because the motion does not determine the values of the actuators; use parameters that do not affect "
+                f"the motion, such as masses and stiffnesses",
                 key="gradients",
             )
 
@@ -187,7 +186,6 @@ class _Frames:
 
     def __init__(self, result: Inverse, seeds: Seeds):
         self.result, self.seeds = result, seeds
-        self.some = slice(1 + seeds.count)
         self.workspace = result.problem.prepared.workspace
         self.workspace.clamp_motions(-np.inf, np.inf)
         self._run = new_dual_run(self.workspace, seeds, dual_laws(self.workspace), 0, 0)
@@ -204,24 +202,19 @@ class _Frames:
             lam, recorded = self._of_pairs(recruited.lam), self.result.problem.recorded_actuators
             lack = np.asarray(self._described(lam, None).lack)
             change, actuators, muscles = self._with_muscles(recruited, value, lack)
-        by_pairs = [self._of_pairs(moveaxi) for moveaxi in np.moveaxis(change, -1, 0)]
-        found = self._described(lam, np.stack(by_pairs, axis=-1))
-        power = np.asarray(found.power[..., self.some])
+        by_pairs = [self._of_pairs(by_parameter) for by_parameter in np.moveaxis(change, -1, 0)]
+        states = self._described(lam, np.stack(by_pairs, axis=-1))
+        power = np.asarray(states.power[..., : 1 + self.seeds.count])
         supplied = np.stack([power[:, 0] + supplied, power[:, 1]], axis=1)
-        energy = cumulative_simpson(supplied, x=motion.time, axis=0, initial=0)
-        q, v = (np.asarray(x[..., self.some]) for x in (found.q, found.v))
-        observed = Observed(*(np.asarray(x[..., self.some]) for x in found.observed))
-        return DifferentiatedStates.of_observed(
-            self.workspace.mechanism,
-            motion.time,
-            q,
-            v,
-            observed,
-            energy,
-            power=power,
+        mechanism = self.workspace.mechanism
+        return DifferentiatedStates.of_duals(
+            mechanism,
+            states,
+            self.seeds.count,
+            cumulative_simpson(supplied, x=motion.time, axis=0, initial=0),
             handles={"actuators": actuators} | ({} if muscles is None else {"muscles": muscles}),
             names=with_members(
-                archive_names(self.workspace.mechanism),
+                archive_names(mechanism),
                 actuators=members_of_actuators(recorded),
                 muscles=[] if muscles is None else [(name, ()) for name in self.result.problem.names.mechanism.muscles],
             ),
@@ -232,8 +225,7 @@ class _Frames:
         independent rows.
         """
         motion = self.result.motion
-        found: np.ndarray = self.result.problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, lam).lam
-        return found
+        return self.result.problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, lam).lam
 
     def _with_muscles(
         self, recruited: Recruited, value: np.ndarray, lack: np.ndarray
@@ -253,7 +245,7 @@ class _Frames:
         turned = self._slope("motion.columns", balance.columns.shape)
         change = RecruitedChange.of(recruiter, recruited, value, (balance.columns, turned), self.seeds)
         left = change.pushed - self._needed(lack)
-        lam = np.stack([balance.directions.multipliers(one) for one in np.moveaxis(left, -1, 0)], axis=-1)
+        lam = np.stack([balance.directions.multipliers(force) for force in np.moveaxis(left, -1, 0)], axis=-1)
         driven, places = recruited.sharing.driven, recruiter.reserve_places
         own = self._actuators(recruited.actuator, np.where(driven[:, None], value, change.beside))
         left_over = np.where(driven, recruited.beside, 0.0), np.where(driven[:, None], change.beside, 0.0)
@@ -289,7 +281,6 @@ class _Frames:
 
     @cached_property
     def _balance(self) -> Balance:
-        """The balance of forces of the motion."""
         problem, motion = self.result.problem, self.result.motion
         manifold = problem.fitter.manifold
         directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
@@ -304,8 +295,8 @@ class _Frames:
         """Return the derivatives (T, U, K) of the actuators and (T, m, K) of the multipliers."""
         columns = self._slope("motion.columns", self._balance.columns.shape)
         needed = self._needed(lack) - np.sum(columns * self.result.dynamics.value[:, None, :, None], axis=2)
-        found = [self._balance.solved(moveaxi) for moveaxi in np.moveaxis(needed, -1, 0)]
-        return np.stack([one[0] for one in found], axis=-1), np.stack([one[1] for one in found], axis=-1)
+        values, multipliers, _ = zip(*map(self._balance.solved, np.moveaxis(needed, -1, 0)), strict=True)
+        return np.stack(values, axis=-1), np.stack(multipliers, axis=-1)
 
     def _actuators(self, value: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """Return values and powers (T, U, 2, 1 + K) of the actuators with values (T, U) and derivatives (T, U, K)."""
@@ -321,7 +312,6 @@ class _Frames:
         return np.stack(both, axis=2)
 
     def _load_power(self) -> np.ndarray:
-        """Return the power (T, 1 + K) of all loads."""
         motion, loads = self.result.motion, self.result.loads
         changed = products(np.swapaxes(self._slope("motion.loads", motion.v.shape), 1, 2), motion.v)
         changed += products(np.swapaxes(self._slope("motion.v", motion.v.shape), 1, 2), loads.generalized)

@@ -41,7 +41,6 @@ class InversePreparation(Preparation):
         return numbers_of(spec, self.definitions) if spec.parameters else {}
 
     def _arrays_of(self, problem: InverseProblem, motion: Motion) -> dict[str, np.ndarray]:
-        """Return the arrays `MOTION`."""
         loads = loads_on(motion, problem.loads, problem.fitter.bodies).generalized
         columns = columns_of(motion.q, problem.actuators)
         weights = weights_of(problem.fitter.manifold, problem.actuators)
@@ -65,7 +64,6 @@ class InversePreparation(Preparation):
         return {**self.mechanism_arrays(mechanism), **motion, **muscles, **numbers}
 
     def _moved(self, problem: InverseProblem, parameter: Parameter) -> Motion:
-        """Return the motion of the mechanism with another value of a parameter."""
         independent, motion = motion_of(problem, fit(problem))
         own = self.result.independent
         if own is not None and independent is not None and own.intervals != independent.intervals:

@@ -134,7 +134,6 @@ def _change(
     columns: tuple[np.ndarray, np.ndarray],
     slope: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the derivatives with respect to one parameter, see `RecruitedChange`."""
     own, sharing, count = recruited.contraction, recruited.sharing, recruited.activation.shape[1]
     arms, driven, programme = sharing.arms, sharing.driven, sharing.programme
     matrix = np.zeros_like(programme.matrix)

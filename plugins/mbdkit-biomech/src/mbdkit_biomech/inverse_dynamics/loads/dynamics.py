@@ -140,7 +140,6 @@ class Balance:
         return values
 
     def _inverted(self) -> np.ndarray:
-        """Return the pseudoinverse of `effect`."""
         if self._inverse is None:
             self._inverse = pseudoinverses(self.effect, WEAK)
         return self._inverse

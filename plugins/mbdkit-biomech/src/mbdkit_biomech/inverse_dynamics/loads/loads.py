@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.plugin import QuantityNames, SpecError, cited, quoted
 from mbdkit.plugin.equations import elementary
-from mbdkit_biomech.inverse_dynamics.files.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.motion.measured import (
     GivenUnit,
     contradicted_units,
@@ -139,7 +139,7 @@ class Loads:
     power: np.ndarray
 
 
-def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: Table | None) -> dict[str, LoadSeries]:
+def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: MeasuredTable | None) -> dict[str, LoadSeries]:
     """Return the loads of a spec by name.
 
     Parameters
@@ -156,7 +156,9 @@ def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: Table | None)
     return {name: _series(spec, names, f"loads.{quoted(name)}", load, of_motion) for name, load in spec.loads.items()}
 
 
-def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_motion: Table | None) -> LoadSeries:
+def _series(
+    spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_motion: MeasuredTable | None
+) -> LoadSeries:
     body = names.body(load.body, f"{key}.body")
     frame = names.body(load.point_frame, f"{key}.point_frame", may_be_ground=True)
     own = source_table(load, spec.folder, key)
@@ -203,7 +205,7 @@ def _given_units(load: Load, key: str) -> Iterator[GivenUnit]:
             yield f"{key}.{name}", column.column, column.unit, unit
 
 
-def _like_point(spec: InverseSpec, names: QuantityNames, load: Load, table: Table) -> tuple[str, ...]:
+def _like_point(spec: InverseSpec, names: QuantityNames, load: Load, table: MeasuredTable) -> tuple[str, ...]:
     """Return the headings of unused columns that look like the point of application of a load without one.
 
     If several plates share the table, they are those whose names are most like that of the force.
@@ -225,7 +227,9 @@ def _like_point(spec: InverseSpec, names: QuantityNames, load: Load, table: Tabl
     return tuple(heading for alike, heading in found if alike == most)
 
 
-def _without_point(table: Table, point: tuple[ColumnOfTable | float, ...], force: np.ndarray, key: str) -> np.ndarray:
+def _without_point(
+    table: MeasuredTable, point: tuple[ColumnOfTable | float, ...], force: np.ndarray, key: str
+) -> np.ndarray:
     """Return the rows (R,) in which a plate gives no point of application because its force is too small."""
     missing = np.zeros(len(force), dtype=bool)
     for axis, column in enumerate(point):
@@ -235,7 +239,7 @@ def _without_point(table: Table, point: tuple[ColumnOfTable | float, ...], force
     return np.asarray(missing & (size < min(UNLOADED, UNLOADED_SHARE * np.max(size, initial=0.0))))
 
 
-def _deviation(table: Table, column: ColumnOfTable | float, unit: str) -> float:
+def _deviation(table: MeasuredTable, column: ColumnOfTable | float, unit: str) -> float:
     """Return the standard deviation of the noise of a column in the SI `unit`; 0 if none is stated."""
     if isinstance(column, float) or column.deviation is None:
         return 0.0
@@ -243,7 +247,7 @@ def _deviation(table: Table, column: ColumnOfTable | float, unit: str) -> float:
 
 
 def _required(
-    table: Table, column: ColumnOfTable | float, unit: str, key: str, needed: np.ndarray | None = None
+    table: MeasuredTable, column: ColumnOfTable | float, unit: str, key: str, needed: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the values of a load, (R,), in the SI `unit`; raise SpecError if one is missing.
 

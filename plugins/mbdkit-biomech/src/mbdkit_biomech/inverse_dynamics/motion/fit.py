@@ -45,7 +45,7 @@ MOVES = 1e-3
 
 
 @dataclass(frozen=True)
-class Target:
+class FitTarget:
     """The measured values to which a mechanism is fitted in T frames.
 
     Attributes
@@ -65,10 +65,10 @@ class Target:
     values: np.ndarray
     root_weight: np.ndarray
 
-    def rows(self, part: slice | np.ndarray) -> Target:
+    def rows(self, part: slice | np.ndarray) -> FitTarget:
         """Return the target in a selection of frames."""
         weight = self.root_weight if self.root_weight.ndim == 1 else self.root_weight[part]
-        return Target(self.time[part], self.quantities, self.values[part], weight)
+        return FitTarget(self.time[part], self.quantities, self.values[part], weight)
 
 
 class FitError(RunError):
@@ -99,7 +99,7 @@ class Fitter:
     def __init__(self, manifold: Manifold, bodies: tuple[str, ...]):
         self.manifold, self.bodies = manifold, bodies
 
-    def first_pose(self, target: Target, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def first_pose(self, target: FitTarget, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose (n,) of the first frame, and the target values (K,) in this frame, with angles shifted by
         full turns so that they are nearest to those of the pose.
 
@@ -116,10 +116,16 @@ class Fitter:
             turns = np.round((quantities.values(q) - first.values) / turn) * quantities.is_angle
             if not np.any(turns):
                 break
-            first = Target(first.time, first.quantities, first.values + turn * turns, first.root_weight)
+            first = FitTarget(first.time, first.quantities, first.values + turn * turns, first.root_weight)
         return q[0], first.values[0]
 
-    def poses(self, target: Target, first: np.ndarray) -> np.ndarray:
+    def misfit(self, target: FitTarget, start: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the pose (n,) of the first frame, and its root mean square residual in rad or longest links."""
+        pose, values = self.first_pose(target, start)
+        left = (values - target.quantities.values(pose[None])[0]) / target.quantities.sizes(self.manifold.length)
+        return pose, float(np.sqrt(np.mean(left**2)))
+
+    def poses(self, target: FitTarget, first: np.ndarray) -> np.ndarray:
         """Return the poses (T, n) that fit a target best; `first` (n,) is the pose of the first frame.
 
         Key frames are fitted one after the other, each starting from the pose of the previous one. The frames between
@@ -148,11 +154,11 @@ class Fitter:
             start[:, index] = np.interp(np.arange(count), keys, known[:, index])
         return self.refined(target, start)
 
-    def refined(self, target: Target, start: np.ndarray) -> np.ndarray:
+    def refined(self, target: FitTarget, start: np.ndarray) -> np.ndarray:
         """Return the poses (T, n) that fit a target best, near the poses `start` (T, n)."""
         return self._converged(target, start)
 
-    def _following(self, target: Target, frame: int, start: np.ndarray) -> tuple[np.ndarray, float]:
+    def _following(self, target: FitTarget, frame: int, start: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the pose of a key frame, and its distance from `start`, the pose of the previous key frame."""
         one, q = target.rows(slice(frame, frame + 1)), start[None]
         for _ in range(MOST_ITERATIONS):
@@ -162,7 +168,7 @@ class Fitter:
                 break
         return q[0], float(self._size(q - start)[0])
 
-    def _converged(self, target: Target, start: np.ndarray) -> np.ndarray:
+    def _converged(self, target: FitTarget, start: np.ndarray) -> np.ndarray:
         """Return the poses at which the iteration has converged; all frames are computed together."""
         q, active, before = start.copy(), np.arange(len(start)), np.full(len(start), np.inf)
         for _ in range(MOST_ITERATIONS):
@@ -180,7 +186,7 @@ class Fitter:
             float(target.time[active[0]]),
         )
 
-    def _step(self, target: Target, q: np.ndarray) -> np.ndarray:
+    def _step(self, target: FitTarget, q: np.ndarray) -> np.ndarray:
         """Return the Gauss-Newton step (T, n), shortened to a scaled size of at most `LONGEST`."""
         frames = self.manifold.frames(target.time, q)
         directions = self.manifold.directions(frames.jacobian)
@@ -204,7 +210,7 @@ class Fitter:
         sizes: np.ndarray = np.max(np.abs(step) / np.where(scale > 0, scale, 1.0), axis=1)
         return sizes
 
-    def require_observed(self, target: Target, q: np.ndarray, key: str) -> None:
+    def require_observed(self, target: FitTarget, q: np.ndarray, key: str) -> None:
         """Raise SpecError if the quantities do not determine the poses `q` (T, n) of all frames.
 
         The message names the bodies that move in a free direction without any change of the quantities.
@@ -244,7 +250,7 @@ class Fitter:
             for name, part in zip(self.bodies, parts, strict=True)
             if np.any(part)
         ]
-        return listed(found[:6], "" if len(found) > 6 else "and") + (f" and {len(found) - 6} more" if found[6:] else "")
+        return listed(found, "and", 6)
 
 
 PLACINGS = 4
@@ -266,7 +272,7 @@ this share of the row.
 """
 
 
-def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: Target, q: np.ndarray) -> np.ndarray:
+def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: FitTarget, q: np.ndarray) -> np.ndarray:
     """Return the misalignment of each joint (T, J) [m] for bodies placed by the data alone, without constraints.
 
     All bodies are moved freely from the fitted poses, by the smallest displacement that minimises the sum of the

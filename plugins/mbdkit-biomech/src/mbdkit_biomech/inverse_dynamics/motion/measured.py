@@ -15,9 +15,9 @@ from mbdkit.engine.stacked_matrices import products
 from mbdkit.plugin import QuantityNames, SpecError, Unit, cited, counted, listed, load, quoted, read_unit
 from mbdkit.plugin.mechanisms import Quantity
 from mbdkit_biomech.inverse_dynamics.files.continued_angles import continued
-from mbdkit_biomech.inverse_dynamics.files.measured_table import Table, table_of, unit_of_time_as_cause
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable, table_of, unit_of_time_as_cause
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
-from mbdkit_biomech.inverse_dynamics.motion.fit import Target
+from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget
 from mbdkit_biomech.inverse_dynamics.signals.interpolating_splines import interpolating_spline
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
@@ -95,9 +95,9 @@ class Measured:
     contradictions: tuple[str, ...] = ()
 
     @property
-    def target(self) -> Target:
+    def target(self) -> FitTarget:
         """The values as a target of a fit."""
-        return Target(self.time, self.quantities, self.values, np.sqrt(self.weight))
+        return FitTarget(self.time, self.quantities, self.values, np.sqrt(self.weight))
 
     def near(self, pose: np.ndarray) -> Measured:
         """Return the motion with the columns `may_turn` shifted by full turns, so that they begin as near as
@@ -115,7 +115,7 @@ class Measured:
         return replace(self, raw=self.raw + by, values=self.values + by)
 
 
-def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Table | None]:
+def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, MeasuredTable | None]:
     """Return the measured motion of a spec and, if it was read from a table, that table.
 
     Raises
@@ -182,7 +182,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     )
 
 
-def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> Table | None:
+def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> MeasuredTable | None:
     """Return the table of a section; None if the section has none."""
     if section.data is not None:
         return table_of(section.data, f"{key}.data")
@@ -195,7 +195,7 @@ def _range(values: np.ndarray) -> float:
     return float(np.ptp(known)) if known.size else 0.0
 
 
-def _columns(motion: MeasuredMotion, table: Table, names: QuantityNames) -> Mapping[str, ObservedColumn]:
+def _columns(motion: MeasuredMotion, table: MeasuredTable, names: QuantityNames) -> Mapping[str, ObservedColumn]:
     if motion.columns is not None:
         return motion.columns
     found = {heading: ObservedColumn(column=heading) for heading in table.headings if names.knows(heading)}
@@ -210,7 +210,6 @@ def _columns(motion: MeasuredMotion, table: Table, names: QuantityNames) -> Mapp
 def _require_all_or_none(
     motion: MeasuredMotion, columns: Mapping[str, ObservedColumn], has_derivatives: list[bool]
 ) -> None:
-    """Raise SpecError if only some columns have derivatives, or if columns with derivatives are to be smoothed."""
     if not any(has_derivatives):
         return
     if motion.smooth.name != "none":
@@ -227,7 +226,7 @@ def _require_all_or_none(
         )
 
 
-def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> float:
+def unit_factor(column: ColumnOfTable, table: MeasuredTable, unit: str, key: str) -> float:
     """Return the factor from the numbers of a column to values in the SI `unit`."""
     wanted, in_file = read_unit(SI[unit]), table.unit(column.column)
     if column.unit is not None:
@@ -242,7 +241,7 @@ def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> flo
     return given.factor * column.scale
 
 
-def contradicted_units(table: Table, columns: Iterable[GivenUnit]) -> Iterator[str]:
+def contradicted_units(table: MeasuredTable, columns: Iterable[GivenUnit]) -> Iterator[str]:
     """Yield a sentence without a full stop for each unit of a column in the spec that differs from that in the file."""
     for key, heading, unit, wanted in columns:
         in_file = table.unit(heading) or ("deg" if wanted == "rad" and table.in_degrees else None)
@@ -256,7 +255,7 @@ def contradicted_units(table: Table, columns: Iterable[GivenUnit]) -> Iterator[s
                 )
 
 
-def _unit_in_file(table: Table, heading: str, text: str, key: str) -> Unit:
+def _unit_in_file(table: MeasuredTable, heading: str, text: str, key: str) -> Unit:
     """Return the unit that a file states for a column; raise SpecError if it is not known."""
     try:
         return read_unit(text)
@@ -265,7 +264,7 @@ def _unit_in_file(table: Table, heading: str, text: str, key: str) -> Unit:
         raise table.error(message, key=key) from None
 
 
-def si_values(column: ColumnOfTable, table: Table, unit: str, key: str) -> np.ndarray:
+def si_values(column: ColumnOfTable, table: MeasuredTable, unit: str, key: str) -> np.ndarray:
     """Return the values of a column in the SI `unit`, (T,); gaps are nan. Raise SpecError if one is too large."""
     values = unit_factor(column, table, unit, key) * table.column(column.column, f"{key}.column")
     large = np.flatnonzero(np.abs(values) > LARGEST)
@@ -279,7 +278,7 @@ def si_values(column: ColumnOfTable, table: Table, unit: str, key: str) -> np.nd
     return values
 
 
-def times_of(table: Table, column: TimeColumn, key: str) -> np.ndarray:
+def times_of(table: MeasuredTable, column: TimeColumn, key: str) -> np.ndarray:
     """Return the times of a table (T,) [s]; raise SpecError if their intervals are too short or long to be times."""
     in_file = None if "unit" in column.model_fields_set else table.unit(column.column)
     factor = column.factor if in_file is None else _unit_in_file(table, column.column, in_file, key).factor
@@ -297,8 +296,7 @@ def times_of(table: Table, column: TimeColumn, key: str) -> np.ndarray:
     return times
 
 
-def _times(spec: InverseSpec, table: Table) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times within the span of the spec, and the indices of their rows in the table."""
+def _times(spec: InverseSpec, table: MeasuredTable) -> tuple[np.ndarray, np.ndarray]:
     every = times_of(table, spec.motion.time, "motion.time")
     return every[kept := rows_within(spec, every)], kept
 
@@ -316,7 +314,7 @@ def rows_within(spec: InverseSpec, times: np.ndarray) -> np.ndarray:
 
 
 def _bridged(
-    time: np.ndarray, values: np.ndarray, gaps: Gaps | None, where: tuple[Table, str, np.ndarray]
+    time: np.ndarray, values: np.ndarray, gaps: Gaps | None, where: tuple[MeasuredTable, str, np.ndarray]
 ) -> np.ndarray:
     """Return the values of a column with its gaps bridged; raise SpecError if one may not be bridged."""
     missing = np.isnan(values)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.engine.stacked_matrices import products, singular_values
-from mbdkit_biomech.inverse_dynamics.motion.fit import FitError, Fitter, Target
+from mbdkit_biomech.inverse_dynamics.motion.fit import FitError, FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 
 DETERMINED = 0.1
@@ -137,7 +137,7 @@ def place_gaps(fitter: Fitter, measured: Measured, q: np.ndarray) -> tuple[Measu
     return filled, poses, placed
 
 
-def _determined(fitter: Fitter, target: Target, q: np.ndarray, root_weight: np.ndarray) -> np.ndarray:
+def _determined(fitter: Fitter, target: FitTarget, q: np.ndarray, root_weight: np.ndarray) -> np.ndarray:
     """Return whether the columns with positive weights (T, K) determine the poses `q` of the rows (T,)."""
     manifold = fitter.manifold
     rows = np.flatnonzero(np.any(root_weight == 0.0, axis=1))

@@ -24,7 +24,7 @@ import numpy as np
 
 from mbdkit.engine.stacked_matrices import products, singular_values
 from mbdkit.plugin.mechanisms import Quantity
-from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter, Target
+from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed
@@ -158,9 +158,8 @@ def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quan
     They are divided by the `scale` of the quantity, and by the characteristic length (lengths) or 1 rad (angles).
     """
     directions = manifold.directions(manifold.frames(time, q).jacobian)
-    size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
-    rows: np.ndarray = products(quantities.jacobian(q) * manifold.scale, directions.free) / size[:, None]
-    return rows
+    rows = products(quantities.jacobian(q) * manifold.scale, directions.free)
+    return np.asarray(rows / quantities.sizes(manifold.length)[:, None])
 
 
 def _determine(independence: np.ndarray) -> bool:
@@ -197,8 +196,8 @@ def motion_of_series(
     parts = []
     for begin, end, places in independent.intervals:
         rows, columns = slice(begin, end), list(places)
-        value, rate, acceleration = (x[rows][:, columns] for x in (series.value, series.rate, series.acceleration))
-        target = Target(time[rows], independent.quantities.only(columns), value, np.ones(len(columns)))
+        value, rate, acceleration = (x[rows][:, columns] for x in series)
+        target = FitTarget(time[rows], independent.quantities.only(columns), value, np.ones(len(columns)))
         pose = fitter.refined(target, q[rows])
         parts.append(_derived(fitter.manifold, target, pose, rate, acceleration))
     q, v, a = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "v", "a"))
@@ -208,7 +207,9 @@ def motion_of_series(
     return Motion(time, q, v, a, told)
 
 
-def _derived(manifold: Manifold, target: Target, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> Motion:
+def _derived(
+    manifold: Manifold, target: FitTarget, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+) -> Motion:
     """Return the motion at positions `q`, given the derivatives (T, K) of the quantities of a target."""
     at_rest = manifold.frames(target.time, q)
     directions = manifold.directions(at_rest.jacobian)

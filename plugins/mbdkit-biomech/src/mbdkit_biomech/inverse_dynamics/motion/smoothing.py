@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
@@ -40,8 +40,7 @@ FEWEST = 6
 """Smallest number of samples for a quintic spline."""
 
 
-@dataclass(frozen=True)
-class Smoothed:
+class Smoothed(NamedTuple):
     """Series (T, K) with their first and second time derivatives."""
 
     value: np.ndarray
@@ -51,7 +50,7 @@ class Smoothed:
     @property
     def every(self) -> np.ndarray:
         """(T, 3 K, ...) the series, followed by their rates and their accelerations."""
-        return np.concatenate([self.value, self.rate, self.acceleration], axis=1)
+        return np.concatenate(self, axis=1)
 
 
 def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
@@ -143,11 +142,7 @@ def smoothed_each(time: np.ndarray, series: np.ndarray, how: Sequence[Smoothing]
         return Smoothed(series, series, series)
     shape = series[:, 0].shape
     parts = [smoothed(time, series[:, index].reshape(len(time), -1), one) for index, one in enumerate(how)]
-    value, rate, acceleration = (
-        np.stack([getattr(part, name).reshape(shape) for part in parts], axis=1)
-        for name in ("value", "rate", "acceleration")
-    )
-    return Smoothed(value, rate, acceleration)
+    return Smoothed(*(np.stack([x.reshape(shape) for x in same], axis=1) for same in zip(*parts, strict=True)))
 
 
 def quintic_spline(time: np.ndarray, series: np.ndarray) -> Spline:
@@ -243,14 +238,11 @@ def _cross_validated_spline(time: np.ndarray, series: np.ndarray) -> Smoothed:
             raise SpecError(
                 "cross-validation finds no parameter of the spline for these data; give `parameter`", key=KEY
             ) from None
-    value, rate, acceleration = (
-        np.column_stack([getattr(column, name) for column in columns]) for name in ("value", "rate", "acceleration")
-    )
+    value, rate, acceleration = (np.column_stack(same) for same in zip(*columns, strict=True))
     return Smoothed(value, rate / unit, acceleration / unit**2)
 
 
 def _interval(time: np.ndarray) -> float:
-    """Return the interval between evenly spaced rows; raise SpecError if they are not evenly spaced."""
     steps = np.diff(time)
     mean = float((time[-1] - time[0]) / (len(time) - 1))
     worst = int(np.argmax(np.abs(steps - mean)))

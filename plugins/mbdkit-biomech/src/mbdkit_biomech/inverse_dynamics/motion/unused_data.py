@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from mbdkit.plugin import QuantityNames, listed
 from mbdkit.plugin.mechanisms import MarkerCoordinate
-from mbdkit_biomech.inverse_dynamics.files.measured_table import Table
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
@@ -40,7 +40,7 @@ class UnusedData:
     misspelt: tuple[tuple[str, str], ...] = ()
 
     @classmethod
-    def of(cls, spec: InverseSpec, names: QuantityNames, measured: Measured, table: Table | None) -> UnusedData:
+    def of(cls, spec: InverseSpec, names: QuantityNames, measured: Measured, table: MeasuredTable | None) -> UnusedData:
         """Return the unused data of a spec; nothing is unused if the motion is not a table."""
         if table is None:
             return cls()
@@ -57,8 +57,12 @@ class UnusedData:
     @property
     def notes(self) -> dict[str, str]:
         """Lists for the provenance: markers of the model without data, and columns that are not used."""
-        found = {"unobserved_markers": f"markers {_some(self.markers)} of the model"} if self.markers else {}
-        return found | ({"unused_columns": f"columns {_some(self.columns)} of the data"} if self.columns else {})
+        texts = {
+            "unobserved_markers": ("markers", self.markers, "model"),
+            "unused_columns": ("columns", self.columns, "data"),
+        }
+        given = ((key, *words) for key, words in texts.items())
+        return {key: f"{what} {listed(names, 'and', NAMED)} of the {of}" for key, what, names, of in given if names}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -71,7 +75,6 @@ class UnusedData:
 
 
 def _headings(spec: InverseSpec, measured: Measured) -> Iterator[str]:
-    """Yield the headings in the table of the motion to which a spec refers."""
     motion = spec.motion
     yield motion.time.column
     for name in measured.names:
@@ -98,7 +101,7 @@ def _left(headings: Iterable[str], used: set[str]) -> Iterator[str]:
             yield name
 
 
-def _misspelt(table: Table, names: QuantityNames) -> Iterator[tuple[str, str]]:
+def _misspelt(table: MeasuredTable, names: QuantityNames) -> Iterator[tuple[str, str]]:
     """Yield markers of a table that the model does not have, and the markers without columns that they probably are.
 
     Their names differ only in letter case and in characters that are neither letters nor digits.
@@ -111,8 +114,3 @@ def _misspelt(table: Table, names: QuantityNames) -> Iterator[tuple[str, str]]:
     lacking = {plain(name): name for name in names.mechanism.markers if not headings & {f"{name}.x", f"{name}.y"}}
     found = {heading[:-2] for heading in headings if heading.endswith((".x", ".y")) and not names.knows(heading)}
     yield from ((name, lacking[plain(name)]) for name in sorted(found) if plain(name) in lacking)
-
-
-def _some(names: tuple[str, ...]) -> str:
-    more = len(names) - NAMED
-    return listed([*names[:NAMED], *([f"{more} more"] if more > 0 else [])], "and")

@@ -47,7 +47,7 @@ the second.
 
 
 @dataclass(frozen=True)
-class Equilibrium:
+class MuscleEquilibrium:
     """Equilibrium of M muscles with tensions F; all arrays are (M,).
 
     Attributes
@@ -105,7 +105,7 @@ class ElasticMuscles:
 
     def at(
         self, tension: np.ndarray, path: np.ndarray, before: np.ndarray | None, step: float, rate: np.ndarray
-    ) -> Equilibrium:
+    ) -> MuscleEquilibrium:
         """Return the equilibrium with tensions (M,).
 
         Parameters
@@ -141,7 +141,7 @@ class ElasticMuscles:
             d_active / active * d_length / self._optimal + d_by_velocity / by_velocity * d_velocity / self._speed
         )
         stiffness = np.where(is_idle, 0.0, 1.0 / slope)
-        return Equilibrium(tension, length, velocity, activation, stiffness, np.where(is_idle, 0.0, by_velocity))
+        return MuscleEquilibrium(tension, length, velocity, activation, stiffness, np.where(is_idle, 0.0, by_velocity))
 
     def towards(
         self,
@@ -151,7 +151,7 @@ class ElasticMuscles:
         before: np.ndarray | None,
         step: float,
         rate: np.ndarray,
-    ) -> Equilibrium:
+    ) -> MuscleEquilibrium:
         """Return the equilibrium with given tensions (M,), or with tensions nearer to `start` (M,) for muscles whose
         fibres cannot exert the given ones; see `at` for the parameters.
         """
@@ -196,7 +196,7 @@ the tensions (M,) at zero activation.
 
 def in_equilibrium(
     elastic: ElasticMuscles, time: np.ndarray, path: np.ndarray, rate: np.ndarray, share: Share
-) -> list[Equilibrium]:
+) -> list[MuscleEquilibrium]:
     """Return the equilibrium with the optimal tensions in each of T frames.
 
     Parameters
@@ -212,7 +212,7 @@ def in_equilibrium(
         If a tendon is at least as long as its path, or if the programmes of a frame do not converge.
     """
     elastic.require_room(time, path)
-    found: list[Equilibrium] = []
+    found: list[MuscleEquilibrium] = []
     tension = 0.05 * elastic.max_force
     for frame in range(len(time)):
         before = found[-1].length if found else None

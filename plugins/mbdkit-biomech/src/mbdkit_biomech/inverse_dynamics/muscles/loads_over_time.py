@@ -204,7 +204,6 @@ class _Iterate:
 
 
 def _longest(x: np.ndarray, change: np.ndarray) -> float:
-    """Return the largest share of a change for which positive numbers remain positive."""
     falls = change < 0
     with np.errstate(over="ignore"):  # infinite shares limit nothing
         return float(np.min(-x[falls] / change[falls], initial=np.inf))

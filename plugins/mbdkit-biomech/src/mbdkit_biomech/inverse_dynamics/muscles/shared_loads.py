@@ -178,21 +178,21 @@ def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal
     y = start.copy()
     eye = np.eye(y.shape[1])
     left, own, near, own_start = np.arange(len(y)), programme, proximal, start
-    here = _Evaluation.of(own, y, p, near, own_start)
+    here = _DualPoint.of(own, y, p, near, own_start)
     for _ in range(ITERATIONS):
         gradient = _residual(own, here.x) - near[:, None] * (here.y - own_start)
         jacobian = products(own.matrix * here.slope[:, None], np.swapaxes(own.matrix, 1, 2)) + near[:, None, None] * eye
         step = least_norms(jacobian, gradient, 0.0)
         rise, norm = np.sum(gradient * step, axis=1), np.max(np.abs(gradient), axis=1)
         rounding = ROUNDING * (here.cost + np.sum(np.abs(here.y * own.right), axis=1))
-        size, there = 1.0, _Evaluation.of(own, here.y + step, p, near, own_start)
+        size, there = 1.0, _DualPoint.of(own, here.y + step, p, near, own_start)
         waiting = np.flatnonzero(there.dual < here.dual + 1e-4 * size * rise - rounding)
         for _ in range(39):  # only the frames that wait for a shorter step are evaluated again
             if not waiting.size:
                 break
             size *= 0.5
             moved = here.y[waiting] + size * step[waiting]
-            shorter = _Evaluation.of(own.only(waiting), moved, p, near[waiting], own_start[waiting])
+            shorter = _DualPoint.of(own.only(waiting), moved, p, near[waiting], own_start[waiting])
             there.put(waiting, shorter)
             waiting = waiting[shorter.dual < (here.dual + 1e-4 * size * rise - rounding)[waiting]]
         moves = np.ones(len(left), dtype=bool)
@@ -206,7 +206,7 @@ def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal
 
 
 @dataclass
-class _Evaluation:
+class _DualPoint:
     """Multipliers y (T, K) of proximal problems, the unknowns x and their slopes (T, N), the cost (T,) of the unknowns,
     and the dual function (T,) with the proximal term.
     """
@@ -218,18 +218,18 @@ class _Evaluation:
     dual: np.ndarray
 
     @classmethod
-    def of(cls, programme: Programme, y: np.ndarray, p: float, proximal: np.ndarray, start: np.ndarray) -> _Evaluation:
+    def of(cls, programme: Programme, y: np.ndarray, p: float, proximal: np.ndarray, start: np.ndarray) -> _DualPoint:
         """Return the evaluation at multipliers; `proximal` (T,) and `start` (T, K) define the proximal term."""
         x, slope = _unknowns(programme, y, p)
         cost = np.sum(elementary.pow(np.abs(x), p), axis=1)
         dual = cost + np.sum(y * _residual(programme, x), axis=1)
         return cls(y, x, slope, cost, dual - 0.5 * proximal * np.sum((y - start) ** 2, axis=1))
 
-    def only(self, rows: np.ndarray) -> _Evaluation:
+    def only(self, rows: np.ndarray) -> _DualPoint:
         """Return the evaluation of a selection of frames."""
-        return _Evaluation(self.y[rows], self.x[rows], self.slope[rows], self.cost[rows], self.dual[rows])
+        return _DualPoint(self.y[rows], self.x[rows], self.slope[rows], self.cost[rows], self.dual[rows])
 
-    def put(self, rows: np.ndarray, other: _Evaluation) -> None:
+    def put(self, rows: np.ndarray, other: _DualPoint) -> None:
         """Replace the evaluations of a selection of frames."""
         for name in ("y", "x", "slope", "cost", "dual"):
             getattr(self, name)[rows] = getattr(other, name)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.archive.run_summary import known_rows
 from mbdkit.plugin import Headline, counted, plus_minus
-from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, errors_of_frames, largest_of
+from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, errors_of_frames, few, largest_of, ranked
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ def largest_actuators(run: Run) -> list[Headline]:
 
 
 def _fit(run: Run) -> str:
-    """Return the largest root mean squares of the residuals of observed quantities, in descending order."""
     parts = []
     for name, one in run.motion.items():
         known = one.residual[np.isfinite(one.residual)]
@@ -61,9 +60,8 @@ def _fit(run: Run) -> str:
     parts.sort(reverse=True)
     if parts and parts[0][0] <= EXACT:
         return "exact to round-off"
-    text = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in parts[:JOINTS_NAMED])
-    more = f", {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
-    return f"residuals (rms) {text}{more}" if parts else ""
+    texts = [f"{name} {size:.3g} {units}" for size, name, units in parts]
+    return f"residuals (rms) {few(texts, ', ')}" if parts else ""
 
 
 def _gaps(run: Run) -> str:
@@ -80,12 +78,7 @@ def _gaps(run: Run) -> str:
             told = "" if np.all(known[first:end]) else ", where errors are unknown"
             how = "from the other columns" if first in placed.get(name, ()) else "by interpolation"
             texts[how].append(f"{name}, {counted(end - first, 'sample')} {span}{told}")
-    return "; ".join(
-        f"filled {how}: {'; '.join(own[:JOINTS_NAMED])}"
-        + (f"; {len(own) - JOINTS_NAMED} more" if own[JOINTS_NAMED:] else "")
-        for how, own in texts.items()
-        if own
-    )
+    return "; ".join(f"filled {how}: {few(own)}" for how, own in texts.items() if own)
 
 
 def _raw_misalignment(run: Run) -> str:
@@ -119,10 +112,7 @@ def _actuators(run: Run, *, residual: bool = False) -> str:
         row = int(np.argmax(np.abs(actuator.value)))
         value = plus_minus(float(actuator.value[row]), error) if known else f"{actuator.value[row]:.4g}"
         peaks.append((abs(float(actuator.value[row])), f"{name} {value} {actuator.units} at {run.time[row]:.4g} s"))
-    peaks.sort(key=lambda peak: -peak[0])
-    return "; ".join(text for _, text in peaks[:JOINTS_NAMED]) + (
-        f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
-    )
+    return few(ranked(peaks))
 
 
 def _reserves(run: Run) -> str:

@@ -121,7 +121,6 @@ def _muscles(run: Run) -> tuple[Section, ...]:
 
 
 def _contact_chart(run: Run) -> list[Figure]:
-    """Return the chart of the joint forces with and without muscles; empty if there are no muscles."""
     if not run.muscles:
         return []
     lines: list[Line] = []
@@ -202,7 +201,6 @@ def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
 
 
 def _disagreement(run: Run) -> Section:
-    """Return the section on the residuals of the data columns and on the misalignment of the data."""
     time = np.asarray(run.time)
     rows: list[tuple[Cell, ...]] = []
     worst: dict[str, tuple[float, str, float]] = {}

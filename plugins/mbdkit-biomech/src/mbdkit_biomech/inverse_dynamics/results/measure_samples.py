@@ -9,20 +9,21 @@ difference of two results for one motion, such as those with and without a devic
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import RunError, SpecError
+from mbdkit.plugin import RunError
 from mbdkit.plugin.equations import elementary, product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import CUTOFFS, HIDDEN
-from mbdkit_biomech.inverse_dynamics.errors.noise import NoisePath, noise_of
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import HIDDEN
+from mbdkit_biomech.inverse_dynamics.errors.noise import NoisyData
 from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, motion_of_series
-from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed
 from mbdkit_biomech.inverse_dynamics.results.record import run_of
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
@@ -51,8 +52,7 @@ small compared with the scatter.
 """
 
 
-@dataclass(frozen=True)
-class SampledMeasures:
+class SampledMeasures(NamedTuple):
     """Measures of inverse dynamics for the data, for noisy data, for other cutoffs, and for other persons and muscles.
 
     Attributes
@@ -76,12 +76,7 @@ class SampledMeasures:
         """Return the differences between two results, sample by sample, for the same noise, cutoffs, persons and
         muscles.
         """
-        return SampledMeasures(
-            self.value - other.value,
-            self.noisy - other.noisy,
-            self.cutoffs - other.cutoffs,
-            self.uncertain - other.uncertain,
-        )
+        return SampledMeasures(*(own - their for own, their in zip(self, other, strict=True)))
 
     def bounds(self) -> np.ndarray:
         """Return the bounds (..., K) of the errors, which hold with the probability `LEVEL`; nan if they are unknown.
@@ -134,64 +129,37 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
         None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
         stated nor can be estimated from the residuals.
     """
-    spec = result.problem.spec
-    asked = spec.motion.errors
-    independent = result.independent
-    if asked == "none" or independent is None or not independent.names:
+    data = NoisyData.of(result)
+    if data is None:
         return None
-    random = np.random.default_rng(asked.seed)
-    measured, times = result.fitted.measured, result.motion.time
-    coordinates = independent.quantities.values(result.fitted.q)
-    how = fixed(times, coordinates, spec.motion.smooth)
-    path, gaps = NoisePath(result, independent, how), long_gaps(result)
-    left = measured.raw - measured.quantities.values(result.motion.q)
-    deviation = path.white(noise_of(path, left, measured.deviation, random), left)
-    if np.any(np.isnan(deviation)):
-        return None
-    series = smoothed_each(times, coordinates, how)
-    at_ends = changes_at_ends(times, coordinates, series, how, path, deviation=deviation)
-    noisy = [
-        _measured(_moved(result, independent, one, loads), measures)
-        for one, loads in _noisy(result, path, deviation, series, at_ends=at_ends, random=random)
-    ]
-    others = []
-    for factor in CUTOFFS:
-        moved = [with_cutoff(one, factor) or one for one in how]
-        if moved != how:
-            try:
-                other = smoothed_each(times, coordinates, moved)
-            except SpecError:  # the cutoff is too high for the sampling rate
-                continue
-            others.append(_measured(_moved(result, independent, other, result.problem.loads), measures))
+    own, gaps = result.problem.loads, long_gaps(result)
+
+    def measured(series: Smoothed, loads: dict[str, LoadSeries]) -> np.ndarray:
+        return _measured(_moved(result, data.independent, series, loads), measures)
+
+    noisy = [measured(*moved) for moved in _noisy(data, own)]
+    others = [measured(series, own) for _, _, series in data.other_cutoffs()]
     value = _measured(result, measures)
-    changed = [*_uncertain(result, measures, random)]
+    changed = [*_uncertain(result, measures, data.random)]
     found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, changed)))
-    change = changes_in_gaps(result, path, gaps)
+    change = changes_in_gaps(result, data.path, gaps)
     for _ in range(HIDDEN_SAMPLES if gaps else 0):
-        phase = random.uniform(0.0, 2 * np.pi, len(gaps))
-        other = _added(series, change, np.stack([elementary.cos(phase), elementary.sin(phase)], axis=1).ravel())
-        hidden = _measured(_moved(result, independent, other, result.problem.loads), measures)
+        phase = data.random.uniform(0.0, 2 * np.pi, len(gaps))
+        shares = np.stack([elementary.cos(phase), elementary.sin(phase)], axis=1).ravel()
+        hidden = measured(_added(data.series, change, shares), own)
         found.noisy[:, np.abs(hidden - value) > HIDDEN * found.bounds()] = np.nan
     return found
 
 
-def _noisy(
-    result: Inverse,
-    path: NoisePath,
-    deviation: np.ndarray,
-    series: Smoothed,
-    *,
-    at_ends: Smoothed,
-    random: np.random.Generator,
-) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
+def _noisy(data: NoisyData, loads: Mapping[str, LoadSeries]) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
     """Yield samples of the coordinates, with noise and with changes at both ends, and of the loads."""
-    for white in path.samples(deviation, SAMPLES, random):
-        block = white + path.artefacts(white.shape[2], random)
-        change = path.smoothed(block)
+    at_ends = changes_at_ends(data)
+    for block in data.samples(SAMPLES):
+        change = data.path.smoothed(block)
         for own in np.eye(block.shape[2]):
-            ends = random.uniform(-1.0, 1.0, at_ends.value.shape[2:])
-            moved = _added(_added(series, change, own), at_ends, ends)
-            yield moved, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
+            ends = data.random.uniform(-1.0, 1.0, at_ends.value.shape[2:])
+            moved = _added(_added(data.series, change, own), at_ends, ends)
+            yield moved, {name: load.with_noise(data.random) for name, load in loads.items()}
 
 
 def _uncertain(result: Inverse, measures: Sequence[str], random: np.random.Generator) -> Iterator[np.ndarray]:
@@ -217,11 +185,7 @@ def known_mean(samples: np.ndarray) -> np.ndarray:
 
 def _added(series: Smoothed, changes: Smoothed, shares: np.ndarray) -> Smoothed:
     """Return series (T, U) plus changes (T, U, C) times `shares` (C,)."""
-    return Smoothed(
-        series.value + product(changes.value, shares),
-        series.rate + product(changes.rate, shares),
-        series.acceleration + product(changes.acceleration, shares),
-    )
+    return Smoothed(*(part + product(change, shares) for part, change in zip(series, changes, strict=True)))
 
 
 def _moved(result: Inverse, independent: Independent, series: Smoothed, loads: dict[str, LoadSeries]) -> Inverse:
@@ -232,6 +196,5 @@ def _moved(result: Inverse, independent: Independent, series: Smoothed, loads: d
 
 
 def _measured(result: Inverse, measures: Sequence[str]) -> np.ndarray:
-    """Return the measures (K,) of a result."""
     with run_of(result) as run:
         return np.array([run.measures[name] for name in measures])

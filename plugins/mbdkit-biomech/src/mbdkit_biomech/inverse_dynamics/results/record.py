@@ -28,7 +28,7 @@ from mbdkit.plugin.runs import model_provenance, shared_forces
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import DataDoubts, verdict_on_data
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import long_gaps
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import ErrorBars
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.motion.fit import raw_misalignment
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
 from mbdkit_biomech.quantities import INVERSE_GROUPS, MUSCLES_OF_RUNS
@@ -45,7 +45,7 @@ def run_of(result: Inverse) -> Run:
 
 def archive_of(
     result: Inverse,
-    bars: ErrorBars | None,
+    bars: ResultBars | None,
     doubts: DataDoubts,
     path: Path | None,
     *,
@@ -147,7 +147,7 @@ def _names(result: Inverse) -> ArchiveNames:
     )
 
 
-def _rows(result: Inverse, bars: ErrorBars | None) -> dict[str, np.ndarray]:
+def _rows(result: Inverse, bars: ResultBars | None) -> dict[str, np.ndarray]:
     """Return the arrays of motion, actuators, muscles and loads that are not computed from states, by key."""
     problem, fitted, loads = result.problem, result.fitted, result.loads
     mechanism = problem.prepared.workspace.mechanism

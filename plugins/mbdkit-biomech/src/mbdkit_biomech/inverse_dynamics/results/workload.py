@@ -26,7 +26,7 @@ LEAST_CHANGE = 1e-3
 
 
 @dataclass(frozen=True)
-class Load:
+class ElementLoad:
     """Load by a force or torque over an interval of time.
 
     Attributes
@@ -56,7 +56,7 @@ class Load:
 
 
 @dataclass(frozen=True)
-class Work:
+class ElementWork:
     """Power over an interval of time.
 
     Attributes
@@ -93,13 +93,13 @@ class ElementWorkload:
 
     name: str
     kind: str
-    load: Load
-    torque: Load | None = None
-    work: Work | None = None
+    load: ElementLoad
+    torque: ElementLoad | None = None
+    work: ElementWork | None = None
 
 
 @dataclass(frozen=True)
-class Phase:
+class WorkloadPhase:
     """Workload in a part of the motion.
 
     Attributes
@@ -180,7 +180,7 @@ class Workload(HtmlView):
     start: float
     end: float
     elements: tuple[ElementWorkload, ...]
-    phases: tuple[Phase, ...] = ()
+    phases: tuple[WorkloadPhase, ...] = ()
     cycles: Mapping[str, Normalized] = field(default_factory=dict)
     note: str = ""
 
@@ -210,7 +210,7 @@ class Workload(HtmlView):
 
     def text(self) -> str:
         """Return the workload as tables of plain text."""
-        whole = Phase("whole motion", self.start, self.end, self.elements)
+        whole = WorkloadPhase("whole motion", self.start, self.end, self.elements)
         texts = [_phase_text(phase) for phase in (whole, *self.phases)]
         return "\n\n".join([*texts, self.note])
 
@@ -265,7 +265,7 @@ def workload(
         return tuple(one.within(time, begin, until) for one in every)
 
     starts, parts = _parts(run, cycles, load, threshold)
-    phases = tuple(Phase(name, begin, until, between(begin, until)) for name, begin, until in parts)
+    phases = tuple(WorkloadPhase(name, begin, until, between(begin, until)) for name, begin, until in parts)
     over = {one.name: normalized(time, one.value, starts) for one in every} if len(starts) > 1 else {}
     elements = between(start, end)
     exact = exact_loads(run)
@@ -294,7 +294,6 @@ def _without_errors(run: Run, every: Sequence[_Series], elements: Sequence[Eleme
 
 
 def _change(one: ElementWorkload, other: ElementWorkload) -> float:
-    """Return the largest relative difference of root mean squares, impulses, largest powers and work."""
     pairs = [(one.load.rms, other.load.rms), (one.load.impulse, other.load.impulse)]
     shares = [abs(a - b) / a for a, b in pairs if a > 0.0]
     if one.work is not None and other.work is not None:
@@ -320,7 +319,7 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
         errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
         found |= {(name, "value"): error for name, error in zip(run.actuators, errors.tolist(), strict=True)}
 
-    def known(name: str, load: Load, what: str) -> Load:
+    def known(name: str, load: ElementLoad, what: str) -> ElementLoad:
         error = found.get((name, what), math.nan)
         return load if math.isnan(error) else replace(load, peak_error=error)
 
@@ -386,13 +385,13 @@ def _series_of(run: Run) -> list[_Series]:
     return sorted(found, key=lambda one: KINDS.index(one.kind))
 
 
-def _load(time: np.ndarray, values: np.ndarray, units: str, error: np.ndarray | None) -> Load:
+def _load(time: np.ndarray, values: np.ndarray, units: str, error: np.ndarray | None) -> ElementLoad:
     size = np.abs(values)
     row, length = int(np.argmax(size)), float(time[-1] - time[0])
     step = np.diff(time)
     # Exact for straight lines between the rows, because the square of a line is a parabola.
     squares = step * (size[:-1] ** 2 + size[:-1] * size[1:] + size[1:] ** 2) / 3
-    return Load(
+    return ElementLoad(
         units,
         float(size[row]),
         float(time[row]),
@@ -403,9 +402,9 @@ def _load(time: np.ndarray, values: np.ndarray, units: str, error: np.ndarray | 
     )
 
 
-def _work(time: np.ndarray, power: np.ndarray) -> Work:
+def _work(time: np.ndarray, power: np.ndarray) -> ElementWork:
     positive, negative = (float(np.trapezoid(part, time)) for part in (np.maximum(power, 0), np.minimum(power, 0)))
-    return Work(float(np.max(power)), float(np.min(power)), positive, negative)
+    return ElementWork(float(np.max(power)), float(np.min(power)), positive, negative)
 
 
 def _cycle_data(one: Normalized) -> dict[str, Any]:
@@ -416,7 +415,7 @@ def _cycle_data(one: Normalized) -> dict[str, Any]:
 _HEADS = ("", "PEAK", "AT [s]", "RMS", "IMPULSE", "LOADING RATE", "PEAK POWER", "WORK DONE", "WORK ABSORBED")
 
 
-def _phase_text(phase: Phase) -> str:
+def _phase_text(phase: WorkloadPhase) -> str:
     rows = [row for element in phase.elements for row in _rows(element)]
     return f"{phase.name}, {phase.start:.6g} to {phase.end:.6g} s\n{table([_HEADS, *rows], indent='  ')}"
 
@@ -435,7 +434,7 @@ def _rows(one: ElementWorkload) -> list[tuple[str, ...]]:
     return rows
 
 
-def _numbers(load: Load) -> tuple[str, ...]:
+def _numbers(load: ElementLoad) -> tuple[str, ...]:
     unit = load.units
     peak = f"{load.peak:.4g}" if load.peak_error is None else plus_minus(load.peak, load.peak_error)
     return (

@@ -30,6 +30,10 @@ class Quantities:
         """Return the quantities with the given indices."""
         return Quantities([self.quantities[place] for place in places])
 
+    def sizes(self, length: float) -> np.ndarray:
+        """Return the values (K,) that count as 1: 1 rad for angles, and `length` for lengths."""
+        return np.where(self.is_angle, 1.0, length) * self.scale
+
     def values(self, q: np.ndarray) -> np.ndarray:
         """Return the values (T, K)."""
         out = np.empty((len(q), len(self)))

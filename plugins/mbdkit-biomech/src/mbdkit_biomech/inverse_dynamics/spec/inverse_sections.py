@@ -7,10 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.plugin import GROUND, SpecError, read_unit, shown
+from mbdkit.plugin import GROUND, Positive, SpecError, read_unit, shown
 from mbdkit.plugin.mechanisms import BodyPair, Points, pair
 from mbdkit.plugin.specs import Count, CriterionName, Section
-from mbdkit.spec.sections import Positive
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes
 
 Named = Annotated[str, Field(min_length=1)]
@@ -185,44 +184,8 @@ class ErrorBars(Section):
     """Seed of the random numbers."""
 
 
-CRITERIA = (
-    "times",
-    "time-unit",
-    "outliers",
-    "constant",
-    "units",
-    "shared-column",
-    "turns",
-    "knee",
-    "fit",
-    "noise",
-    "cutoff",
-    "gaps",
-    "ends",
-    "large-errors",
-    "load-point",
-    "load-sign",
-    "load-direction",
-    "load-offset",
-    "load-time",
-    "residuals",
-    "residual-size",
-    "inertia",
-    "elements",
-    "fibers",
-    "reserves",
-    "max-force",
-    "left-out",
-    "plane",
-    "centers",
-    "lengths",
-    "plates",
-    "compression",
-)
-"""Names of the criteria of the verdict on measured data and on the model; plugins may add others."""
-
-Criterion = Annotated[str, CriterionName("inverse", CRITERIA)]
-"""Name of a criterion."""
+Criterion = Annotated[str, CriterionName("inverse")]
+"""Name of a criterion: one of those that items of the kind ``criterion`` list for inverse dynamics."""
 
 Data = dict[str, list[float | None]]
 """Columns of a table by heading; None and NaN are gaps."""

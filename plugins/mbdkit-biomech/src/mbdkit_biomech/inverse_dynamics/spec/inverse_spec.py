@@ -126,7 +126,6 @@ class InverseSpec(ModelSpec):
         return super()._build() if self.subject is None else self.expanded.mechanism()
 
     def _check_person(self) -> None:
-        """Raise SpecError if keys need `subject`, or exclude it."""
         motion = self.motion
         if self.subject is not None:
             if motion.columns is not None:

@@ -172,7 +172,6 @@ def actuators_of(
 
 
 def _of_observed(observed: Mapping[str, Quantity], names: QuantityNames) -> list[NamedActuator]:
-    """Return an actuator for each observed relative angle or travel, named after its joint or coordinate."""
     found: dict[Quantity, NamedActuator] = {}
     for name, quantity in observed.items():
         driven = without_scale(quantity)

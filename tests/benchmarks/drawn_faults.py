@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from tests.inverse_dynamics.drawn_mechanisms import RATE, Drawn, draw
-from tests.inverse_dynamics.drawn_plate_faults import glitch, lost_point
 
 from mbdkit import MbdkitError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
@@ -17,6 +15,8 @@ from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from tests.benchmarks.drawn_mechanisms import RATE, Drawn, draw
+from tests.benchmarks.drawn_plate_faults import glitch, lost_point
 
 SETS = (
     ("chain", "exact"),

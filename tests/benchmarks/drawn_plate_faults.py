@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from tests.inverse_dynamics.drawn_faults import DataSet
+    from tests.benchmarks.drawn_faults import DataSet
 
 
 def glitch(one: DataSet, random: np.random.Generator) -> bool | None:

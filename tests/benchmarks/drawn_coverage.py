@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from tests.inverse_dynamics.drawn_mechanisms import COLUMNS, KINDS, RATE, Drawn, draw
 
 from mbdkit.base.errors import RunError
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, fit, forces_of, recorded_states
@@ -16,6 +15,7 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, m
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from tests.benchmarks.drawn_mechanisms import COLUMNS, KINDS, RATE, Drawn, draw
 
 TRIES = 200
 """Number of random sets of coordinates that are tried for one that determines the motion well."""

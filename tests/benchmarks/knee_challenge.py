@@ -1,4 +1,4 @@
-"""`python -m mbdkit_biomech.knee_challenge FOLDER`: a knee force against the one that an instrumented implant measured.
+"""`python -m tests.benchmarks.knee_challenge FOLDER`: a knee force against that of an instrumented implant.
 
 The Grand Challenge Competition to Predict In Vivo Knee Loads (B. J. Fregly et al., J. Orthop. Res. 30 (2012) 503-513)
 published markers, force plates and the force in the knee implant of persons who walk. FOLDER is a copy of
@@ -282,7 +282,7 @@ def compare(folder: Path, trial: str = TRIAL, *, archive: Path | None = None, **
 def main(words: Sequence[str] | None = None) -> None:
     """Print the comparison of a trial."""
     parser = argparse.ArgumentParser(
-        prog="python -m mbdkit_biomech.knee_challenge",
+        prog="python -m tests.benchmarks.knee_challenge",
         description="Compare the computed force of a knee with the one that an instrumented implant measured, in the "
         "data of the Grand Challenge Competition to Predict In Vivo Knee Loads. The data are not part of mbdkit: clone "
         "https://github.com/AnyBody/knee-grand-challenge-4th. Nothing is written without --archive.",

@@ -1,6 +1,7 @@
 """Print the types that an OpenSim model may contain, their properties and the default values of these, as JSON.
 
-Needs the package `opensim`. ``python print_registry.py > ../src/mbdkit_opensim/registry.json`` renews the list.
+Needs the package `opensim`. ``python -m tests.benchmarks.registry_of_opensim`` prints the file
+``plugins/mbdkit-opensim/src/mbdkit_opensim/registry.json``.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""``python opensim_reference.py opensim_muscles.json``: muscles of a planar leg by OpenSim 4.6, as reference numbers.
+"""``python -m tests.benchmarks.muscles_of_opensim FILE.json``: muscles of a planar leg by OpenSim 4.6, as reference
+numbers of `tests.muscles`.
 
-Needs ``pip install opensim==4.6``, which mbdkit does not use. The leg is that of `leg.py`: two bodies whose frames have
-their origins at their centres of mass, hip and knee turn about z. Lengths, moment arms and forces are those of OpenSim
-at given angles and angular velocities; `recruitment` is the result of its tool for static optimization.
+Needs ``pip install opensim==4.6``, which mbdkit does not use. The leg is that of `tests.muscles.leg`: two bodies whose
+frames have their origins at their centres of mass, hip and knee turn about z. Lengths, moment arms and forces are those
+of OpenSim at given angles and angular velocities; `recruitment` is the result of its tool for static optimization.
 """
 
 import json
@@ -12,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import opensim as osim
-
-sys.path.insert(0, str(Path(__file__).parent))
-from leg import ANGLES, BODIES, HIP, HOLDING, KNEE, MUSCLES, POSTURES, RECRUITED, motion
+from tests.muscles.leg import ANGLES, BODIES, HIP, HOLDING, KNEE, MUSCLES, POSTURES, RECRUITED, motion
 
 osim.Logger.setLevelString("Error")
 V = osim.Vec3

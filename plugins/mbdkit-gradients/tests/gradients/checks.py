@@ -1,0 +1,11 @@
+"""The check of a gradient in tests."""
+
+from __future__ import annotations
+
+from mbdkit import Gradient
+
+
+def assert_passed(found: Gradient) -> None:
+    """Assert that a gradient has passed its check."""
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
