@@ -51,7 +51,7 @@ def stored_stepper(stepper: StepHost) -> dict[str, Any]:
         "low": list(state.low),
         "z": state.z,
         "multipliers": state.multipliers,
-        "next_row": stepper.next_row,
+        "next_row": stepper.rows.next_row,
         "sampler": stepper.sampler.stored(),
         "library": None if library is None else library.hex(),
         **_stored_memory(stepper, state.memory),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mbdkit.methods.step_methods import StepEvent, StepState
+from mbdkit.methods.step_methods import StepEvent, StepState, Why
 
 NO_CORRECTION = np.zeros(4)
 """The correction of steps without stabilization."""
@@ -59,7 +59,7 @@ class Reached(NamedTuple):
     interval: Interval
     is_event: bool = False
     """Whether the step ended before its planned end."""
-    why: str = ""
+    why: Why | Literal[""] = ""
     """Why the next step begins anew; empty if it continues."""
     size: float = np.inf
     """Size of the next step [s], if no stop comes earlier."""
@@ -78,6 +78,10 @@ class Reached(NamedTuple):
     def recorded(self) -> Reached:
         """Return the same point with a new interval."""
         return self._replace(interval=Interval())
+
+    def row(self) -> Row:
+        """Return this point as a row."""
+        return Row(self.time, self.state, self.energy, self.interval)
 
 
 class Planned(NamedTuple):

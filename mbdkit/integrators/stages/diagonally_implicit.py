@@ -109,7 +109,6 @@ class DiagonallyImplicit(StepMethod):
     def _newton_change(
         equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, rate: float, solved: Solved
     ) -> Solved:
-        """Return the change of the acceleration by an iteration of Newton's method, and the new multipliers."""
         a, lam = solved
         matrix = equations.iteration_matrix(
             t, q, v, a, lam, damping=rate, stiffness=rate * rate, gamma_v=-rate, residual_q=rate * rate
@@ -122,11 +121,9 @@ class DiagonallyImplicit(StepMethod):
 def _fixed_point_change(
     equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, rate: float, solved: Solved
 ) -> Solved:
-    """Return the change of the acceleration by a fixed-point iteration, and the new multipliers."""
     a, lam = equations.accelerations(t, q, v)
     return a - solved[0], lam
 
 
 def _combined(weights: np.ndarray, accelerations: list[np.ndarray], n: int) -> np.ndarray:
-    """Return the sum of accelerations (n,) with these weights."""
     return sum((w * a for w, a in zip(weights, accelerations, strict=True)), start=np.zeros(n))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Step, StepError, StepMethod, StepState, Why
-from mbdkit.plugin.equations import Workspace, gauss_legendre
+from mbdkit.plugin.equations import Workspace, gauss_on_unit
 from mbdkit.plugin.methods import Dense, StepTaken, collocation_polynomials, states_at_start
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
@@ -19,7 +19,7 @@ from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations, Powers
 from mbdkit_contact.kernels.steps_to_events import SAME_INSTANT
 
-_NODES = 0.5 * (1.0 + gauss_legendre(6)[0])
+_NODES = gauss_on_unit(6)[0]
 """Places in a step at which powers are evaluated for the energies within it."""
 _INTEGRALS = collocation_polynomials(_NODES)[0]
 
@@ -81,7 +81,6 @@ class EventDriven(StepMethod):
 
 
 def _after_event(step: EventStep) -> StepState:
-    """Return the state after the event that the memory of a step has."""
     kind, contact = step.before.known["event"].tolist()
     step.happen((kind - 1, contact))
     return step.state()
@@ -263,7 +262,6 @@ class EventDrivenLibrary(ExternalMethod):
 
 
 def _end(made: Step, share: float) -> StepState:
-    """Return the state that a library gives at a share of its step."""
     assert made.dense is not None
     if share == 1.0:
         return made.state
@@ -272,8 +270,6 @@ def _end(made: Step, share: float) -> StepState:
 
 
 class _LibraryStep(EventStep):
-    """Events in the steps of a library, whose states are those of its dense output."""
-
     dense: Dense
 
     def inside(self, there: Point, share: float) -> Point:

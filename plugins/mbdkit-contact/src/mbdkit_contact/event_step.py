@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.plugin import Step, StepError, StepMethod, StepState
-from mbdkit.plugin.equations import gauss_legendre
+from mbdkit.plugin.equations import gauss_on_unit
 from mbdkit.plugin.methods import StepTaken
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.events_of_contacts import ContactEvents
@@ -29,8 +29,7 @@ from mbdkit_contact.kernels.steps_to_events import (
     values_at,
 )
 
-_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + gauss_legendre(4)[0], gauss_legendre(4)[1]))
-"""Gauss-Legendre quadrature of order 8 on [0, 1]."""
+_NODES, _WEIGHTS = gauss_on_unit(4)
 
 Event = tuple[int, int]
 """Kind of an event function, and contact."""
@@ -265,7 +264,6 @@ class EventStep:
         return max(SAMPLES, int(min(turn / TURN, MOST_SAMPLES)))
 
     def _inside(self, there: Point, share: float) -> Point:
-        """Return an interpolated state within a step that leads to `there`."""
         now, made = self.now, there.made
         taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v, now.z, there.z)
         between = taken.between if made is None or made.dense is None else made.dense
