@@ -149,7 +149,6 @@ class RunExpression:
 
 
 def _applied(function: Callable[..., Any], of: Function, other: Function | None = None) -> Function:
-    """Return a function that applies `function` to the values of one or two other functions."""
     if other is None:
         return lambda values: function(of(values))
     return lambda values: function(of(values), other(values))
@@ -171,7 +170,6 @@ def _total(function: Function) -> Function:
 
 
 def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
-    """Raise SpecError if the form of the expression shows that it never changes sign."""
     last, number = program[-1]
     if len(program) == 1 and last == "const":
         raise SpecError(

@@ -39,8 +39,6 @@ class TableauError(MbdkitError, ValueError):
 
 
 def _read(text: str, number: Callable[[str], Any], root: Callable[[Any], Any]) -> Any:
-    """Evaluate an exact coefficient given as text with the operators + - * / ** and sqrt."""
-
     def visit(node: ast.expr) -> Any:
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
             return _OPERATORS[type(node.op)](visit(node.left), visit(node.right))
