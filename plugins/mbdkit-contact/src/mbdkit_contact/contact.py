@@ -172,7 +172,6 @@ class Shape(StrictModel):
 
 
 def _check_convex(corners: tuple[Pair, ...]) -> None:
-    """Raise SpecError unless a polygon is convex and its corners are counter-clockwise."""
     if not 3 <= len(corners) <= MOST_CORNERS:
         raise SpecError(f"a polygon has from 3 to {MOST_CORNERS} corners, not {len(corners)}", key="polygon")
     turns = 0.0
@@ -466,7 +465,6 @@ class Contact(Element):
 
 
 def _check_kinds(first: Shape, second: Shape, key: str) -> None:
-    """Raise SpecError for two shapes that cannot touch."""
     kinds = {first.kind, second.kind}
     if kinds <= {"line", "polyline"}:
         told = "two lines cannot touch each other, because they have no ends; use a polygon for one of the bodies"
@@ -478,7 +476,6 @@ def _check_kinds(first: Shape, second: Shape, key: str) -> None:
 
 
 def _check_hole(first: Shape, second: Shape, key: str) -> None:
-    """Raise SpecError if one of two shapes is a hole and the other does not fit into it."""
     hole, other = (first, second) if first.kind == "hole" else (second, first)
     if other.kind not in ("circle", "point"):
         raise SpecError(f"a hole holds a circle or a point, not a {other.kind}", key=key)
@@ -489,7 +486,6 @@ def _check_hole(first: Shape, second: Shape, key: str) -> None:
 
 
 def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Shape) -> Iterator[ContactPair]:
-    """Yield the rows of two shapes, which may be given in either order."""
     order = {"line": 0, "polyline": 0, "polygon": 1, "hole": 2, "circle": 3, "point": 4}
     swapped = order[first.kind] > order[second.kind]
     if swapped:

@@ -61,7 +61,6 @@ class DeepOverlaps:
             self._note(states.time, states.of(contacts_in)["gap"])
 
     def _note(self, time: np.ndarray, gap: np.ndarray) -> None:
-        """Take note of gaps (T, C) at times (T,)."""
         row = np.argmin(gap, axis=0)
         depth = -gap[row, np.arange(len(row))]
         self._time = np.where(depth > self._depth, time[row], self._time)

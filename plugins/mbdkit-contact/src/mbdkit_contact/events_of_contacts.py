@@ -92,7 +92,7 @@ class ContactEvents:
         def integers(*shape: int) -> np.ndarray:
             return np.zeros(shape, dtype=np.int64)
 
-        self._shapes = self.contacts.kinematics.shapes
+        self._shapes = self.contacts.shapes
         given: dict[str, Any] = {
             "coefficients": np.column_stack([self.contacts.restitution, self.contacts.static, self.contacts.kinetic]),
             "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3])]),
@@ -110,7 +110,7 @@ class ContactEvents:
                 np.zeros(count), integers(4), np.zeros(7), np.zeros(1), integers(2), np.zeros(1),
             ),
             "touch": Touch(
-                integers(count), self.contacts.kinematics.arms, np.zeros((4, size)), np.zeros((size // 3, 7)),
+                integers(count), self.contacts.arms, np.zeros((4, size)), np.zeros((size // 3, 7)),
                 np.zeros((size // 3, 7)), np.zeros((4, 2)), np.zeros((4, size)),
             ),
             **self._of_room(max(1, min(count, FIRST_ROOM)), size, pairs),

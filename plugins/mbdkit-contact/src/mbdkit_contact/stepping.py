@@ -101,11 +101,11 @@ class CompiledTimeStepping(CompiledMethod):
         self.bundle = Stepping(
             theta=np.array([method.theta] if isinstance(method, MoreauJean) else []),
             alpha=alpha_of(method.spectral_radius) if isinstance(method, GeneralizedAlpha) else np.zeros(0),
-            shapes=contacts.kinematics.shapes,
+            shapes=contacts.shapes,
             coefficients=np.column_stack([contacts.restitution, contacts.static, contacts.kinetic]),
             places=np.array([states.start, len(states)]),
             coordinates=coordinates,
-            reach=np.array([contacts.kinematics.reach]),
+            reach=np.array([contacts.reach]),
             now=new_held(count, size),
             before=new_held(count, size),
             saved=new_held(count, size),
