@@ -22,16 +22,7 @@ from mbdkit.integrators.host.host_energies import HostEnergies, HostNodes
 from mbdkit.integrators.host.host_last_step import LastStep
 from mbdkit.integrators.host.host_rows import HostRows
 from mbdkit.integrators.host.step_attempts import Attempt, StepAttempts
-from mbdkit.integrators.interface import (
-    SAME_TIME,
-    Failure,
-    Moment,
-    Nodes,
-    StepEvidence,
-    StepTaken,
-    Stretch,
-    Timetable,
-)
+from mbdkit.integrators.interface import SAME_TIME, Failure, Moment, Nodes, StepEvidence, StepTaken, Stretch, Timetable
 from mbdkit.integrators.loop.step_watch import StepWatch
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
 from mbdkit.integrators.run.reached import Interval, Reached, Row

@@ -31,13 +31,7 @@ from mbdkit.integrators.loop import step_loop
 from mbdkit.integrators.loop.failed_steps import FailedSteps
 from mbdkit.integrators.loop.step_watch import guard_evidence
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
-from mbdkit.integrators.run.run_plan import (
-    SYMMETRIC,
-    guard_limits,
-    new_plan,
-    projection_mode,
-    single_step,
-)
+from mbdkit.integrators.run.run_plan import SYMMETRIC, guard_limits, new_plan, projection_mode, single_step
 from mbdkit.integrators.run.run_state import (
     FACTORIZATIONS,
     INTERVAL_FIELDS,

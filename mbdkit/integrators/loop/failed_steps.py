@@ -53,12 +53,7 @@ class FailedSteps:
     """
 
     def __init__(
-        self,
-        method: CompiledMethod,
-        workspace: Workspace,
-        timetable: Timetable,
-        run: PinnedBundle,
-        plan: RunPlan,
+        self, method: CompiledMethod, workspace: Workspace, timetable: Timetable, run: PinnedBundle, plan: RunPlan
     ):
         self.method, self.workspace, self.timetable, self.plan = method, workspace, timetable, plan
         self.renewed: set[tuple[int, int]] = set()

@@ -10,16 +10,7 @@ import numpy as np
 
 from mbdkit_contact.acting_contacts import ActingContact, polygon_edges, surface_numbers
 from mbdkit_contact.contact import ContactPair
-from mbdkit_contact.kernels.kinematics import (
-    KINDS,
-    LINE,
-    NOWHERE,
-    POLYGONS,
-    ROUND,
-    SINGLE,
-    UNEVEN,
-    Shapes,
-)
+from mbdkit_contact.kernels.kinematics import KINDS, LINE, NOWHERE, POLYGONS, ROUND, SINGLE, UNEVEN, Shapes
 from mbdkit_contact.kernels.uneven_ground import EDGE, FAR, HIGH, LOW, OWN, SEGMENT
 
 EXACT = 1e-9
