@@ -111,7 +111,7 @@ def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspa
     values = evaluator.values([workspace.t0], workspace.q0[None], workspace.v0[None], states_at_start(workspace)[None])[
         0
     ]
-    return {name: one.value(values) for name, one in zip(expressions, compiled, strict=True)}
+    return {name: expression.value(values) for name, expression in zip(expressions, compiled, strict=True)}
 
 
 def _places(expressions: Sequence[RunExpression]) -> dict[Quantity, int]:
@@ -140,9 +140,9 @@ class _Change:
         """
         q, v, z = state
         values = self._quantities.values([t], q[None], v[None], z[None])[0]
-        for name, place, one in zip(self._names, self._places, self._expressions, strict=True):
-            after[place] = one.value(values)
-            if not math.isfinite(after[place]):
+        for name, index, expression in zip(self._names, self._places, self._expressions, strict=True):
+            after[index] = expression.value(values)
+            if not math.isfinite(after[index]):
                 self.undefined = name
 
 
@@ -250,8 +250,8 @@ class Watch:
 
     def taken(self) -> list[Found]:
         """Return the crossings found since the last call, in order of time."""
-        found, self._found = self._found, []
-        return found
+        crossed, self._found = self._found, []
+        return crossed
 
     def advance(self) -> Stretch:
         """Advance for about `STRETCH` seconds of wall time and return the rows to be recorded."""

@@ -89,7 +89,7 @@ def rooted_trees(order: int) -> tuple[Tree, ...]:
     """Return all rooted trees with `order` vertices; a tree is the sorted tuple of its root's subtrees."""
     if order == 1:
         return ((),)
-    found: set[Tree] = set()
+    trees: set[Tree] = set()
 
     def forests(vertices: int, largest: int) -> Iterator[Tree]:
         if vertices == 0:
@@ -100,8 +100,8 @@ def rooted_trees(order: int) -> tuple[Tree, ...]:
                     yield (first, *rest)
 
     for children in forests(order - 1, order - 1):
-        found.add(tuple(sorted(children, key=repr)))
-    return tuple(sorted(found, key=repr))
+        trees.add(tuple(sorted(children, key=repr)))
+    return tuple(sorted(trees, key=repr))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.base.quadrature import gauss_on_unit
 from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.integrators.interface import KeptNodes, Nodes, StepTaken
+from mbdkit.integrators.interface import Nodes, StepTaken
 from mbdkit.methods.step_methods import StepState
 
 if TYPE_CHECKING:
@@ -101,12 +101,32 @@ class HostEnergies:
         return before.energy + gain
 
 
-class HostNodes(KeptNodes):
+class HostNodes:
     """Quadrature nodes of time integrals for methods in Python.
 
-    They are the stages of the method, or else lie on the dense output of a library, or on the quintic polynomial
-    through states and accelerations at both ends of the step.
+    They are the stages of the method, or else those of Gauss-Legendre quadrature of order 8 on the dense output of a
+    library, or on the quintic polynomial through states and accelerations at both ends of the step.
+
+    Parameters
+    ----------
+    size
+        Number of coordinates, those of the ground included.
+    sides
+        (2,) earliest and latest time at which motions are evaluated in the present step [s]; see `Timetable.sides`.
     """
+
+    def __init__(self, size: int, sides: np.ndarray):
+        self._size, self._sides = size, sides
+        self._steps: list[Nodes] = []
+
+    def drop_last(self) -> None:
+        """Discard the nodes of the last step, which is repeated or shortened."""
+        self._steps.pop()
+
+    def taken(self) -> Nodes:
+        """Return the nodes of the steps since the last call."""
+        taken, self._steps = self._steps, []
+        return Nodes.joined([Nodes.none(self._size), *taken])
 
     def keep_step(
         self,
@@ -133,11 +153,15 @@ class HostNodes(KeptNodes):
             ground = np.zeros((len(time), 3))
             self._steps.append(Nodes(time, weight, np.hstack([q, ground]), np.hstack([v, ground])))
             return
-        if dense is not None:
-            self.keep(begin.begin, end.begin, dense)
-            return
-        t0, t1, ends, accelerations = begin.begin, end.begin, [], []
-        for t, state in ((t0, begin.state), (t1, end.state)):
-            ends += [with_ground(state.q), with_ground(state.v)]
-            accelerations.append(with_ground(equations.observed(t, state.q, state.v, state.z)[0]))
-        self.keep(t0, t1, StepTaken(t0, t1, *ends).quintic(*accelerations))
+        t0, t1 = begin.begin, end.begin
+        if dense is None:
+            ends: list[np.ndarray] = []
+            accelerations: list[np.ndarray] = []
+            for t, state in ((t0, begin.state), (t1, end.state)):
+                ends += [with_ground(state.q), with_ground(state.v)]
+                accelerations.append(with_ground(equations.observed(t, state.q, state.v, state.z)[0]))
+            dense = StepTaken(t0, t1, *ends).quintic(*accelerations)
+        q, v = zip(*map(dense, _NODES.tolist()), strict=True)
+        h = t1 - t0
+        time = np.clip(t0 + h * _NODES, *self._sides)
+        self._steps.append(Nodes(time, h * _WEIGHTS, np.array(q), np.array(v)))

@@ -10,7 +10,7 @@ from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.integrators.host.host_energies import HostEnergies
 from mbdkit.integrators.host.step_attempts import Attempt
 from mbdkit.integrators.interface import Moment, StepTaken
-from mbdkit.integrators.run.reached import Reached, Row
+from mbdkit.integrators.run.reached import Reached, RecordedRow
 from mbdkit.methods.step_methods import StepState
 
 
@@ -42,7 +42,7 @@ class LastStep(NamedTuple):
         """Return work and dissipated energy (2,) [J] at the share `theta` of the step."""
         return self.energies.at(theta, self.before, self.attempt.end, self.attempt.inside)
 
-    def row(self, at: float, now: Reached) -> Row:
+    def row(self, at: float, now: Reached) -> RecordedRow:
         """Return a row at a time within the step, with the statistics of the point `now` that it has reached."""
         theta = (at - self.ends.t0) / (self.ends.t1 - self.ends.t0)
         if theta >= 1.0:
@@ -51,4 +51,4 @@ class LastStep(NamedTuple):
         own, own_before = now.state.multipliers, self.before.state.multipliers
         if own is not None and own_before is not None:
             own = own_before + theta * (own - own_before)
-        return Row(at, StepState(q[:-3], v[:-3], own, z=z), self.energy(theta), now.interval)
+        return RecordedRow(at, StepState(q[:-3], v[:-3], own, z=z), self.energy(theta), now.interval)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.integrators.interface import Stretch, Timetable
-from mbdkit.integrators.run.reached import Reached, Row
+from mbdkit.integrators.run.reached import Reached, RecordedRow
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -47,7 +47,7 @@ class HostRows:
 
     def due(
         self, before: Reached, last: LastStep | None, now: Reached, end: float = math.inf, *, finished: bool
-    ) -> tuple[list[Row], Reached]:
+    ) -> tuple[list[RecordedRow], Reached]:
         """Return the rows of the step from `before` to `now`, or up to `end` [s], and `now` with its new interval."""
         table = self._timetable
         if table.interval is None:
@@ -56,7 +56,7 @@ class HostRows:
             is_due = (is_new and count % table.every == 0) or finished
             return ([now.row()], now.recorded()) if is_due else ([], now)
         assert last is not None
-        rows: list[Row] = []
+        rows: list[RecordedRow] = []
         begins_at_impact = before.passed > 0 and table.stops[before.passed - 1] in table.impacts
         # A row at a stop with an impact shows the right-hand limit.
         earliest = table.sides(before.passed)[0] if begins_at_impact else -math.inf
@@ -71,7 +71,7 @@ class HostRows:
             now = now.recorded()
         return rows, now
 
-    def stretch(self, rows: list[Row]) -> Stretch:
+    def stretch(self, rows: list[RecordedRow]) -> Stretch:
         """Return recorded states as a `Stretch`."""
         equations, count = self._equations, len(rows)
         mechanism, n = equations.workspace.mechanism, equations.n

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.integrators.host.python_projection import StabilizedSteps, Taken
-from mbdkit.integrators.interface import SAME_TIME, Timetable
+from mbdkit.integrators.interface import SAME_INSTANT, SAME_TIME, Timetable
 from mbdkit.integrators.run.kept_state import kept, protect
 from mbdkit.integrators.run.reached import Planned, Reached, RejectedError
 from mbdkit.integrators.run.splitting import margin_of_stops
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from mbdkit.integrators.host.host_control import HostControl
     from mbdkit.integrators.host.host_energies import HostEnergies
 
-SAME_INSTANT = 4e-16
-"""Times that differ by less than this, in seconds or relative to their size, are equal."""
 _REPEATED = ("newton-failed", "not-finite", "singular")
 """Codes of failures after which a controlled step is repeated with a smaller size."""
 

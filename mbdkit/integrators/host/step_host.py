@@ -25,7 +25,7 @@ from mbdkit.integrators.host.step_attempts import Attempt, StepAttempts
 from mbdkit.integrators.interface import SAME_TIME, Failure, Moment, Nodes, StepEvidence, StepTaken, Stretch, Timetable
 from mbdkit.integrators.loop.step_watch import StepWatch
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
-from mbdkit.integrators.run.reached import Interval, Reached, Row
+from mbdkit.integrators.run.reached import IntervalSoFar, Reached, RecordedRow
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.run.splitting import Change, margin_of_stops
 from mbdkit.integrators.run.step_guards import GuardState
@@ -72,13 +72,13 @@ class StepHost:
         begin = StepState(self.equations.q0.copy(), self.equations.v0.copy(), z=z0)
         self.now = Reached(
             done=0, whole=0, passed=0, restart=None, time=timetable.start, state=begin, energy=np.zeros(2),
-            energy_low=np.zeros(2), interval=Interval(), why="start",
+            energy_low=np.zeros(2), interval=IntervalSoFar(), why="start",
             size=math.inf if self.control is None else self.control.first,
         )  # fmt: skip
         self.time = timetable.start
         self.impacts: list[DriverImpulse] = []
         self._last: LastStep | None = None
-        self._recorded: list[Row] = []
+        self._recorded: list[RecordedRow] = []
         self._nodes = HostNodes(workspace.mechanism.size, workspace.scratch.sides)
         self._watch = StepWatch(workspace, timetable.guards, self.worst_pairs, method.advice)
 
@@ -226,7 +226,7 @@ class StepHost:
         """See `Stepper.taken_nodes`."""
         return self._nodes.taken()
 
-    def _take(self, before: Reached, attempt: Attempt) -> list[Row]:
+    def _take(self, before: Reached, attempt: Attempt) -> list[RecordedRow]:
         table, there = self.timetable, attempt.end
         self._go_to(there)
         if table.single or table.interval is not None or table.nodes:
@@ -323,7 +323,7 @@ class StepHost:
             if theta > 0.0:
                 self._keep_nodes(last, there, theta)
         if self.rows.inner and self.rows.inner[0] < there.time:  # that row has the counts of the step
-            there = there._replace(interval=Interval())
+            there = there._replace(interval=IntervalSoFar())
         self._go_to(there)
         self.finished, self.failure = True, None
         return self.last_state()
@@ -352,7 +352,7 @@ class StepHost:
         end = (*_with_ground(there.state), there.state.z)
         self.rows.next_row = last.next_row
         self._go_to(there)
-        rows: list[Row] = []
+        rows: list[RecordedRow] = []
         if taken:
             rows, self.now = self.rows.due(before, last, there, end=t, finished=self.finished)
         self._last = last._replace(ends=taken[0]) if taken else None

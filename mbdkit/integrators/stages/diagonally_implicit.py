@@ -64,21 +64,21 @@ class DiagonallyImplicit(StepMethod):
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         """Take one step; see `StepMethod.step`."""
-        found: list[np.ndarray] = []
+        accelerations: list[np.ndarray] = []
         n = equations.n
         work = dissipated = 0.0
         for i, node in enumerate(self._c):
-            v = state.v + h * _combined(self._a[i, :i], found, n)
-            q = state.q + h * node * state.v + h * h * _combined(self._a2[i, :i], found, n)
+            v = state.v + h * _combined(self._a[i, :i], accelerations, n)
+            q = state.q + h * node * state.v + h * h * _combined(self._a2[i, :i], accelerations, n)
             now, rate = t + node * h, h * self._a[i, i]
             a, lam = self._solved(equations, now, q, v, rate) if rate else equations.accelerations(now, q, v)
-            found.append(a)
+            accelerations.append(a)
             given, lost = equations.powers(now, q + rate * rate * a, v + rate * a, lam)
             work += h * self._b[i] * given
             dissipated += h * self._b[i] * lost
         return state.moved(
-            h * state.v + h * h * _combined(self._b2, found, n),
-            h * _combined(self._b, found, n),
+            h * state.v + h * h * _combined(self._b2, accelerations, n),
+            h * _combined(self._b, accelerations, n),
             work=work,
             dissipated=dissipated,
         )

@@ -84,7 +84,7 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
         segments = np.reshape(numbers[-SEGMENT * count :], (-1, SEGMENT))
         segments[:, LOW] -= exact
         segments[:, HIGH] += exact
-        edges, of_second = polygon_edges(own[0]), sum(one.pair.kind[0] == kind for one in own)
+        edges, of_second = polygon_edges(own[0]), sum(contact.pair.kind[0] == kind for contact in own)
         surfaces.append((*own[0].bodies, len(surface), edges, count, of_second))
         surface.extend([*numbers[: -SEGMENT * count], *segments.ravel().tolist()])
         return len(surfaces) - 1
@@ -127,7 +127,7 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
         np.array(around).reshape(-1, 3),
         np.array(surfaces, dtype=np.int64).reshape(-1, 6),
         np.array(surface),
-        np.array([FAR if all(one[4] <= SEGMENTS_IN_FULL for one in surfaces) else REACH / EXACT * exact]),
+        np.array([FAR if all(surface[4] <= SEGMENTS_IN_FULL for surface in surfaces) else REACH / EXACT * exact]),
         np.array([exact]),
         np.full(count, -1),
         np.zeros((bodies + 1, 7)),

@@ -41,7 +41,7 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
         IntegratorPlugin(
             name="nonsmooth-generalized-alpha",
             summary="Nonsmooth generalized-alpha: time-stepping for rigid contacts, order 2 without them, fixed steps.",
-            options=Target("mbdkit_contact.time_stepping_methods:GeneralizedAlphaOptions", type),
+            options=Target("mbdkit_contact.time_stepping_methods:NonsmoothGeneralizedAlphaOptions", type),
             create=Target("mbdkit_contact.time_stepping_methods:create_generalized_alpha"),
             claims=Target("mbdkit_contact.time_stepping_methods:claims_of_generalized_alpha"),
             references=Target("mbdkit_contact.time_stepping_methods:REFERENCES_OF_GENERALIZED_ALPHA", tuple),

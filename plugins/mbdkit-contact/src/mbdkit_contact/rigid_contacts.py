@@ -43,8 +43,8 @@ class RigidContacts:
         #: Whether a first-order state (Z,) does not belong to contacts.
         self._is_own = np.ones(len(equations.z0), dtype=bool)
         self._is_own[self.held.states] = False
-        self.names = [one.pair.name for one in self.contacts]
-        given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
+        self.names = [contact.pair.name for contact in self.contacts]
+        given = np.array([contact.coefficients for contact in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = np.ascontiguousarray(given.T)
         self.shapes = shapes_of(self.contacts, equations.n // 3, EXACT * equations.length)
         self.arms = arms_of(self.shapes)
