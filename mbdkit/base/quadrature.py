@@ -34,6 +34,12 @@ def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(nodes, dtype=float), np.array(weights, dtype=float)
 
 
+def gauss_on_unit(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes and weights (count,) of Gauss-Legendre quadrature over [0, 1], of order 2 `count`."""
+    nodes, weights = gauss_legendre(count)
+    return 0.5 * (1.0 + nodes), 0.5 * weights
+
+
 def _legendre(degree: int, x: mpmath.mpf) -> tuple[mpmath.mpf, mpmath.mpf]:
     """Return the Legendre polynomial of a degree, at least 1, and its derivative, inside (-1, 1)."""
     before, value = mpmath.mpf(1), x

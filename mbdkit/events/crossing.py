@@ -128,7 +128,6 @@ def _at_end(end: Point, beside: float, exact: Scalar) -> float:
 
 
 def _changes(before: int, points: Sequence[Point]) -> int:
-    """Return the number of sign changes, ignoring zeros."""
     signs = [s for s in (before, *(sign(value) for _, value in points)) if s]
     return sum(a != b for a, b in pairwise(signs))
 

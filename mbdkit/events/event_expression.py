@@ -149,7 +149,6 @@ class RunExpression:
 
 
 def _applied(function: Callable[..., Any], of: Function, other: Function | None = None) -> Function:
-    """Return a function that applies `function` to the values of one or two other functions."""
     if other is None:
         return lambda values: function(of(values))
     return lambda values: function(of(values), other(values))
@@ -171,7 +170,6 @@ def _total(function: Function) -> Function:
 
 
 def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
-    """Raise SpecError if the form of the expression shows that it never changes sign."""
     last, number = program[-1]
     if len(program) == 1 and last == "const":
         raise SpecError(
@@ -236,7 +234,7 @@ class RunCompiler(Compiler):
     """
 
     attributes: ClassVar[Mapping[str, Sequence[str]]] = WordsOfKinds(
-        lambda kind: [name for name, one in kind.attributes.items() if one.in_events]
+        lambda kind: [name for name, quantity in kind.attributes.items() if quantity.in_events]
     )
     wanted = (
         "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, forces.NAME.value, "
@@ -261,8 +259,8 @@ class RunCompiler(Compiler):
     def operand(self, node: ast.expr) -> Code:
         """Return the program of a quantity."""
         match node:
-            case ast.Subscript(ast.Attribute() as whole, index) if (found := self.path(whole)) and found[0] == "beams":
-                return self.of_element(found[1], found[2], index, node)
+            case ast.Subscript(ast.Attribute() as whole, index) if (parts := self.path(whole)) and parts[0] == "beams":
+                return self.of_element(parts[1], parts[2], index, node)
             case ast.Attribute(ast.Name(id="states"), attr=name) | ast.Subscript(
                 ast.Name(id="states"), ast.Constant(value=str() as name)
             ):
@@ -273,8 +271,8 @@ class RunCompiler(Compiler):
                 return self.of_controller(name, value, node)
             case ast.Attribute(value=ast.Name(id="energy"), attr=attribute):
                 return self.get(Quantity("energy", "", self.checked(attribute, ["energy"], "", node)))
-            case ast.Attribute() if found := self.path(node):
-                return self.of(*found, node)
+            case ast.Attribute() if parts := self.path(node):
+                return self.of(*parts, node)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known or self.kinds(name):
                 return self.of(self.kind(name, attribute, node), name, attribute, node)
             case ast.Name(id=group) if group in self.attributes:

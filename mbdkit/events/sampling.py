@@ -132,12 +132,12 @@ def _sample_between_kinks(
 
     `known` are the quantities at positions, to which `at` adds. The same five samples are refined `deepest` times.
     """
-    found = {place: scalar(known[place]) for place in known}
+    samples = {place: scalar(known[place]) for place in known}
 
     def value(place: float) -> float:
-        if place not in found:
-            found[place] = scalar(at(place))
-        return found[place]
+        if place not in samples:
+            samples[place] = scalar(at(place))
+        return samples[place]
 
     stack: list[tuple[list[float], int]] = []
     ends = sorted({0.0, *kinks, 1.0})
@@ -146,7 +146,7 @@ def _sample_between_kinks(
             continue
         places = [place for place in sorted(known) if begin <= place <= end]
         stack += [(places[max(0, min(k, len(places) - 5)) :][:5], 0) for k in range(0, max(1, len(places) - 1), 4)]
-    while stack and len(found) < MOST_SAMPLES:
+    while stack and len(samples) < MOST_SAMPLES:
         five, depth = stack.pop()
         if len(five) < 5:
             five = np.linspace(five[0], five[-1], 5).tolist()
@@ -161,7 +161,7 @@ def _sample_between_kinks(
         else:
             for place in more:
                 value(place)
-    return sorted(found.items())
+    return sorted(samples.items())
 
 
 def _divide(known: dict[float, Values], at: Callable[[float], Values], phase: Scalar) -> None:

@@ -48,7 +48,7 @@ def state_program(text: str, mechanism: Mechanism) -> tuple[Program, list[tuple[
     """
     compiler = StateCompiler(text, mechanism)
     program = tuple(compiler.program())
-    return program, [(one.kind, one.name, one.attribute) for one in compiler.quantities]
+    return program, [(quantity.kind, quantity.name, quantity.attribute) for quantity in compiler.quantities]
 
 
 def state_values(program: Program, quantities: Sequence[tuple[str, str, str]], states: States) -> np.ndarray:
@@ -57,7 +57,7 @@ def state_values(program: Program, quantities: Sequence[tuple[str, str, str]], s
     The values are computed one by one, because rounding errors of NumPy's functions depend on the length of the array.
     """
     names = archive_names(states.mechanism)
-    columns = [states.time.tolist(), *(Quantity(*one).taker(names)(states).tolist() for one in quantities)]
+    columns = [states.time.tolist(), *(Quantity(*quantity).taker(names)(states).tolist() for quantity in quantities)]
 
     def value(time: float, *values: float) -> float:
         def leaf(operation: str, number: float) -> float:

@@ -111,11 +111,10 @@ def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspa
     values = evaluator.values([workspace.t0], workspace.q0[None], workspace.v0[None], states_at_start(workspace)[None])[
         0
     ]
-    return {name: one.value(values) for name, one in zip(expressions, compiled, strict=True)}
+    return {name: expression.value(values) for name, expression in zip(expressions, compiled, strict=True)}
 
 
 def _places(expressions: Sequence[RunExpression]) -> dict[Quantity, int]:
-    """Return the indices of all quantities of expressions in the values of their evaluator, from 1."""
     quantities = dict.fromkeys(quantity for expression in expressions for quantity in expression.quantities)
     return {quantity: index for index, quantity in enumerate(quantities, start=1)}
 
@@ -123,14 +122,11 @@ def _places(expressions: Sequence[RunExpression]) -> dict[Quantity, int]:
 def _prepared(
     expressions: Sequence[RunExpression], workspace: Workspace
 ) -> tuple[QuantityEvaluator, list[CompiledExpression]]:
-    """Return an evaluator of the quantities of all expressions, and the expressions as functions of its values."""
     places = _places(expressions)
     return QuantityEvaluator(workspace, list(places)), [expression.compiled(places) for expression in expressions]
 
 
 class _Change:
-    """Evaluates the new values of states that an event sets."""
-
     def __init__(self, event: Watched, workspace: Workspace):
         names = [state.name for state in workspace.mechanism.states]
         self._names, self._places = list(event.changes), [names.index(name) for name in event.changes]
@@ -144,9 +140,9 @@ class _Change:
         """
         q, v, z = state
         values = self._quantities.values([t], q[None], v[None], z[None])[0]
-        for name, place, one in zip(self._names, self._places, self._expressions, strict=True):
-            after[place] = one.value(values)
-            if not math.isfinite(after[place]):
+        for name, index, expression in zip(self._names, self._places, self._expressions, strict=True):
+            after[index] = expression.value(values)
+            if not math.isfinite(after[index]):
                 self.undefined = name
 
 
@@ -254,8 +250,8 @@ class Watch:
 
     def taken(self) -> list[Found]:
         """Return the crossings found since the last call, in order of time."""
-        found, self._found = self._found, []
-        return found
+        crossed, self._found = self._found, []
+        return crossed
 
     def advance(self) -> Stretch:
         """Advance for about `STRETCH` seconds of wall time and return the rows to be recorded."""
@@ -301,7 +297,6 @@ class Watch:
         return self._done(self._look(stretch))
 
     def _done(self, part: Stretch) -> Stretch:
-        """Store the quadrature nodes of steps and the time of the last of their rows; return the rows."""
         self._nodes.append(self.stepper.taken_nodes())
         if len(part.time):
             self._recorded = float(part.time[-1])
@@ -401,7 +396,6 @@ class Watch:
         return self.events[number].action == "stop"
 
     def _acts(self, number: int) -> bool:
-        """Return whether an event stops the run or sets states."""
         return self._stops(number) or self._changes[number] is not None
 
     def _set(self, theta: float, crossed: Collection[int], setting: Sequence[int]) -> Stretch:
@@ -433,7 +427,6 @@ class Watch:
         return change
 
     def _note_setting(self, number: int) -> None:
-        """Note that an event has set states now; note the failure of the run if it does so too often."""
         change, t = self._change(number), self._latest
         since, self._set_at[number] = t - self._set_at[number], t
         what = f"event '{self.events[number].name}'"
@@ -506,7 +499,6 @@ class Watch:
         return 0.0 if is_zero else value
 
     def _values_inside(self, theta: float) -> list[float]:
-        """Return the quantities at a position in the last step, by dense output."""
         return self._values_of(theta, self.stepper.inside)
 
     def _values_of(self, theta: float, state: Callable[[float], Moment]) -> list[float]:
@@ -516,7 +508,6 @@ class Watch:
         return self._quantities.values([step.time(theta)], q[None], v[None], z[None])[0]
 
     def _scalar(self, number: int, state: Callable[[float], Moment]) -> Callable[[float], float]:
-        """Return the scalar of an event as a function of the position in the last step, with states from `state`."""
         return lambda theta: self._expressions[number].value(self._values_of(theta, state))
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:

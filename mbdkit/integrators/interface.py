@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mbdkit.base.quadrature import gauss_legendre
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.linear_systems import product
 from mbdkit.trust.criteria import BranchSuspicion
@@ -19,6 +18,9 @@ from mbdkit.trust.criteria import BranchSuspicion
 SAME_TIME = 16.0
 """A stop and the end of a fixed step, or of the run, count as equal if they differ by less than this number times the
 margin of the stop."""
+
+SAME_INSTANT = 4e-16
+"""Times that differ by less than this, in seconds or relative to their size, are equal."""
 
 STRETCH = 0.1
 """Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s."""
@@ -189,9 +191,9 @@ class Stretch:
     def rows(self, part: slice | np.ndarray) -> Stretch:
         """Return the rows in a slice or a mask (T,)."""
         chosen: dict[str, Any] = {}
-        for one in fields(self):
-            values = getattr(self, one.name)
-            chosen[one.name] = None if values is None else values[part]
+        for item in fields(self):
+            values = getattr(self, item.name)
+            chosen[item.name] = None if values is None else values[part]
         return Stretch(**chosen)
 
 
@@ -200,9 +202,9 @@ def joined(stretches: Sequence[Stretch]) -> Stretch:
     if len(stretches) == 1:
         return stretches[0]
     whole: dict[str, Any] = {}
-    for one in fields(Stretch):
-        parts = [getattr(stretch, one.name) for stretch in stretches]
-        whole[one.name] = None if any(part is None for part in parts) else np.concatenate(parts)
+    for item in fields(Stretch):
+        parts = [getattr(stretch, item.name) for stretch in stretches]
+        whole[item.name] = None if any(part is None for part in parts) else np.concatenate(parts)
     return Stretch(**whole)
 
 
@@ -236,50 +238,6 @@ class Nodes:
     def joined(cls, parts: Sequence[Nodes]) -> Nodes:
         """Return consecutive nodes as one."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
-
-
-_GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * x for x in (1.0 + gauss_legendre(4)[0], gauss_legendre(4)[1]))
-"""Gauss-Legendre quadrature of order 8 on [0, 1], for steps whose stages are not known."""
-
-
-class KeptNodes:
-    """Quadrature nodes of time integrals, for steppers that do not know the stages of their method.
-
-    Parameters
-    ----------
-    size
-        Number of coordinates, those of the ground included.
-    sides
-        (2,) earliest and latest time at which motions are evaluated in the present step [s]; see `Timetable.sides`.
-    """
-
-    def __init__(self, size: int, sides: np.ndarray):
-        self._size, self._sides = size, sides
-        self._steps: list[Nodes] = []
-
-    def keep(self, t0: float, t1: float, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> None:
-        """Store the nodes of Gauss-Legendre quadrature of order 8 in a step.
-
-        Parameters
-        ----------
-        t0, t1
-            Start and end of the step [s].
-        state
-            Returns positions and velocities (3 (B + 1),) at a share of the step, from 0 (its start) to 1 (its end).
-        """
-        q, v = zip(*map(state, _GAUSS_NODES.tolist()), strict=True)
-        h = t1 - t0
-        time = np.clip(t0 + h * _GAUSS_NODES, *self._sides)
-        self._steps.append(Nodes(time, h * _GAUSS_WEIGHTS, np.array(q), np.array(v)))
-
-    def drop_last(self) -> None:
-        """Discard the nodes of the last step, which is repeated or shortened."""
-        self._steps.pop()
-
-    def taken(self) -> Nodes:
-        """Return the nodes of the steps since the last call."""
-        taken, self._steps = self._steps, []
-        return Nodes.joined([Nodes.none(self._size), *taken])
 
 
 class ConsecutiveSteps(NamedTuple):
@@ -425,7 +383,7 @@ class Advancing(Protocol):
     def taken_nodes(self) -> Nodes:
         """Return the nodes of integrals of the steps since the last call; none unless ``Timetable.nodes``.
 
-        Compiled methods return their stages and weights; others return those of `KeptNodes`.
+        They are the stages of the method with its weights, or nodes on an interpolant of the step.
         """
         ...
 

@@ -66,10 +66,10 @@ def _growth(method: Method, claims: Claims, wanted: Stabilization) -> tuple[Grow
         return iterated, "each fixed-point iteration multiplies errors of the stages"
     if tableau is not None:
         a, b, _ = tableau.floats()
-        one, unit = np.ones(len(b)), np.eye(len(b))
+        ones, unit = np.ones(len(b)), np.eye(len(b))
 
         def stepped(h: float) -> float:
-            return float(max(abs(1 + h * x * (b @ np.linalg.solve(unit - h * x * a, one))) for x in eigenvalues))
+            return float(max(abs(1 + h * x * (b @ np.linalg.solve(unit - h * x * a, ones))) for x in eigenvalues))
 
         return stepped, in_a_step
     if "tangents" in claims.needs:

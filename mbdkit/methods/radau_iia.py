@@ -79,7 +79,7 @@ def claims(options: RadauOptions) -> Claims:
     fixed = not options.adaptive
     newton = options.stage_solver == "newton"
     orders = {"index-2": Orders(order, order, s), "index-3": Orders(order, s, s - 1), "ggl": Orders(order, order, s)}
-    orders |= {formulation_name("joint-coordinates", name): one for name, one in orders.items()}
+    orders |= {formulation_name("joint-coordinates", name): value for name, value in orders.items()}
     index_1 = ORDER_DRIFT if fixed else TOLERANCE_DRIFT
     return Claims(
         order=order if fixed else None,

@@ -39,8 +39,6 @@ class TableauError(MbdkitError, ValueError):
 
 
 def _read(text: str, number: Callable[[str], Any], root: Callable[[Any], Any]) -> Any:
-    """Evaluate an exact coefficient given as text with the operators + - * / ** and sqrt."""
-
     def visit(node: ast.expr) -> Any:
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
             return _OPERATORS[type(node.op)](visit(node.left), visit(node.right))
@@ -91,7 +89,7 @@ def rooted_trees(order: int) -> tuple[Tree, ...]:
     """Return all rooted trees with `order` vertices; a tree is the sorted tuple of its root's subtrees."""
     if order == 1:
         return ((),)
-    found: set[Tree] = set()
+    trees: set[Tree] = set()
 
     def forests(vertices: int, largest: int) -> Iterator[Tree]:
         if vertices == 0:
@@ -102,8 +100,8 @@ def rooted_trees(order: int) -> tuple[Tree, ...]:
                     yield (first, *rest)
 
     for children in forests(order - 1, order - 1):
-        found.add(tuple(sorted(children, key=repr)))
-    return tuple(sorted(found, key=repr))
+        trees.add(tuple(sorted(children, key=repr)))
+    return tuple(sorted(trees, key=repr))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.base import elementary as elementary
     from mbdkit.base.lazy_names import homes_of as homes_of
     from mbdkit.base.one_thread import one_thread_of_linear_algebra as one_thread_of_linear_algebra
-    from mbdkit.base.quadrature import gauss_legendre as gauss_legendre
+    from mbdkit.base.quadrature import gauss_legendre as gauss_legendre, gauss_on_unit as gauss_on_unit
     from mbdkit.engine.assembly import AssembledState as AssembledState
     from mbdkit.engine.compile_mechanism import compile_mechanism as compile_mechanism
     from mbdkit.engine.compiled_mechanism import CompiledMechanism as CompiledMechanism, with_ground as with_ground

@@ -14,8 +14,9 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.integrators.run.impulse import ElementImpact as ElementImpact, ReactingMemory as ReactingMemory
     from mbdkit.integrators.interface import (
-        Guards as Guards, Moment as Moment, Nodes as Nodes, SAME_TIME as SAME_TIME, StepEvidence as StepEvidence,
-        StepTaken as StepTaken, Stepper as Stepper, Stretch as Stretch, Timetable as Timetable, joined as joined,
+        Guards as Guards, Moment as Moment, Nodes as Nodes, SAME_INSTANT as SAME_INSTANT, SAME_TIME as SAME_TIME,
+        StepEvidence as StepEvidence, StepTaken as StepTaken, Stepper as Stepper, Stretch as Stretch,
+        Timetable as Timetable, joined as joined,
     )
     from mbdkit.integrators.run.run_plan import guard_limits as guard_limits
     from mbdkit.integrators.run.sampled_control import Sampler as Sampler, states_at_start as states_at_start

@@ -18,7 +18,7 @@ import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.base import elementary
-from mbdkit.base.quadrature import gauss_legendre
+from mbdkit.base.quadrature import gauss_on_unit
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.measures.reductions import Functional, Series
@@ -31,7 +31,7 @@ POINTS = 8
 
 The order of this quadrature, 16, suffices for steps of a quarter of a period.
 """
-_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + gauss_legendre(POINTS)[0], gauss_legendre(POINTS)[1]))
+_NODES, _WEIGHTS = gauss_on_unit(POINTS)
 _PLACES = np.array([0.0, *_NODES, 1.0])
 """Times at which quantities are sampled in a step, from 0 at its start to 1 at its end (shares of the step)."""
 _INNER = slice(1, -1)

@@ -181,7 +181,7 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
         "systems": stepper.method.stored_systems(),
         # the evaluation of an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
-        "renewed": sorted(stepper._renewed),
+        "renewed": sorted(stepper.failed_steps.renewed),
         "sampler": stepper.sampler.stored(),
         "inserted": stepper.inserted,
         **stored_python_steps.stored_impulses(stepper.impacts),
@@ -200,11 +200,11 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
     if past is not None and past.known[0] > len(past.acc):
         raise ValueError("it refers to more steps than are stored")
     stepper.method.restore_systems(state["systems"])
-    stepper._take_up_pivots()
+    stepper.failed_steps.take_up_pivots()
     if state["solver"] is not None:
-        stepper.run_state = stepper.run_state._replace(solver=solver_of(workspace, state["solver"]))
-        stepper._pinned_state.replace(stepper.run_state)
-    stepper._renewed = {(int(done), int(status)) for done, status in state["renewed"]}
+        solver = solver_of(workspace, state["solver"])
+        stepper.pinned_state.replace(stepper.run_state._replace(solver=solver))
+    stepper.failed_steps.renewed = {(int(done), int(status)) for done, status in state["renewed"]}
     stepper.sampler.restore(state["sampler"])
     stepper.impacts[:] = stored_python_steps.impulses_of(state, len(workspace.mechanism.joints))
-    stepper._count()
+    stepper.count()

@@ -12,7 +12,7 @@ from mbdkit.engine.stored_arrays import restore, stored
 from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.run.impulse import DriverImpulse
 from mbdkit.integrators.run.kept_state import kept
-from mbdkit.integrators.run.reached import Interval, Reached
+from mbdkit.integrators.run.reached import IntervalSoFar, Reached
 from mbdkit.methods.step_methods import ExternalMethod, StepState
 
 _REACHED = (
@@ -51,7 +51,7 @@ def stored_stepper(stepper: StepHost) -> dict[str, Any]:
         "low": list(state.low),
         "z": state.z,
         "multipliers": state.multipliers,
-        "next_row": stepper.next_row,
+        "next_row": stepper.rows.next_row,
         "sampler": stepper.sampler.stored(),
         "library": None if library is None else library.hex(),
         **_stored_memory(stepper, state.memory),
@@ -94,7 +94,7 @@ def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
     stepper.sampler.restore(state["sampler"])
     library = state["library"]
     stepper.continue_from(
-        Reached(**reached, state=begin, interval=Interval(**interval)),
+        Reached(**reached, state=begin, interval=IntervalSoFar(**interval)),
         int(state["next_row"]),
         None if library is None else bytes.fromhex(library),
     )

@@ -138,7 +138,7 @@ def dual_stages(m: Stages) -> Stages:
     systems = m.systems
     factors = {name: getattr(systems, name) for name in ("real", "cplx")}
     work = {name: with_derivatives(getattr(systems, name)) for name in systems._fields[4:]}
-    factors = {name: one._replace(work=with_derivatives(one.work)) for name, one in factors.items()}
+    factors = {name: factor._replace(work=with_derivatives(factor.work)) for name, factor in factors.items()}
     own = m.previous._replace(begin=np.zeros(1), size=np.full(1, np.nan))
     return m._replace(
         **{name: with_derivatives(getattr(m, name)) for name in names},
@@ -154,7 +154,6 @@ load_dual_stages = bundle_loader(lambda: dual_stages(example_stages()))
 
 @subkernel
 def _predict(m, t, h):
-    """Extrapolate the stages of the previous step."""
     size = m.previous.size[0]
     if abs(size) > 0.0:
         extrapolation_weights((t - m.previous.begin[0]) / size, h / size, m.rk.c, m.weights)
@@ -164,7 +163,6 @@ def _predict(m, t, h):
 
 @subkernel
 def _take_values(m, k):
-    """Copy the values of the stages from the bundle of the run."""
     for i in range(len(m.acc)):
         for d in range(len(m.acc[0])):
             m.acc[i, d] = with_value(m.acc[i, d], k.acc[i, d])
@@ -238,7 +236,6 @@ def _take_shifts(m, k):
 
 @subkernel
 def _change_accelerations(m, k):
-    """Change the derivatives of the accelerations of the stages."""
     for i in range(len(m.change)):
         for d in range(len(m.acc[0]) - 3):
             m.acc[i, d] = with_value(m.acc[i, d] + m.change[i, d], k.acc[i, d])

@@ -7,20 +7,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.quadrature import gauss_legendre
+from mbdkit.base.quadrature import gauss_on_unit
 from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.integrators.interface import KeptNodes, Nodes, StepTaken
+from mbdkit.integrators.interface import Nodes, StepTaken
 from mbdkit.methods.step_methods import StepState
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.integrators.host.python_projection import Taken
     from mbdkit.integrators.run.reached import Reached
-    from mbdkit.integrators.run.step_results import StepResults
-    from mbdkit.methods.step_methods import Step
+    from mbdkit.integrators.run.step_results import Inside
 
-_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + gauss_legendre(4)[0], gauss_legendre(4)[1]))
-"""Gauss-Legendre quadrature of order 8 on [0, 1]."""
+_NODES, _WEIGHTS = gauss_on_unit(4)
+
+
+Stages = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
+"""Times and weights (S,), and positions and velocities (S, n); see `Step.stages`."""
 
 
 class HostEnergies:
@@ -41,15 +43,13 @@ class HostEnergies:
     def __init__(self, equations: EquationsOfMotion, has_power: bool):
         self._equations, self._has_power = equations, has_power
 
-    def booked(
-        self, begin: Reached, t: float, h: float, taken: Taken, made: Step, results: StepResults
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def booked(self, begin: Reached, t: float, h: float, taken: Taken, inside: Inside) -> tuple[np.ndarray, np.ndarray]:
         """Return both sums after a step (2,) [J] and their compensation terms (2,)."""
         if not self._has_power:
             return begin.energy, begin.energy_low
         gains: list[float | None] = [taken.made.work, taken.made.dissipated]
         if None in gains:
-            ours = self._of_dense(1.0, t, h, made, results)
+            ours = self._of_dense(1.0, t, h, inside)
             if ours is None:
                 ours = self._gains(t, h, taken)
             gains = [own if own is not None else gain for own, gain in zip(gains, ours, strict=True)]
@@ -58,7 +58,6 @@ class HostEnergies:
         return total, y - (total - begin.energy)
 
     def _gains(self, t: float, h: float, taken: Taken) -> np.ndarray:
-        """Return the work and the dissipated energy of one step, by Simpson's rule on the cubic through its ends."""
         old, new = taken.begin, taken.made
         a0, rates0, begin = self._at(t, old)
         a1, rates1, end = self._at(t + h, new)
@@ -72,19 +71,19 @@ class HostEnergies:
         a, lam, rates = self._equations.observed(t, state.q, state.v, state.z)
         return a, rates, np.array(self._equations.powers(t, state.q, state.v, lam))
 
-    def _of_dense(self, theta: float, t: float, h: float, made: Step, results: StepResults) -> np.ndarray | None:
+    def _of_dense(self, theta: float, t: float, h: float, inside: Inside) -> np.ndarray | None:
         """Return work and dissipated energy up to a share of a step, by quadrature; None without dense output."""
         gain = np.zeros(2)
         for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
             share = theta * node
-            inner = results.within(made, share)
+            inner = inside(share)
             if inner is None:
                 return None
             q, v, z = inner[:3]
             gain += theta * h * weight * self._at(t + share * h, StepState(q, v, z=z))[2]
         return gain
 
-    def at(self, theta: float, before: Reached, now: Reached, made: Step, results: StepResults) -> np.ndarray:
+    def at(self, theta: float, before: Reached, now: Reached, inside: Inside) -> np.ndarray:
         """Return both sums (2,) [J] at the share `theta` of a step from `before` to `now`.
 
         They are those of dense output if it has them; otherwise, powers are integrated by Gauss-Legendre quadrature.
@@ -92,55 +91,77 @@ class HostEnergies:
         if not self._has_power:
             return before.energy
         t, h = before.begin, now.time - before.begin
-        found = results.within(made, theta)
-        if found is None:
+        values = inside(theta)
+        if values is None:
             return before.energy + theta * (now.energy - before.energy)
-        if len(found) == 5:
-            return before.energy + np.array(found[3:], dtype=float)
-        gain = self._of_dense(theta, t, h, made, results)
+        if len(values) == 5:
+            return before.energy + np.array(values[3:], dtype=float)
+        gain = self._of_dense(theta, t, h, inside)
         assert gain is not None
         return before.energy + gain
 
 
-class HostNodes(KeptNodes):
+class HostNodes:
     """Quadrature nodes of time integrals for methods in Python.
 
-    They are the stages of the method, or else lie on the dense output of a library, or on the quintic polynomial
-    through states and accelerations at both ends of the step.
+    They are the stages of the method, or else those of Gauss-Legendre quadrature of order 8 on the dense output of a
+    library, or on the quintic polynomial through states and accelerations at both ends of the step.
+
+    Parameters
+    ----------
+    size
+        Number of coordinates, those of the ground included.
+    sides
+        (2,) earliest and latest time at which motions are evaluated in the present step [s]; see `Timetable.sides`.
     """
+
+    def __init__(self, size: int, sides: np.ndarray):
+        self._size, self._sides = size, sides
+        self._steps: list[Nodes] = []
+
+    def drop_last(self) -> None:
+        """Discard the nodes of the last step, which is repeated or shortened."""
+        self._steps.pop()
+
+    def taken(self) -> Nodes:
+        """Return the nodes of the steps since the last call."""
+        taken, self._steps = self._steps, []
+        return Nodes.joined([Nodes.none(self._size), *taken])
 
     def keep_step(
         self,
         equations: EquationsOfMotion,
         begin: Reached,
         end: Reached,
-        made: Step,
+        stages: Stages | None,
         dense: Callable[[float], tuple[np.ndarray, np.ndarray]] | None,
-        *,
-        whole: bool,
     ) -> None:
         """Store the nodes of a step.
 
         Parameters
         ----------
         begin, end
-            Start of the step, and its end, which has been shortened if not `whole`.
-        made
-            The step.
+            Start of the step, and its end.
+        stages
+            Those of `Step.stages`; None for a step without them, or that has been shortened.
         dense
             Function of the share of the step up to `end` that returns positions and velocities (3 (B + 1),); None to
             use stages or the polynomial.
         """
-        if made.stages is not None and whole:
-            time, weight, (q, v) = made.stages
+        if stages is not None:
+            time, weight, (q, v) = stages
             ground = np.zeros((len(time), 3))
             self._steps.append(Nodes(time, weight, np.hstack([q, ground]), np.hstack([v, ground])))
             return
-        if dense is not None:
-            self.keep(begin.begin, end.begin, dense)
-            return
-        t0, t1, ends, accelerations = begin.begin, end.begin, [], []
-        for t, state in ((t0, begin.state), (t1, end.state)):
-            ends += [with_ground(state.q), with_ground(state.v)]
-            accelerations.append(with_ground(equations.observed(t, state.q, state.v, state.z)[0]))
-        self.keep(t0, t1, StepTaken(t0, t1, *ends).quintic(*accelerations))
+        t0, t1 = begin.begin, end.begin
+        if dense is None:
+            ends: list[np.ndarray] = []
+            accelerations: list[np.ndarray] = []
+            for t, state in ((t0, begin.state), (t1, end.state)):
+                ends += [with_ground(state.q), with_ground(state.v)]
+                accelerations.append(with_ground(equations.observed(t, state.q, state.v, state.z)[0]))
+            dense = StepTaken(t0, t1, *ends).quintic(*accelerations)
+        q, v = zip(*map(dense, _NODES.tolist()), strict=True)
+        h = t1 - t0
+        time = np.clip(t0 + h * _NODES, *self._sides)
+        self._steps.append(Nodes(time, h * _WEIGHTS, np.array(q), np.array(v)))

@@ -3,115 +3,88 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.integrators.interface import Moment, Nodes, StepTaken, Stretch, Timetable
-from mbdkit.integrators.run.reached import Reached, Row
-from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState
+from mbdkit.integrators.interface import Stretch, Timetable
+from mbdkit.integrators.run.reached import Reached, RecordedRow
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.engine.workspace import Workspace
-    from mbdkit.integrators.host.host_energies import HostEnergies, HostNodes
-    from mbdkit.integrators.run.step_results import StepResults
+    from mbdkit.integrators.host.host_last_step import LastStep
 
 
-class HostRows(ABC):
-    """Base class of `mbdkit.integrators.host.step_host.StepHost`: its rows."""
+class HostRows:
+    """Chooses and collects the rows of a run.
 
-    method: StepMethod | ExternalMethod
-    equations: EquationsOfMotion
-    workspace: Workspace
-    timetable: Timetable
-    now: Reached
-    finished: bool
-    last_step: StepTaken | None
-    next_row: int
-    _before: Reached
-    _made: Step
-    _states: int
-    _results: StepResults
-    _energies: HostEnergies
-    _nodes: HostNodes
-    _inner_rows: list[float]
-    _is_fixed: bool
+    Parameters
+    ----------
+    equations
+        The equations of motion.
+    timetable
+        Which states are recorded.
+    is_fixed
+        Whether steps have a fixed size.
+    carries_multipliers
+        Whether the method computes multipliers, which are then recorded.
 
-    @abstractmethod
-    def inside(self, theta: float) -> Moment:
-        """See `Stepper.inside`."""
+    Attributes
+    ----------
+    next_row
+        Number of the next row that is recorded at an interval.
+    inner
+        Times of the rows within the last step [s].
+    """
 
-    def last_state(self) -> Stretch:
-        """See `Stepper.last_state`."""
-        return self._stretch([self._recorded()])
+    def __init__(
+        self, equations: EquationsOfMotion, timetable: Timetable, *, is_fixed: bool, carries_multipliers: bool
+    ):
+        self._equations, self._timetable, self._is_fixed = equations, timetable, is_fixed
+        self._carries_multipliers = carries_multipliers
+        self.next_row = 1
+        self.inner: list[float] = []
 
-    def taken_nodes(self) -> Nodes:
-        """See `Stepper.taken_nodes`."""
-        return self._nodes.taken()
-
-    def _due(self, end: float = math.inf) -> list[Row]:
-        """Return the rows to be recorded after the last step, or up to the time `end` within it."""
-        table, now = self.timetable, self.now
+    def due(
+        self, before: Reached, last: LastStep | None, now: Reached, end: float = math.inf, *, finished: bool
+    ) -> tuple[list[RecordedRow], Reached]:
+        """Return the rows of the step from `before` to `now`, or up to `end` [s], and `now` with its new interval."""
+        table = self._timetable
         if table.interval is None:
             count = now.whole if self._is_fixed else now.done
-            is_new = now.whole > self._before.whole or not self._is_fixed
-            is_due = (is_new and count % table.every == 0) or self.finished
-            return [self._recorded()] if is_due else []
-        rows: list[Row] = []
-        begins_at_impact = self._before.passed > 0 and table.stops[self._before.passed - 1] in table.impacts
+            is_new = now.whole > before.whole or not self._is_fixed
+            is_due = (is_new and count % table.every == 0) or finished
+            return ([now.row()], now.recorded()) if is_due else ([], now)
+        assert last is not None
+        rows: list[RecordedRow] = []
+        begins_at_impact = before.passed > 0 and table.stops[before.passed - 1] in table.impacts
         # A row at a stop with an impact shows the right-hand limit.
-        earliest = table.sides(self._before.passed)[0] if begins_at_impact else -math.inf
+        earliest = table.sides(before.passed)[0] if begins_at_impact else -math.inf
         inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end is always recorded
         while self.next_row < inner and (at := table.start + self.next_row * table.interval) <= min(now.time, end):
-            rows.append(self._inner_row(max(at, earliest)))
+            rows.append(last.row(max(at, earliest), now))
+            now = now.recorded()
             self.next_row += 1
-        self._inner_rows = [row.time for row in rows]
-        if self.finished:
-            rows.append(self._recorded())
-        return rows
+        self.inner = [row.time for row in rows]
+        if finished:
+            rows.append(now.row())
+            now = now.recorded()
+        return rows, now
 
-    def _inner_row(self, at: float) -> Row:
-        """Return a row at a time within the last step."""
-        before, step = self._before, self.last_step
-        assert step is not None
-        recorded = self._recorded()
-        theta = (at - step.t0) / (step.t1 - step.t0)
-        if theta >= 1.0:
-            return recorded
-        q, v, z = self.inside(theta)
-        own, own_before = self.now.state.multipliers, before.state.multipliers
-        if own is not None and own_before is not None:
-            own = own_before + theta * (own - own_before)
-        n = self.equations.n
-        energy = self._energies.at(theta, before, self.now, self._made, self._results)
-        return Row(at, StepState(q[:n], v[:n], own, z=z), energy, recorded.interval)
-
-    def _recorded(self) -> Row:
-        """Return the current point as a row to be recorded, and start a new interval."""
-        now = self.now
-        self.now = now.recorded()
-        return Row(now.time, now.state, now.energy, now.interval)
-
-    def _with_ground(self, state: StepState) -> tuple[np.ndarray, np.ndarray]:
-        return with_ground(state.q), with_ground(state.v)
-
-    def _stretch(self, rows: list[Row]) -> Stretch:
+    def stretch(self, rows: list[RecordedRow]) -> Stretch:
         """Return recorded states as a `Stretch`."""
-        n, count = self.equations.n, len(rows)
-        q, v = np.zeros((2, count, self.workspace.mechanism.size))
+        equations, count = self._equations, len(rows)
+        mechanism, n = equations.workspace.mechanism, equations.n
+        q, v = np.zeros((2, count, mechanism.size))
         intervals = np.zeros((count, 6))
         energy, corrections = np.zeros((count, 2)), np.zeros((count, 4))
-        own = np.zeros((count, len(self.workspace.mechanism.rows))) if self.method.carries_multipliers else None
-        for i, row in enumerate(rows):
-            q[i, :n], v[i, :n] = row.state.q, row.state.v
-            energy[i], corrections[i] = row.energy, row.interval.correction
-            took = row.interval
-            intervals[i] = row.time, took.steps, took.size, took.iterations, took.most_iterations, took.rejected
-            if own is not None and row.state.multipliers is not None:
-                own[i] = self.equations.recorded_multipliers(row.time, row.state.q, row.state.multipliers)
+        own = np.zeros((count, len(mechanism.rows))) if self._carries_multipliers else None
+        for i, (time, state, gained, took) in enumerate(rows):
+            q[i, :n], v[i, :n] = state.q, state.v
+            energy[i], corrections[i] = gained, took.correction
+            intervals[i] = time, took.steps, took.size, took.iterations, took.most_iterations, took.rejected
+            if own is not None and state.multipliers is not None:
+                own[i] = equations.recorded_multipliers(time, state.q, state.multipliers)
         return Stretch(
             intervals[:, 0].copy(),
             q,
@@ -120,6 +93,6 @@ class HostRows(ABC):
             energy[:, 1].copy(),
             intervals,
             multipliers=own,
-            corrections=corrections if self.workspace.stabilization.kind != "none" else None,
-            z=np.array([row.state.z for row in rows]).reshape(count, self._states),
+            corrections=corrections if equations.stabilization.kind != "none" else None,
+            z=np.array([row.state.z for row in rows]).reshape(count, len(equations.z0)),
         )

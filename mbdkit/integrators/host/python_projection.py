@@ -152,7 +152,6 @@ class StabilizedSteps:
         before_q: Vector = 0.0,
         before_v: Vector = 0.0,
     ) -> Taken:
-        """Return a step with its end corrected by `dq`, `dv`, and its start by `before_q`, `before_v`."""
         self.equations.counters.projections += 1
         reached = made.moved(
             dq, dv, multipliers=made.multipliers, memory=made.memory, work=made.work, dissipated=made.dissipated

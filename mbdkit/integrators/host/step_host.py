@@ -20,33 +20,20 @@ from mbdkit.integrators import interface
 from mbdkit.integrators.host.host_control import HostControl
 from mbdkit.integrators.host.host_energies import HostEnergies, HostNodes
 from mbdkit.integrators.host.host_last_step import LastStep
-from mbdkit.integrators.host.python_projection import StabilizedSteps, Taken
-from mbdkit.integrators.interface import (
-    SAME_TIME,
-    Failure,
-    StepEvidence,
-    StepTaken,
-    Stretch,
-    Timetable,
-)
+from mbdkit.integrators.host.host_rows import HostRows
+from mbdkit.integrators.host.step_attempts import Attempt, StepAttempts
+from mbdkit.integrators.interface import SAME_TIME, Failure, Moment, Nodes, StepEvidence, StepTaken, Stretch, Timetable
 from mbdkit.integrators.loop.step_watch import StepWatch
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
-from mbdkit.integrators.run.kept_state import kept, protect
-from mbdkit.integrators.run.reached import Interval, Planned, Reached, RejectedError, Row
+from mbdkit.integrators.run.reached import IntervalSoFar, Reached, RecordedRow
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
-from mbdkit.integrators.run.splitting import margin_of_stops
-from mbdkit.integrators.run.step_control import fitted_size
+from mbdkit.integrators.run.splitting import Change, margin_of_stops
 from mbdkit.integrators.run.step_guards import GuardState
-from mbdkit.integrators.run.step_results import StepResults, called
-from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState
-
-SAME_INSTANT = 4e-16
-"""Times that differ by less than this, in seconds or relative to their size, are equal."""
-_REPEATED = ("newton-failed", "not-finite", "singular")
-"""Codes of failures after which a controlled step is repeated with a smaller size."""
+from mbdkit.integrators.run.step_results import called
+from mbdkit.methods.step_methods import ExternalMethod, StepMethod, StepState
 
 
-class StepHost(LastStep):
+class StepHost:
     """Runs a method in Python over a timetable; implements `mbdkit.integrators.run.splitting.Splitting`.
 
     Corrections by projection are not part of the energies.
@@ -59,53 +46,51 @@ class StepHost(LastStep):
         The mechanism and its start, with formulation and stabilization.
     timetable
         Times of the run, and which states are recorded.
+
+    Attributes
+    ----------
+    rows
+        The rows that are recorded; its `HostRows.next_row` belongs to a checkpoint.
     """
 
     def __init__(self, method: StepMethod | ExternalMethod, workspace: Workspace, timetable: Timetable):
         self.method = copy.copy(method) if isinstance(method, ExternalMethod) else method
         self.workspace, self.timetable = workspace, timetable
-        self._is_external = isinstance(method, ExternalMethod)
-        self._is_fixed = method.tolerances is None and not self._is_external  # otherwise steps are controlled
         self.counters = HostCounters()
         self.finished = False
         self.failure: Failure | None = None
-        self.last_step: StepTaken | None = None
         self.worst_pairs = np.zeros(len(workspace.mechanism.topology.pairs))
         workspace.clamp_motions(*timetable.sides(0))
         z0 = states_at_start(workspace)
-        self._states = len(z0)
+        self.control: HostControl | None = None
+        if isinstance(self.method, StepMethod) and method.tolerances is not None:
+            self.control = HostControl(method.tolerances, self.method.error_order, workspace, timetable)
         self.use(EquationsOfMotion(workspace, z0))
         self.sampler = Sampler(workspace)
         if workspace.mechanism.controllers:  # the initial states include the first sample, whose outputs may be delayed
             self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
-        self.control: HostControl | None = None
-        if isinstance(self.method, StepMethod) and method.tolerances is not None:
-            self.control = HostControl(method.tolerances, self.method.error_order, workspace, timetable)
         begin = StepState(self.equations.q0.copy(), self.equations.v0.copy(), z=z0)
-        size = math.inf if self.control is None else self.control.first
         self.now = Reached(
-            0, 0, 0, None, timetable.start, begin, np.zeros(2), np.zeros(2), Interval(), why="start", size=size
+            done=0, whole=0, passed=0, restart=None, time=timetable.start, state=begin, energy=np.zeros(2),
+            energy_low=np.zeros(2), interval=IntervalSoFar(), why="start",
+            size=math.inf if self.control is None else self.control.first,
         )  # fmt: skip
-        self.impacts: list[DriverImpulse] = []
         self.time = timetable.start
-        self._before, self._made, self._taken = self.now, Step(begin), None
-        self._judged, self._from = (size, 0.0), self.now
-        self._retrying, self._rejected, self.next_row = False, 0, 1
-        self._rows_before: tuple[int, Interval] = (1, Interval())
-        self._inner_rows: list[float] = []
-        self._rows: list[Row] = []
+        self.impacts: list[DriverImpulse] = []
+        self._last: LastStep | None = None
+        self._recorded: list[RecordedRow] = []
         self._nodes = HostNodes(workspace.mechanism.size, workspace.scratch.sides)
         self._watch = StepWatch(workspace, timetable.guards, self.worst_pairs, method.advice)
 
     def use(self, equations: EquationsOfMotion) -> None:
-        """Let the method use these equations of motion, with the counters of this run."""
+        """Let the method use these equations of motion, with the counters of this run, from its start on."""
         method = self.method
-        self._name = type(method).__name__
         self.equations, equations.counters = equations, self.counters
         equations.first_step = None if method.tolerances is None else self.timetable.step
-        self._results = StepResults(self._name, equations, self._states, method.carries_multipliers)
-        self.stabilized = StabilizedSteps(self._own_step, self._after_projection, equations)
         self._energies = HostEnergies(equations, equations.has_power)
+        self._attempts = StepAttempts(method, equations, self.timetable, self.control, self._energies)
+        fixed, multipliers = self._attempts.is_fixed, method.carries_multipliers
+        self.rows = HostRows(equations, self.timetable, is_fixed=fixed, carries_multipliers=multipliers)
 
     @property
     def evidence(self) -> StepEvidence:
@@ -129,7 +114,7 @@ class StepHost(LastStep):
         library
             State of the library of an `ExternalMethod`.
         """
-        self._before, self.next_row = reached, next_row
+        self.rows.next_row = next_row
         self._go_to(reached)
         if reached.why != "start":
             self.equations.first_step = None
@@ -138,13 +123,15 @@ class StepHost(LastStep):
             counted = vars(self.counters).copy()
             self._open(reached.begin, reached.state)
             assert library is not None
-            called(f"{self._name}.restore", self.method.restore, library)
+            called(f"{self._attempts.name}.restore", self.method.restore, library)
             vars(self.counters).update(counted)
 
     @property
     def first_memory(self) -> Any:
         """The memory that the method has before the first step."""
-        return self._begun(self.timetable.start, StepState(self.equations.q0, self.equations.v0), "start").memory
+        return self._attempts.begun(
+            self.timetable.start, StepState(self.equations.q0, self.equations.v0), "start"
+        ).memory
 
     # ---- begin of a step -----------------------------------------------------------------------------------------
 
@@ -160,7 +147,8 @@ class StepHost(LastStep):
         if now.event is not None:
             state = now.event.apply(self.equations, now.begin, now.state)
             self._watch.forget_energy()
-            self.now = now._replace(state=state, energy=now.energy + _gain(state), event=None)
+            gained = np.array([state.work or 0.0, state.dissipated or 0.0])
+            self.now = now._replace(state=state, energy=now.energy + gained, event=None)
 
     def _begin_anew(self) -> None:
         now, table, t = self.now, self.timetable, self.now.begin
@@ -170,52 +158,36 @@ class StepHost(LastStep):
             stop = table.stops[now.passed - 1]
             state = StepState(state.q, state.v, memory=state.memory, low=state.low, z=state.z)
             if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
-                impact, new = impulse(self.workspace, t, *self._with_ground(state), stop)
+                impact, new = impulse(self.workspace, t, *_with_ground(state), stop)
                 self.impacts.append(impact)
                 self._watch.forget_energy()
                 state = replace(state, v=new[: self.equations.n], low=(state.low[0], 0.0, *state.low[2:]))
                 energy, why = energy + np.array([impact.energy, 0.0]), "impact"
             if stop in table.samples:
-                z = self.sampler.passed(stop, *self._with_ground(state), state.z)
+                z = self.sampler.passed(stop, *_with_ground(state), state.z)
                 state = replace(state, z=z, low=state.low[:2])
         if why == "projection" and math.isfinite(now.size):
             self.equations.first_step = now.size
-        state = self._begun(t, state, why)
+        state = self._attempts.begun(t, state, why)
         self.now = now._replace(state=state, energy=energy, why="", error=0.0)
         self._open(t, state)
 
     def _open(self, t: float, state: StepState) -> None:
-        """Start the library of an `ExternalMethod` from a state at the present stop."""
         table, passed = self.timetable, self.now.passed
         if isinstance(self.method, ExternalMethod):
             end = table.stops[passed] if passed < len(table.stops) else table.end
             if self.equations.first_step is not None:
                 self.equations.first_step = min(self.equations.first_step, end - t)
-            called(f"{self._name}.open", self.method.open, self.equations, t, state, end)
+            called(f"{self._attempts.name}.open", self.method.open, self.equations, t, state, end)
             self.equations.first_step = None
-
-    def _begun(self, t: float, state: StepState, why: Any) -> StepState:
-        """Return a state with the memory for a step that begins anew."""
-        if not isinstance(self.method, StepMethod):
-            return state
-        protect(state)
-        memory = called(f"{self._name}.begin", self.method.begin, self.equations, t, state, why)
-        return replace(state, memory=kept(memory))
-
-    def _after_projection(self, t: float, state: StepState) -> StepState:
-        return (
-            state
-            if getattr(type(self.method), "begin", None) is StepMethod.begin
-            else self._begun(t, state, "projection")
-        )
 
     # ---- steps ---------------------------------------------------------------------------------------------------
 
     def advance(self) -> Stretch:
         """See `Stepper.advance`."""
         until, table = time.perf_counter() + interface.STRETCH, self.timetable
-        self._rows = rows = []
-        self.last_step = None
+        self._recorded = rows = []
+        self._last = None
         while not self.finished and self.failure is None:
             if self.now.done >= table.max_steps:
                 self.failure = Failure("max-steps", f"stopped after limits.max_steps = {table.max_steps} steps.")
@@ -223,14 +195,14 @@ class StepHost(LastStep):
             before = self.now
             try:
                 self.begin_step()
-                before, there, taken = self._accepted(self.now)
+                before, attempt = self._attempts.accepted(self.now, self.worst_pairs)
+                there = attempt.end
                 if there.event is not None and there.event.time <= before.begin:
                     # the event is at the start of the step, which is then taken again
                     self.now = before._replace(state=there.state, restart=before.begin, event=there.event)
                     continue
-                self._take(before, there, taken)
-                rows += self._due()
-                self.failure = self._watched(before, there, taken)
+                rows += self._take(before, attempt)
+                self.failure = self._watched(before, attempt)
             except StepError as error:
                 where = f"in step {before.done + 1} from t = {before.time:.6g} s"
                 near = describe_nearness(self.workspace, before.time, with_ground(before.state.q))
@@ -239,176 +211,157 @@ class StepHost(LastStep):
                 break
             if table.single or time.perf_counter() > until:
                 break
-        return self._stretch(rows)
+        return self.rows.stretch(rows)
 
     def rows_before_error(self) -> Stretch | None:
         """See `Advancing.rows_before_error`."""
-        return self._stretch(self._rows) if self._rows else None
+        return self.rows.stretch(self._recorded) if self._recorded else None
 
-    def _take(self, before: Reached, there: Reached, taken: Taken) -> None:
-        """Continue from the end of an accepted step."""
-        self._rows_before = self.next_row, before.interval
-        self._before, self._taken = before, taken
+    def last_state(self) -> Stretch:
+        """See `Stepper.last_state`."""
+        now, self.now = self.now, self.now.recorded()
+        return self.rows.stretch([now.row()])
+
+    def taken_nodes(self) -> Nodes:
+        """See `Stepper.taken_nodes`."""
+        return self._nodes.taken()
+
+    def _take(self, before: Reached, attempt: Attempt) -> list[RecordedRow]:
+        table, there = self.timetable, attempt.end
         self._go_to(there)
-        table = self.timetable
         if table.single or table.interval is not None or table.nodes:
             z0 = before.state.z
-            if self._states and (begin := self._results.within(self._made, 0.0)) is not None:
+            if len(z0) and (begin := attempt.inside(0.0)) is not None:
                 z0 = begin[2]
-            ends = (*self._with_ground(before.state), *self._with_ground(there.state), z0, there.state.z)
-            self.last_step = StepTaken(before.time, there.time, *ends)
-        self._keep_nodes(before, there)
+            ends = (*_with_ground(before.state), *_with_ground(there.state), z0, there.state.z)
+            self._last = LastStep(
+                before, attempt, StepTaken(before.time, there.time, *ends), self._energies, self.rows.next_row,
+                has_dense_output=not self.workspace.stabilization.symmetric,
+            )  # fmt: skip
+            self._keep_nodes(self._last, there)
+        rows, self.now = self.rows.due(before, self._last, there, finished=self.finished)
+        return rows
 
-    def _accepted(self, begin: Reached) -> tuple[Reached, Reached, Taken]:
-        """Take a step, with as many attempts as it needs, each of at most nine tenths of the size of the one before.
+    def _go_to(self, there: Reached) -> None:
+        self.now, self.time = there, there.time
+        self.counters.steps = self.counters.accepted = there.done
+        table = self.timetable
+        self.finished = there.whole == table.steps if self._attempts.is_fixed else there.time >= table.end
 
-        Returns its start, with the size of the step that was accepted, and its end.
-        """
-        self._retrying, self._rejected = False, self.counters.rejected
-        while True:
-            self._from = begin
-            try:
-                return begin, *self._after(begin, self._next(begin), self.worst_pairs)
-            except RejectedError as rejected:
-                tried = self._next(begin).size
-                if not rejected.size < tried:
-                    raise ValueError(
-                        f"{self._name} rejects a step of {tried!r} s and asks for one of {rejected.size!r} s, no "
-                        "smaller one"
-                    ) from None
-                self.counters.rejected += 1
-                begin, self._retrying = begin._replace(size=min(rejected.size, 0.9 * tried)), True
-                if not rejected.size > 4.0 * margin_of_stops(self.timetable):
-                    if rejected.reason is not None:
-                        raise rejected.reason from None
-                    raise StepError("step-too-small", "no step is small enough to be accepted") from None
+    def _keep_nodes(self, last: LastStep, end: Reached, theta: float = 1.0) -> None:
+        """Store quadrature nodes in a step, or in its share `theta`, which leads to `end`."""
+        if self.timetable.nodes:
+            dense = (lambda share: last.inside(theta * share)[:2]) if isinstance(self.method, ExternalMethod) else None
+            stages = last.attempt.made.stages if theta == 1.0 else None
+            self._nodes.keep_step(self.equations, last.before, end, stages, dense)
 
-    def _next(self, begin: Reached) -> Planned:
-        """Return the plan of the step that starts at `begin`."""
-        table, t = self.timetable, begin.begin
-        stop = table.stops[begin.passed] if begin.passed < len(table.stops) else None
-        if not self._is_fixed:
-            end = table.end if stop is None else stop
-            size = end - t if self._is_external else float(fitted_size(t, begin.size, end))
-            is_last = t + size >= end or size == end - t
-            if is_last and stop is not None:
-                return Planned(t, end - t, table.sides(begin.passed)[1], True, False)
-            return Planned(t, size, table.end if is_last else t + size, False, is_last)
-        assert table.step is not None
-        n = begin.whole + 1
-        end = table.start + n * table.step if n < table.steps else table.end
-        plan: Planned | None = None
-        if stop is not None:
-            is_end = abs(stop - end) <= SAME_TIME * table.stop_margins[begin.passed]
-            if stop < end or is_end:
-                before = table.sides(begin.passed)[1]  # so that a row there shows the left-hand limit
-                is_on_grid = is_end and stop not in table.impacts
-                plan = Planned(t, stop - t, end if is_on_grid else before, True, is_end)
-        if plan is None:
-            size = table.last_step if n == table.steps else table.step
-            plan = Planned(t, size if begin.restart is None else end - t, end, False, True)
-        if begin.size < plan.size and (size := float(fitted_size(t, begin.size, t + plan.size))) < plan.size:
-            return Planned(t, size, t + size, False, False, is_part=True)
-        return plan
-
-    def _after(self, begin: Reached, plan: Planned, worst: np.ndarray, theta: float = 1.0) -> tuple[Reached, Taken]:
-        """Return the point after the fraction `theta` of a planned step from `begin`.
-
-        The largest squared misalignments `worst` (P,) are updated. Raises StepError, RejectedError, and any exception
-        of the method.
-        """
-        table, counters = self.timetable, self.counters
-        iterations = counters.newton_iterations
-        done, t, h = begin.done + 1, plan.begin, theta * plan.size
-        # a sum of steps would accumulate rounding errors
-        is_grid = self._is_fixed and h == table.step
-        end = table.start + (begin.whole + 1) * h if is_grid else t + h
-        taken = self.stabilized.take(t, end, begin.state, h, done)
-        new, is_short = taken.reached, taken.end != end
-        if is_short:
-            end = taken.end
-            h = end - t
-        if not self.equations.arrive(end, new.q, new.v, worst):
-            raise self._unsolved(h, StepError("not-finite", "positions or velocities overflowed"))
-        energy, low = self._energies.booked(begin, t, h, taken, self._made, self._results)
-        iterations, rejected = counters.newton_iterations - iterations, counters.rejected - self._rejected
-        interval = begin.interval.after(h, iterations, rejected, taken.correction)
-        made, (size, error) = self._made, self._judged
-        if plan.is_at_stop and not self._retrying:
-            size = max(size, begin.size)  # the stop has shortened the step, not its error
-        whole, passed, restart, why = begin.whole, begin.passed, None, ""
-        if self._is_external and new is not taken.made:
-            why = "projection"  # the library continues from the projected state, but only after this step has been used
-        is_part = is_short or plan.is_part
-        if is_part and self._is_fixed:
-            restart = end
-        elif not is_part and plan.is_at_stop and theta == 1.0:
-            whole, passed = whole + plan.is_whole, passed + 1
-            restart, why, end = table.stops[begin.passed], "stop", plan.reached
-        elif not is_part:
-            whole += 1
-            is_over = plan.is_whole if not self._is_fixed else whole == table.steps
-            end = table.end if is_over and theta == 1.0 else end
-        # positional arguments, because this is done in every step
-        return Reached(
-            done, whole, passed, restart, end, new, energy, low, interval, is_part, why, size, error, made.next_order,
-            made.event,
-        ), taken  # fmt: skip
-
-    def _own_step(self, t: float, state: StepState, h: float, end: float) -> tuple[StepState, float]:
-        """Take a step of the method; return the new state, and the time at which the step has ended.
-
-        Raises StepError, RejectedError, any ordinary exception of the method, and TypeError or ValueError for an
-        invalid result.
-        """
-        method, name, what = self.method, self._name, "advance" if self._is_external else "step"
-        protect(state)
-        try:
-            if isinstance(method, ExternalMethod):
-                new = called(f"{name}.advance", method.advance)
-            else:
-                new = called(f"{name}.step", method.step, self.equations, t, state, h)
-            made, new = self._results.step(new, what)
-        except StepError as error:
-            raise self._unsolved(h, error) from None
-        self._judged = math.inf, 0.0
-        if self.control is not None:
-            self._judged = self.control.judge(made, new, h, self._from, retrying=self._retrying)
-        elif not made.accepted and self._is_external:
-            raise ValueError(f"{name}.advance returned a step that is not accepted")
-        elif not made.accepted:
-            raise RejectedError(0.5 * h if made.next_step is None else made.next_step)
-        elif made.next_step is not None:
-            self._judged = made.next_step, 0.0
-        self._made = made
-        if made.event is not None:
-            ended = made.event.time
-        elif made.time is not None:
-            ended = float(made.time)
-            if not t < ended <= end + 4.0 * margin_of_stops(self.timetable):
-                raise ValueError(
-                    f"{name}.{what} returned time = {ended!r}, which is not later than the start of the step, {t!r}, "
-                    f"and at most its end, {end!r}"
-                )
-        elif self._is_external:
-            raise ValueError(f"{name}.advance returned a Step without `time`")
-        else:
-            return new, end
-        return new, ended if ended < t + h - SAME_INSTANT * max(abs(end), 1.0) else end
-
-    def _unsolved(self, h: float, error: StepError) -> Exception:
-        """Return the exception for a step that could not be taken; a controlled one is repeated with a smaller size."""
-        if self.control is None or error.code not in _REPEATED:
-            return error
-        return RejectedError(self.control.after_failure(h), error)
-
-    def _watched(self, before: Reached, there: Reached, taken: Taken) -> Failure | None:
-        """Apply the guards to a step; return the reason why the run has to stop, or None."""
+    def _watched(self, before: Reached, attempt: Attempt) -> Failure | None:
+        there, taken = attempt.end, attempt.taken
         made = None if taken.made is taken.reached else (taken.made.q, taken.made.v)
         states = before.state.q, before.state.v, taken.reached.q, taken.reached.v
         return self._watch.step((before.begin, there.time), *states, there.energy - before.energy, made)
 
+    # ---- the last step -------------------------------------------------------------------------------------------
 
-def _gain(state: StepState) -> np.ndarray:
-    """Return (2,) the work and the dissipated energy of a state [J]."""
-    return np.array([state.work or 0.0, state.dissipated or 0.0])
+    @property
+    def last_step(self) -> StepTaken | None:
+        """See `Stepper.last_step`."""
+        return None if self._last is None else self._last.ends
+
+    def inside(self, theta: float) -> Moment:
+        """See `Stepper.inside`."""
+        assert self._last is not None
+        return self._last.inside(theta)
+
+    def within(self, theta: float) -> Moment:
+        """See `Stepper.within`."""
+        last = self._last
+        assert last is not None
+        if theta in (0.0, 1.0):
+            return last.ends.between(theta)
+        there = self._again(last, theta)
+        if there is None:
+            return last.inside(theta)
+        return (*_with_ground(there.state), there.state.z)
+
+    def _again(self, last: LastStep, theta: float) -> Reached | None:
+        """Return the end of the last step with the fraction `theta` of its size; None if the method cannot repeat it.
+
+        A library gives this state if it has `ExternalMethod.cut`.
+        """
+        if not isinstance(self.method, ExternalMethod):
+            return self._attempts.shortened(last.before, self.now, theta, self.worst_pairs.copy())
+        name, t = self._attempts.name, last.ends.time(theta)
+        state = called(f"{name}.cut", self.method.cut, t)
+        return None if state is None else self._at(last, theta, self._attempts.results.state(state, "cut"))
+
+    def _at(self, last: LastStep, theta: float, state: StepState) -> Reached:
+        """Return the point at the share `theta` of the last step with a given state, projected if steps are."""
+        t, size = last.ends.time(theta), theta * (last.ends.t1 - last.ends.t0)
+        taken = self._attempts.stabilized.project(t, last.before.state, state, self.now.done)
+        return self.now._replace(
+            state=taken.reached, energy=last.energy(theta), event=None, time=t, restart=None, why="",
+            interval=last.before.interval.after(size, 0, 0, taken.correction),
+        )  # fmt: skip
+
+    def _shortened(self, last: LastStep, theta: float) -> Reached:
+        """Return the point at the share `theta` of the last step, by a repeated step or else by dense output."""
+        there = self._again(last, theta) if theta > 0.0 else last.before
+        if there is None:
+            q, v, z = last.inside(theta)
+            n = self.equations.n
+            there = self._at(last, theta, replace(last.before.state, q=q[:n], v=v[:n], z=z, low=(0.0, 0.0)))
+        return there._replace(time=last.ends.time(theta))
+
+    def cut(self, theta: float) -> Stretch:
+        """See `Stepper.cut`."""
+        last = self._last
+        assert last is not None
+        there = self._shortened(last, theta)
+        if self.timetable.nodes:
+            self._nodes.drop_last()
+            if theta > 0.0:
+                self._keep_nodes(last, there, theta)
+        if self.rows.inner and self.rows.inner[0] < there.time:  # that row has the counts of the step
+            there = there._replace(interval=IntervalSoFar())
+        self._go_to(there)
+        self.finished, self.failure = True, None
+        return self.last_state()
+
+    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
+        """See `mbdkit.integrators.run.splitting.Splitting.split`."""
+        last = self._last
+        assert last is not None
+        before, step = last.before, last.ends
+        t, close = step.time(theta), SAME_TIME * margin_of_stops(self.timetable)
+        taken: list[StepTaken] = [step]
+        if step.t1 - t <= close:
+            there = self.now
+        else:
+            is_start = t - step.t0 <= close
+            there = before if is_start else self._shortened(last, theta)
+            self.finished, self.failure = False, None
+            if self.timetable.nodes:
+                self._nodes.drop_last()
+            taken = []
+            if not is_start:
+                there = there._replace(whole=before.whole, passed=before.passed, restart=t, is_event=True, event=None)
+                self._keep_nodes(last, there, theta)
+                q, v = _with_ground(there.state)
+                taken = [replace(step, t1=t, q1=q, v1=v, z1=there.state.z)]
+        end = (*_with_ground(there.state), there.state.z)
+        self.rows.next_row = last.next_row
+        self._go_to(there)
+        rows: list[RecordedRow] = []
+        if taken:
+            rows, self.now = self.rows.due(before, last, there, end=t, finished=self.finished)
+        self._last = last._replace(ends=taken[0]) if taken else None
+        if not self.finished:
+            state = replace(self.now.state, z=change(t, end), low=self.now.state.low[:2], multipliers=None)
+            self._watch.forget_energy()
+            self.now = self.now._replace(state=state, why="stop" if self.now.why == "stop" else "event")
+        return self.rows.stretch(rows), taken
+
+
+def _with_ground(state: StepState) -> tuple[np.ndarray, np.ndarray]:
+    return with_ground(state.q), with_ground(state.v)

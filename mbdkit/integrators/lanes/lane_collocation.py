@@ -128,7 +128,7 @@ def _in_lanes(single: Stages) -> Stages:
 def load_stage_pivots(m: Stages, pivots: Sequence[StagePivots]) -> None:
     """Copy the scaling of the pivots of each lane, and discard the stages and counts of earlier runs."""
     for name in ("row_scale", "column_scale", "weight"):
-        getattr(m.systems.pattern, name)[...] = np.stack([getattr(one.pattern, name) for one in pivots], axis=-1)
+        getattr(m.systems.pattern, name)[...] = np.stack([getattr(chosen.pattern, name) for chosen in pivots], axis=-1)
     for factors in (m.systems.real, m.systems.cplx):
         factors.reference[...] = 0.0
     m.previous.size[...] = np.nan
@@ -137,7 +137,6 @@ def load_stage_pivots(m: Stages, pivots: Sequence[StagePivots]) -> None:
 
 @inlined
 def _take_step(c, m, t, h, n):
-    """Solve the stages of a step and write its increments; see `mbdkit.integrators.lanes.lane_loop.drive`."""
     solve_stages(c, m, t, h, False, True, KERNELS)
     complete_step(c, m, t, h, KERNELS)
     if c.has_power[0] != 0 and c.watch.has_loops[0] != 0:  # otherwise, the increment is that of the last iteration
@@ -145,7 +144,6 @@ def _take_step(c, m, t, h, n):
 
 
 def _example() -> LaneRun:
-    """Return a bundle that provides the types of its arrays."""
     return new_lane_run(_in_lanes(example_stages()), example_workspace(), 1)
 
 

@@ -104,7 +104,6 @@ class LaneControl(NamedTuple):
 
 @subkernel
 def _is_full(s):
-    """Return whether the buffer has no space for the next state of a running lane."""
     is_full = False
     for lane in range(WIDTH):
         is_full = is_full or (number_in(s.running[0], lane) != 0.0 and s.rows[lane] >= len(s.row_work))
@@ -202,7 +201,6 @@ def _check_energy(s, at, accepted):
 
 @subkernel
 def _choose_sizes(s, t, h, error, unsolved, accepted, rejected):
-    """Choose the size of the next step of each lane, and count the steps."""
     control, progress = s.control, s.progress
     after = factor_after_acceptance(control, error, progress.last_error[0], progress.retrying[0]) * h
     goes_on = accepted & (t + h < s.run.times.end[0])
@@ -219,7 +217,6 @@ def _choose_sizes(s, t, h, error, unsolved, accepted, rejected):
 
 @subkernel
 def _write_inner_rows(s, step, t, h, reached, accepted):
-    """Write the rows by interval within the accepted steps by dense output."""
     c, m, progress, interval = s.run, s.run.method, s.progress, s.interval[0]
     start, last = c.times.start[0], c.times.end[0] - ROW_MARGIN * interval
     at = start + progress.next_row[0] * interval
@@ -252,7 +249,6 @@ def _advance(s, at, ended, accepted):
 
 @subkernel
 def _attempt(s, step):
-    """Attempt a step in each lane that is running."""
     c, control, progress = s.run, s.control, s.progress
     end, every = c.times.end[0], c.every[0]
     running = s.running[0] != 0.0

@@ -61,7 +61,6 @@ def watch_branches(c, t, moved):
 
 @subkernel
 def _write_row(c, row, t):
-    """Store the state as a recorded one."""
     c.row_time[row] = t
     copy(c.q, c.row_q[row])
     copy(c.v, c.row_v[row])
@@ -138,7 +137,6 @@ def drive(c, take_step):
 
 @subkernel
 def _take_explicit_step(c, m, t, h, n):
-    """Evaluate the stages of a step and add them up; see `drive`."""
     stages = len(m.b)
     first = 0
     if n > 0 and m.status[0] != 0:

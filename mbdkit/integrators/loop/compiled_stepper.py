@@ -31,13 +31,7 @@ from mbdkit.integrators.loop import step_loop
 from mbdkit.integrators.loop.failed_steps import FailedSteps
 from mbdkit.integrators.loop.step_watch import guard_evidence
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
-from mbdkit.integrators.run.run_plan import (
-    SYMMETRIC,
-    guard_limits,
-    new_plan,
-    projection_mode,
-    single_step,
-)
+from mbdkit.integrators.run.run_plan import SYMMETRIC, guard_limits, new_plan, projection_mode, single_step
 from mbdkit.integrators.run.run_state import (
     FACTORIZATIONS,
     INTERVAL_FIELDS,
@@ -46,6 +40,7 @@ from mbdkit.integrators.run.run_state import (
     MODIFIED,
     PROJECTIONS,
     RHS,
+    RunState,
     new_run_state,
 )
 from mbdkit.integrators.run.sampled_control import Sampler
@@ -70,7 +65,7 @@ CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
 """Columns of the intervals of the step loop that form ``Stretch.corrections``."""
 
 
-class CompiledStepper(FailedSteps):
+class CompiledStepper:
     """Runs a compiled method over a timetable; implements `mbdkit.integrators.interface.Stepper`.
 
     Parameters
@@ -106,16 +101,15 @@ class CompiledStepper(FailedSteps):
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         stages = method.stages if timetable.nodes else 0
         nodes = stages * -(-rows // max(1, stages))
-        self.run_state = new_run_state(
-            workspace, rows, own_multipliers=method.carries_multipliers, stages=stages, nodes=nodes
+        self.pinned_state = PinnedBundle(
+            new_run_state(workspace, rows, own_multipliers=method.carries_multipliers, stages=stages, nodes=nodes)
         )
         self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
-        self._pinned_state = PinnedBundle(self.run_state)
         self._state = *kept(self.run_state, STATE).values(), *method.kept(STATE).values()
         self._first_node = 0  # index of the first node of the last step
         self._new_plan()
         self.worst_pairs = self.run_state.worst
-        self._renewed: set[tuple[int, int]] = set()
+        self.failed_steps = FailedSteps(method, workspace, timetable, self.pinned_state, self.plan)
         workspace.clamp_motions(*timetable.sides(0))
         size = timetable.step
         if control is not None:
@@ -125,7 +119,7 @@ class CompiledStepper(FailedSteps):
         progress = self.run_state.progress
         progress.time[0], progress.next_row[0], progress.next_size[0] = timetable.start, 1.0, size
         method.start(self.run_state, size)
-        self._take_up_pivots()
+        self.failed_steps.take_up_pivots()
         self._dense = method.dense.address if method.dense is not None else 0
         self.mode = projection_mode(workspace.stabilization, controlled=control is not None)
         iterates = method.carries_stages or self.mode == SYMMETRIC
@@ -140,17 +134,17 @@ class CompiledStepper(FailedSteps):
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
-        self._last_rows = self._collect(0)
-        self._drive(self._plan, 0)  # compiles or loads the step loop before the first step is timed
+        self._last_rows = self.collect(0)
+        self.drive(self.pinned_plan, 0)  # compiles or loads the step loop before the first step is timed
 
-    def _drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
+    def drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan in compiled code; return the status and the number of rows written.
 
         `path` is the address of the `StepPath` that receives the steps, if any.
         """
         method = self.method
         status, rows = step_loop.drive(
-            self._pinned_state.address,
+            self.pinned_state.address,
             method.pinned.address,
             method.attempt.address,
             self._dense,
@@ -163,18 +157,28 @@ class CompiledStepper(FailedSteps):
     def _drive_extended(self) -> tuple[int, int]:
         """Attempt one step with an increased limit of iterations; restore the limit if the step is accepted."""
         accepted = self._accepted
-        status, rows = self._drive(self._plan, 1)
-        if self._accepted > accepted or self._is_pending:
+        status, rows = self.drive(self.pinned_plan, 1)
+        if self._accepted > accepted or self.is_pending:
             self.method.restore_iterations()
         return status, rows
 
     @property
-    def _is_pending(self) -> bool:
+    def run_state(self) -> RunState:
+        """State, work arrays and results of the run."""
+        state: RunState = self.pinned_state.bundle
+        return state
+
+    @property
+    def _accepted(self) -> int:
+        return int(self.run_state.progress.accepted[0])
+
+    @property
+    def is_pending(self) -> bool:
         """Whether rows of an accepted step have not been written yet."""
         return bool(self.run_state.progress.pending[0])
 
     @property
-    def _allowed(self) -> int:
+    def steps_left(self) -> int:
         """Number of steps left before ``limits.max_steps``."""
         return self.timetable.max_steps - self._accepted
 
@@ -183,12 +187,12 @@ class CompiledStepper(FailedSteps):
         if not self.timetable.single:
             return self._advance(self.pace.steps)
         accepted, t0 = self._accepted, self.time
-        self._begin_after_stop()
+        self.begin_after_stop()
         self.method.serve()
         self._first_node = int(self.run_state.nodes[1])
         self.last_step, self._before = None, [x.copy() for x in self._memory()]
         stretches = [self._advance(1)]
-        while self._is_pending and self.failure is None:
+        while self.is_pending and self.failure is None:
             stretches.append(self._advance(0))
         stretch = joined(stretches)
         if self._accepted > accepted:
@@ -206,18 +210,18 @@ class CompiledStepper(FailedSteps):
         stretches: list[Stretch] = []
         is_paused = False
         while True:
-            left = min(budget - self._attempts() + before, self._allowed)
-            if left <= 0 and not self._is_pending and stretches:
+            left = min(budget - self._attempts() + before, self.steps_left)
+            if left <= 0 and not self.is_pending and stretches:
                 status = OK
                 break
             if not is_paused:
-                self._begin_after_stop()  # not earlier: the recorded state at a stop is that before its impulse
+                self.begin_after_stop()  # not earlier: the recorded state at a stop is that before its impulse
             status, rows = OK, 0
-            if self.failure is None and (self._allowed > 0 or self._is_pending):
+            if self.failure is None and (self.steps_left > 0 or self.is_pending):
                 status, rows = (
-                    self._drive_extended() if self.method.is_extended else self._drive(self._plan, max(left, 0))
+                    self._drive_extended() if self.method.is_extended else self.drive(self.pinned_plan, max(left, 0))
                 )
-            stretches.append(self._collect(rows))
+            stretches.append(self.collect(rows))
             is_paused = status == step_loop.PAUSED
             if is_paused:
                 self.method.resume()
@@ -228,22 +232,22 @@ class CompiledStepper(FailedSteps):
             status = OK
         if not self.timetable.single:
             self.pace.timed(self._attempts() - before, begin)
-        self._conclude(status)
+        self.conclude(status)
         return joined(stretches)
 
-    def _conclude(self, status: int) -> None:
+    def conclude(self, status: int) -> None:
         """React to the status of the step loop after its last call: count, and handle a failed step or the end."""
-        self._count()
+        self.count()
         if status != OK:
-            self._handle(status)
-        elif self.failure is not None or self._is_pending:
+            self.failure = self.failed_steps.handle(status)
+        elif self.failure is not None or self.is_pending:
             pass
         elif self.time >= self.timetable.end:
             self.finished, self.time = True, self.timetable.end
-        elif self._allowed <= 0:
+        elif self.steps_left <= 0:
             self.failure = Failure("max-steps", f"stopped after limits.max_steps = {self.timetable.max_steps} steps.")
 
-    def _begin_after_stop(self) -> None:
+    def begin_after_stop(self) -> None:
         """At a stop, discard the values that the method stores for the next step, and apply an impulse if there is one.
 
         The call is repeated before another attempt at the first step after the stop; it then has no effect.
@@ -266,7 +270,7 @@ class CompiledStepper(FailedSteps):
             except StepError as error:
                 self.failure = Failure(error.code, f"{error} at the impulse of a driver at t = {stop:.6g} s.")
                 return
-            self._take_up_pivots()
+            self.failed_steps.take_up_pivots()
             c = self.run_state
             c.v[:], c.v_low[:] = v, 0.0
             c.energy[0] += impact.energy
@@ -284,7 +288,6 @@ class CompiledStepper(FailedSteps):
         return self._dense != 0 and self.method.has_dense_output and self.mode != SYMMETRIC
 
     def _attempts(self) -> int:
-        """Return the number of steps accepted and rejected so far."""
         return self._accepted + int(self.run_state.progress.rejected[0])
 
     def _memory(self) -> tuple[np.ndarray, ...]:
@@ -292,7 +295,6 @@ class CompiledStepper(FailedSteps):
         return *self._state, *self._node_arrays()
 
     def _recall(self, memory: list[np.ndarray]) -> None:
-        """Restore the arrays returned by `_memory` from copies."""
         for now, then in zip(self._memory(), memory, strict=True):
             now[...] = then
 
@@ -303,7 +305,7 @@ class CompiledStepper(FailedSteps):
         if not self.has_dense_output:
             return self._between(step, theta)
         t, h = float(c.progress.tried_begin[0]), float(c.progress.last_size[0])
-        run, method = self._pinned_state.address, self.method.pinned.address
+        run, method = self.pinned_state.address, self.method.pinned.address
         if step_loop.look_inside(run, method, self._dense, t, h, theta, self.mode) != OK:
             return step.between(theta)
         return c.point_q.copy(), c.point_v.copy(), c.point_z.copy()
@@ -330,7 +332,7 @@ class CompiledStepper(FailedSteps):
         c = self.run_state
         q, v, z = c.q.copy(), c.v.copy(), c.z.copy()
         self._recall(after)
-        self._count()
+        self.count()
         return (q, v, z) if done else self.inside(theta)
 
     def _retake(self, step: StepTaken, theta: float) -> bool:
@@ -349,9 +351,9 @@ class CompiledStepper(FailedSteps):
         for x in counts:
             x[0] = 0
         single = PinnedBundle(plan)
-        status, _ = self._drive(single, 1)
+        status, _ = self.drive(single, 1)
         if status == step_loop.PAUSED:  # after an event at the start
-            status, _ = self._drive(single, 1)
+            status, _ = self.drive(single, 1)
         done = status == OK and self._accepted == 1
         for x, value in zip(counts, before, strict=True):
             x[:] = value
@@ -386,7 +388,7 @@ class CompiledStepper(FailedSteps):
         if theta > 0.0:
             interval.steps[0] += 1
             interval.last_size[0] = theta * size
-        self._count()
+        self.count()
         self.finished, self.failure = True, None
         return self.last_state()
 
@@ -403,10 +405,9 @@ class CompiledStepper(FailedSteps):
         self._new_plan()
 
     def _new_plan(self) -> None:
-        """Make the plan of the timetable for the compiled code."""
         limits = guard_limits(self.workspace.mechanism, self.timetable.guards)
         self.plan = new_plan(self.timetable, self._control, self.workspace.stabilization, limits)
-        self._plan = PinnedBundle(self.plan)
+        self.pinned_plan = PinnedBundle(self.plan)
 
     def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
         """See `mbdkit.integrators.run.splitting.Splitting.split`."""
@@ -417,8 +418,8 @@ class CompiledStepper(FailedSteps):
         if step.t1 - t > close:
             self._recall(self._before)
             self.finished, self.failure = False, None
-            self._count()
-            stretches, steps = [self._collect(0)], []
+            self.count()
+            stretches, steps = [self.collect(0)], []
             if t - step.t0 > close:
                 self.stop_at(t)
                 self.workspace.clamp_motions(*self.timetable.sides(int(c.progress.passed[0])))
@@ -432,7 +433,7 @@ class CompiledStepper(FailedSteps):
             self.method.forget()
         return joined(stretches), steps
 
-    def _count(self) -> None:
+    def count(self) -> None:
         """Copy counts and time from the records of the compiled code."""
         counts, counters, progress = self.run_state.counts, self.counters, self.run_state.progress
         counters.rhs_evaluations, counters.jacobian_evaluations = int(counts[RHS]), int(counts[JACOBIANS])
@@ -460,7 +461,7 @@ class CompiledStepper(FailedSteps):
         gain, lost = energy[:, 0].copy(), energy[:, 1].copy()
         return Stretch(time, q, v, gain, lost, work, multipliers=own, corrections=corrections, z=z)
 
-    def _collect(self, rows: int) -> Stretch:
+    def collect(self, rows: int) -> Stretch:
         """Return the rows that the step loop has written."""
         c, some = self.run_state, slice(rows)
         states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy(), c.row_z[some].copy()

@@ -35,79 +35,86 @@ APART, SWITCHED = -1, -2
 
 
 class FailedSteps:
-    """Base class of `CompiledStepper`: what it does after a failed step."""
+    """Prepares other attempts at failed steps of a compiled method, or says why a run stops.
 
-    method: CompiledMethod
-    workspace: Workspace
-    timetable: Timetable
-    run_state: RunState
-    plan: RunPlan
-    controlled: bool
-    mode: int
-    time: float
-    failure: Failure | None
-    worst_pairs: np.ndarray
-    _pinned_state: PinnedBundle
-    _renewed: set[tuple[int, int]]
+    Parameters
+    ----------
+    method, workspace, timetable
+        The run.
+    run
+        The bundle of its state (`RunState`).
+    plan
+        The plan of the run; stops that are added later make no difference.
+
+    Attributes
+    ----------
+    renewed
+        Pairs of the number of accepted steps and a status after which another attempt has been made.
+    """
+
+    def __init__(
+        self, method: CompiledMethod, workspace: Workspace, timetable: Timetable, run: PinnedBundle, plan: RunPlan
+    ):
+        self.method, self.workspace, self.timetable, self.plan = method, workspace, timetable, plan
+        self.renewed: set[tuple[int, int]] = set()
+        self._run = run
+        self._is_controlled, self._mode = bool(plan.control.controlled[0]), int(plan.projection.mode[0])
 
     @property
-    def _accepted(self) -> int:
-        """Number of accepted steps."""
-        return int(self.run_state.progress.accepted[0])
+    def _state(self) -> RunState:
+        state: RunState = self._run.bundle
+        return state
 
-    def _handle(self, status: int) -> None:
-        """React to a failed step: prepare another attempt, or set `failure`.
+    def handle(self, status: int) -> Failure | None:
+        """React to a failed step: prepare another attempt, or return why the run stops.
 
         The next attempt uses new pivots, a more robust solution of the stages, more iterations, or a smaller step, as
         far as the method supports it.
         """
+        method, progress, is_controlled = self.method, self._state.progress, self._is_controlled
+        done, t = int(progress.accepted[0]), float(progress.time[0])
         if status in (FELL_APART, ENERGY_JUMP):
-            known = self.run_state.guards, self.worst_pairs
+            known = self._state.guards, self._state.worst
             limits = self.timetable.guards.energy_jump, self.plan.limits
-            self.failure = guard_failure(status, self.workspace.mechanism, known, limits, self.time, self.method.hint)
-            return
-        done = self._accepted
+            return guard_failure(status, self.workspace.mechanism, known, limits, t, method.hint)
+        where = f"in step {done + 1} from t = {t:.6g} s"
         if status == step_loop.REFUSED:
-            self.failure = self._failure(status, None, f"in step {done + 1} from t = {self.time:.6g} s")
-            return
-        where = f"in step {done + 1} from t = {self.time:.6g} s"
+            return self._failure(status, None, where)
+        can_shrink = is_controlled and status != step_loop.TOO_SMALL
         if unusable := self.workspace.unusable():
-            if not (self.controlled and status != step_loop.TOO_SMALL and self._shrink()):
-                self.failure = Failure(self.workspace.cause, f"{unusable} {where}{self._stiffness()}.")
-            return
+            if can_shrink and self._shrink():
+                return None
+            return Failure(self.workspace.cause, f"{unusable} {where}{self._stiffness()}.")
         if status in (REPIVOT, REPIVOT_STAGES) and not self.workspace.is_finite():
-            status = DIVERGED if self.method.carries_stages else NOT_FINITE
+            status = DIVERGED if method.carries_stages else NOT_FINITE
         singular: SingularSystemError | None = None
-        if status != NOT_FINITE and (done, status) not in self._renewed:
+        if status != NOT_FINITE and (done, status) not in self.renewed:
             try:
                 if self._renew(status):
-                    self._renewed = {pair for pair in self._renewed if pair[0] == done} | {(done, status)}
-                    return
+                    self.renewed = {pair for pair in self.renewed if pair[0] == done} | {(done, status)}
+                    return None
             except SingularSystemError as error:
                 singular = error
         apart = (done, APART)
-        if status not in (step_loop.TOO_SMALL, NOT_FINITE) and self.mode != SYMMETRIC and apart not in self._renewed:
-            self._renewed.add(apart)
-            begin = float(self.run_state.progress.tried_begin[0])
-            solved = self.method.solve_apart(self.run_state, begin, self._size_tried())
-            self._take_up_pivots()
+        if status not in (step_loop.TOO_SMALL, NOT_FINITE) and self._mode != SYMMETRIC and apart not in self.renewed:
+            self.renewed.add(apart)
+            solved = method.solve_apart(self._state, float(progress.tried_begin[0]), self._size_tried())
+            self.take_up_pivots()
             if solved:
-                return
-        if not self.controlled and status == DIVERGED and self.method.extend_iterations():
-            return
+                return None
+        if not is_controlled and status == DIVERGED and method.extend_iterations():
+            return None
         switched = (done, SWITCHED)
-        if not self.controlled and switched not in self._renewed and self.method.switch_iteration():
-            self._renewed = {switched}
-            return
-        if self.controlled and status != step_loop.TOO_SMALL and self._shrink():
-            return
-        self.failure = self._failure(status, singular, where)
-        ahead = self.run_state.q + self._size_tried() * self.run_state.v
-        near = self._obstacle(ahead)
-        if not near and self.failure.code != "not-finite":
-            near = describe_nearness(self.workspace, self.time, self.run_state.q)
-        if near:
-            self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
+        if not is_controlled and switched not in self.renewed and method.switch_iteration():
+            self.renewed = {switched}
+            return None
+        if can_shrink and self._shrink():
+            return None
+        failure = self._failure(status, singular, where)
+        near = self._obstacle(t, self._state.q + self._size_tried() * self._state.v)
+        if not near and failure.code != "not-finite":
+            near = describe_nearness(self.workspace, t, self._state.q)
+        return replace(failure, sentence=f"{failure.sentence.rstrip('.')}; {near}.") if near else failure
 
     def _renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether another attempt at the step can succeed.
@@ -117,45 +124,41 @@ class FailedSteps:
         """
         if status == step_loop.TOO_SMALL:
             return False
-        self.run_state.base_state[0] = MODIFIED
+        self._state.base_state[0] = MODIFIED
         if status == REPIVOT:
             self.workspace.use_pivots()
             if not self.method.remembers:
                 self.method.forget()
-        helped = status == REPIVOT or self.method.renew(self.run_state, self.time, self._size_tried())
-        self._take_up_pivots()
+        t = float(self._state.progress.time[0])
+        helped = status == REPIVOT or self.method.renew(self._state, t, self._size_tried())
+        self.take_up_pivots()
         return helped
 
-    def _take_up_pivots(self) -> None:
+    def take_up_pivots(self) -> None:
         """Make the compiled code use the current solver of the workspace."""
-        if self.run_state.solver is self.workspace.solver:
-            return
-        self.run_state = self.run_state._replace(solver=self.workspace.solver)
-        self._pinned_state.replace(self.run_state)
+        if self._state.solver is not self.workspace.solver:
+            self._run.replace(self._state._replace(solver=self.workspace.solver))
 
     def _shrink(self) -> bool:
-        """Count the attempted step as rejected and reduce its size; return whether the new size is still allowed."""
-        progress = self.run_state.progress
+        progress = self._state.progress
         progress.next_size[0] *= SOLVER_FAILURE_FACTOR
         progress.rejected[0] += 1
-        self.run_state.interval.rejected[0] += 1
-        self.run_state.base_state[0] = MODIFIED
-        self._renewed.clear()
+        self._state.interval.rejected[0] += 1
+        self._state.base_state[0] = MODIFIED
+        self.renewed.clear()
         return bool(progress.next_size[0] > self.plan.control.min_size[0])
 
     def _size_tried(self) -> float:
-        """Return the size [s] of the step that failed."""
-        return float(self.run_state.progress.tried_size[0])
+        return float(self._state.progress.tried_size[0])
 
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
-        """Return the reason why the run stops."""
-        hint, workspace = self.method.hint, self.workspace
+        hint, workspace, state = self.method.hint, self.workspace, self._state
         floor = float(self.plan.control.min_size[0])
-        distance, _ = nearest_singularity(workspace, self.time, self.run_state.q)
+        distance, _ = nearest_singularity(workspace, float(state.progress.time[0]), state.q)
         if status == step_loop.TOO_SMALL:
             if distance < SINGULAR:
                 return Failure("singular", f"the step size decreased without limit {where}.")
-            if self.run_state.guards.jumped[0]:
+            if state.guards.jumped[0]:
                 sentence = f"the energy balance changes by too much {where} for any step size; the law of a force"
                 return Failure("energy-jump", f"{sentence} may not be the derivative of its potential.")
             return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; looser tolerances may help.")
@@ -163,10 +166,10 @@ class FailedSteps:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}{self._stiffness()}.")
         if self.method.failure is not None:
             code, what = self.method.failure
-            advice = "tighter tolerances may help" if self.controlled else hint
+            advice = "tighter tolerances may help" if self._is_controlled else hint
             return Failure(code, f"{what} {where}; {advice}.")
         if status == DIVERGED:
-            return Failure("newton-failed", f"{where}{self.method.describe_divergence(self.run_state.report)}; {hint}.")
+            return Failure("newton-failed", f"{where}{self.method.describe_divergence(state.report)}; {hint}.")
         unknown = workspace.failed_unknown if singular is None else singular.index
         what = f"the system of equations is singular at {workspace.mechanism.unknown_name(unknown)}"
         if self.method.carries_stages and distance > REGULAR:
@@ -174,11 +177,11 @@ class FailedSteps:
             return Failure("newton-failed", f"{where}: {reached}; {hint}.")
         return Failure("singular", f"{what} {where}; {hint}.")
 
-    def _obstacle(self, q: np.ndarray) -> str:
+    def _obstacle(self, t: float, q: np.ndarray) -> str:
         """Return a clause that names an element that cannot have the positions `q`; empty if there is none."""
         for handle, kind in self.workspace.mechanism.kinds():
             obstacle = kind.obstacle
-            if obstacle is not None and (clause := obstacle()(handle, self.workspace, self.time, q, self.run_state.v)):
+            if obstacle is not None and (clause := obstacle()(handle, self.workspace, t, q, self._state.v)):
                 return clause
         return ""
 

@@ -201,7 +201,7 @@ def take(run, method, attempt, t, h, want_error, plan):
     """Compute one step, including a symmetric projection; write its end into ``new_q, new_v``; return a status.
 
     The state is not changed. ``shift_q, shift_v`` are the corrections that the projection adds to ``dq, dv``. `plan` is
-    the `mbdkit.integrators.run.run_plan.Projection` of the run.
+    the `mbdkit.integrators.run.run_plan.ProjectionPlan` of the run.
     """
     c, mode = load_run_state(run), plan.mode[0]
     if mode == SYMMETRIC:

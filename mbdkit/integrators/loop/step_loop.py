@@ -77,7 +77,6 @@ end."""
 
 @subkernel
 def _has_ended(plan, progress):
-    """Return whether all steps have been taken."""
     if plan.control.controlled[0]:
         return progress.time[0] >= plan.times.end[0]
     return progress.whole[0] >= plan.times.steps[0]
@@ -85,7 +84,6 @@ def _has_ended(plan, progress):
 
 @subkernel
 def _next_stop(plan, progress):
-    """Return the time of the next stop; infinity if there is none."""
     n = progress.passed[0]
     return plan.times.stops[n] if n < len(plan.times.stops) else np.inf
 
@@ -147,7 +145,6 @@ def _baumgarte_term(c, t):
 
 @subkernel
 def _reject(c, plan, h, solved, error):
-    """Reject a step of size `h` and choose a smaller one."""
     progress = c.progress
     progress.next_size[0] = factor_after_rejection(plan.control, solved, error) * h
     progress.retrying[0] = 1
@@ -229,6 +226,7 @@ def _try_step(run, method, attempt, plan, path):
     if control.controlled[0] and not at_stop and is_too_small(control, t, h, plan.times.end[0]):
         return TOO_SMALL
     progress.tried_begin[0], progress.tried_size[0] = t, h
+    # a repeated attempt has the same base state; a symmetric projection displaces it itself
     if mode != SYMMETRIC and progress.retrying[0] == 0:
         copy(c.q, c.from_q)
         copy(c.v, c.from_v)
@@ -251,6 +249,7 @@ def _try_step(run, method, attempt, plan, path):
     at = jump = total = kinetic = rounding = 0.0
     if status == OK and control.controlled[0]:
         error = local_error(plan.control, c, c)
+    # the distance is estimated from the factors of the last solution, at negligible cost
     if status == OK and error <= 1.0:
         distance = 1.0
         if guards.has_loops[0] != 0.0:
@@ -259,6 +258,7 @@ def _try_step(run, method, attempt, plan, path):
         due = (progress.accepted[0] + 1) % plan.projection.every[0] == 0
         if mode == NEAR_SINGULARITY:
             due = distance < plan.projection.near[0] * guards.farthest[0]
+        # before the projection, which changes the energy, and while the step can still be rejected
         if control.controlled[0] or mode == PLAIN:
             prepare(c.top, c.w, at, c.new_q)
             jump, total, kinetic, rounding = energy_jump(c, guards, c.gain, c.new_q, c.new_v)
@@ -288,7 +288,6 @@ def _try_step(run, method, attempt, plan, path):
 
 @subkernel
 def _write_row(c, row, t, q, v, z, gain, lam):
-    """Write a recorded state, and begin a new interval."""
     c.row_time[row] = t
     copy(q, c.row_q[row])
     copy(v, c.row_v[row])
@@ -356,7 +355,6 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
 
 @subkernel
 def _begins_at_impact(plan, progress):
-    """Return whether the pending step begins at an impact."""
     return progress.after_stop[0] != 0 and plan.times.impacts[progress.passed[0] - 1] != 0
 
 

@@ -81,14 +81,16 @@ class StepsAhead:
             The state before the first step, and for each step those at the shares and at its end.
         """
         stepper, path = self.stepper, self._path.bundle
-        stepper._begin_after_stop()
+        stepper.begin_after_stop()
         stepper.method.serve()
         c = stepper.run_state
         self._before = [x.copy() for x in self._memory]
         begin = np.array([stepper.time]), c.q[None].copy(), c.v[None].copy(), c.z[None].copy()
         path.stored[0], self._result = 0, (OK, 0)
         if stepper.failure is None:
-            self._result = stepper._drive(stepper._plan, min(steps, self.most, stepper._allowed), self._path.address)
+            self._result = stepper.drive(
+                stepper.pinned_plan, min(steps, self.most, stepper.steps_left), self._path.address
+            )
         count = int(path.stored[0])
         start = np.concatenate([begin[0], path.time[:count]])[:-1, None]
         size = path.time[:count, None] - start
@@ -104,17 +106,17 @@ class StepsAhead:
         stepper, path = self.stepper, self._path.bundle
         status, rows = self._result
         ended = status in (step_loop.AT_STOP, step_loop.PAUSED)
-        is_complete = (status == OK or ended) and not stepper._is_pending
+        is_complete = (status == OK or ended) and not stepper.is_pending
         if count < path.stored[0] or not is_complete:  # a failed attempt is repeated, because its arrays were used
             for now, then in zip(self._memory, self._before, strict=True):
                 now[...] = then
-            status, rows = stepper._drive(stepper._plan, int(path.attempts[count - 1])) if count else (OK, 0)
+            status, rows = stepper.drive(stepper.pinned_plan, int(path.attempts[count - 1])) if count else (OK, 0)
             ended = status == step_loop.AT_STOP
         stepper.last_step = None
-        stretch = stepper._collect(rows)
+        stretch = stepper.collect(rows)
         if status == step_loop.PAUSED:
             stepper.method.resume()
-        stepper._conclude(OK if ended else status)
+        stepper.conclude(OK if ended else status)
         return stretch
 
     def _interpolated(

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mbdkit.methods.step_methods import StepEvent, StepState
+from mbdkit.methods.step_methods import StepEvent, StepState, Why
 
 NO_CORRECTION = np.zeros(4)
 """The correction of steps without stabilization."""
 NO_CORRECTION.setflags(write=False)
 
 
-class Interval(NamedTuple):
+class IntervalSoFar(NamedTuple):
     """Statistics since the last recorded row.
 
     Number of steps, size of the last step [s], number of iterations, largest number of iterations in a step, number of
@@ -27,14 +27,14 @@ class Interval(NamedTuple):
     rejected: int = 0
     correction: np.ndarray = NO_CORRECTION
 
-    def after(self, size: float, iterations: int, rejected: int, correction: np.ndarray) -> Interval:
+    def after(self, size: float, iterations: int, rejected: int, correction: np.ndarray) -> IntervalSoFar:
         """Return the interval extended by one step."""
         largest = self.correction
         if correction is not NO_CORRECTION:
             largest = np.maximum(largest, correction)
             largest[0] = self.correction[0] + correction[0]
         most = max(self.most_iterations, iterations)
-        return Interval(
+        return IntervalSoFar(
             self.steps + 1, size, self.iterations + iterations, most, self.rejected + rejected, largest
         )  # fmt: skip
 
@@ -56,10 +56,10 @@ class Reached(NamedTuple):
     """(2,) work of loads and drivers, and dissipated energy [J]; `energy_low` has the compensation terms of these sums.
     """
     energy_low: np.ndarray
-    interval: Interval
+    interval: IntervalSoFar
     is_event: bool = False
     """Whether the step ended before its planned end."""
-    why: str = ""
+    why: Why | Literal[""] = ""
     """Why the next step begins anew; empty if it continues."""
     size: float = np.inf
     """Size of the next step [s], if no stop comes earlier."""
@@ -77,7 +77,11 @@ class Reached(NamedTuple):
 
     def recorded(self) -> Reached:
         """Return the same point with a new interval."""
-        return self._replace(interval=Interval())
+        return self._replace(interval=IntervalSoFar())
+
+    def row(self) -> RecordedRow:
+        """Return this point as a row."""
+        return RecordedRow(self.time, self.state, self.energy, self.interval)
 
 
 class Planned(NamedTuple):
@@ -95,13 +99,13 @@ class Planned(NamedTuple):
     is_part: bool = False
 
 
-class Row(NamedTuple):
+class RecordedRow(NamedTuple):
     """A recorded state: time [s], state, (2,) work and dissipated energy [J], and statistics since the last row."""
 
     time: float
     state: StepState
     energy: np.ndarray
-    interval: Interval
+    interval: IntervalSoFar
 
 
 class RejectedError(Exception):

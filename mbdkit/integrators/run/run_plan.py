@@ -74,7 +74,7 @@ class Recording(NamedTuple):
     """Whether the state at the start of the last step is stored in ``before_q, before_v``."""
 
 
-class Projection(NamedTuple):
+class ProjectionPlan(NamedTuple):
     """When states are projected onto the constraints; each array has one element."""
 
     mode: np.ndarray
@@ -106,7 +106,7 @@ class RunPlan(NamedTuple):
     times: Times
     recording: Recording
     control: ControlData
-    projection: Projection
+    projection: ProjectionPlan
     baumgarte: np.ndarray
     """(1,) whether Baumgarte's terms are part of the equations, so that their size is recorded."""
     limits: GuardLimits
@@ -169,7 +169,7 @@ def new_plan(
             start_of_step=_whole(table.single),
         ),
         control=control_data(control, smallest_step(table)),
-        projection=Projection(
+        projection=ProjectionPlan(
             mode=_whole(mode),
             every=_whole(stabilization.every),
             bound=_real(stabilization.bound or 0.0),

@@ -32,7 +32,7 @@ class Sampler:
 
     def __init__(self, workspace: Workspace):
         self._workspace, self._controllers = workspace, workspace.mechanism.controllers
-        self._pending = [np.zeros((_pending(one), len(one.outputs))) for one in self._controllers]
+        self._pending = [np.zeros((_pending(controller), len(controller.outputs))) for controller in self._controllers]
         self._last = -math.inf
 
     def passed(self, stop: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -74,14 +74,12 @@ class Sampler:
         return number if is_there else None
 
     def _evaluate(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
-        """Evaluate the inputs of all expressions."""
         workspace = self._workspace
         workspace.take_states(z)
         acc, lam = np.zeros(len(q)), np.zeros((len(workspace.mechanism.topology.pairs), 2))
         tangents_at(workspace.engine, t, q, v, acc, lam)
 
     def _value(self, row: int, t: float) -> float:
-        """Return the value of an expression."""
         address, first, _, program = (int(x) for x in self._workspace.mechanism.topology.laws[row])
         out = np.zeros((1, 4))
         call_law(address, program, 0.0, 0.0, t, self._workspace.scratch.law_values, first, out, 0, 4)
@@ -89,7 +87,7 @@ class Sampler:
 
     def stored(self) -> dict[str, Any]:
         """Return the state of the sampler as plain values."""
-        return {"pending": [one.tolist() for one in self._pending], "last": self._last}
+        return {"pending": [values.tolist() for values in self._pending], "last": self._last}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore a stored state."""

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
 
+Inside = Callable[[float], "tuple[Any, ...] | None"]
+"""Dense output of a step: function of the share of the step that returns (q, v, z), and possibly work and energy; None
+if the step has no dense output, or if that raises StepError."""
+
+
 def called(name: str, function: Callable[..., Any], *given: Any) -> Any:
     """Return what a function of a method returns; `name` is that of the function.
 
@@ -86,22 +91,23 @@ class StepResults:
             raise ValueError(f"{self._name}.{what} returned next_step = {size!r}, which is not a positive number")
         return new, self.state(new.state, what) if new.accepted else new.state
 
-    def within(self, made: Step, theta: float) -> tuple[Any, ...] | None:
-        """Return what the dense output of a step gives at a share of it: (q, v, z), and possibly work and energy.
+    def inside(self, made: Step) -> Inside:
+        """Return the checked dense output of a step."""
 
-        Returns None if there is no dense output, or if it raises StepError.
-        """
-        if made.dense is None:
-            return None
-        try:
-            found = called(f"{self._name}.dense", made.dense, theta)
-        except StepError:
-            return None
-        if not isinstance(found, tuple) or len(found) not in (3, 5):
-            raise TypeError(f"the dense output of {self._name} did not return (q, v, z)")
-        sizes = self._equations.n, self._equations.n, self._states
-        arrays = (self._array(x, name, size, "dense") for x, name, size in zip(found, "qvz", sizes, strict=False))
-        return (*arrays, *found[3:])
+        def inside(theta: float) -> tuple[Any, ...] | None:
+            if made.dense is None:
+                return None
+            try:
+                values = called(f"{self._name}.dense", made.dense, theta)
+            except StepError:
+                return None
+            if not isinstance(values, tuple) or len(values) not in (3, 5):
+                raise TypeError(f"the dense output of {self._name} did not return (q, v, z)")
+            sizes = self._equations.n, self._equations.n, self._states
+            arrays = (self._array(x, name, size, "dense") for x, name, size in zip(values, "qvz", sizes, strict=False))
+            return (*arrays, *values[3:])
+
+        return inside
 
     def _array(self, value: Any, name: str, size: int, what: str) -> np.ndarray:
         try:

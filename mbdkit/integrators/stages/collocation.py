@@ -131,7 +131,6 @@ class CompiledCollocation(CompiledMethod):
         self.pinned.replace(self.bundle)
 
     def _evaluate_tangents(self, run_state: RunState, t: float) -> None:
-        """Evaluate the tangents at the state in `run_state`; raises SingularSystemError."""
         stages, workspace = self.bundle, self.workspace
         workspace.take_states(run_state.z)
         workspace.retry_with_new_pivots(

@@ -179,7 +179,6 @@ def _changes(c, m, t, h, before):
 
 @subkernel
 def _change_of_positions(c, m, h):
-    """Write the change of every stage's positions into ``m.spread``."""
     shifted = is_shifted(m)
     for i in range(len(m.rk.c)):
         for d in range(len(c.q) - 3):
@@ -193,7 +192,6 @@ def _change_of_positions(c, m, h):
 
 @subkernel
 def _change_of_velocities(c, m, h):
-    """Write the change of every stage's velocities into ``m.spread``."""
     for i in range(len(m.rk.c)):
         for d in range(len(c.q) - 3):
             total = 0.0

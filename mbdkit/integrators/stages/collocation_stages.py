@@ -64,7 +64,7 @@ class StageKernels(NamedTuple):
     velocities."""
 
 
-class Coefficients(NamedTuple):
+class StageCoefficients(NamedTuple):
     """A fully implicit method of s stages, and eigenvalues of its matrix: real ones, and one of each complex pair."""
 
     a: np.ndarray
@@ -88,7 +88,7 @@ class Coefficients(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def coefficients_of(tableau: ButcherTableau) -> Coefficients:
+def coefficients_of(tableau: ButcherTableau) -> StageCoefficients:
     """Return the coefficients of a diagonalisable tableau as the kernels take them."""
     a, b, c = tableau.floats()
     a2, b2 = tableau.second_order_floats()
@@ -98,7 +98,7 @@ def coefficients_of(tableau: ButcherTableau) -> Coefficients:
     values, vectors, inverse = tableau.eigensystem()
     real = np.abs(values.imag) < 1e-12
     upper = ~real & (values.imag > 0)
-    return Coefficients(
+    return StageCoefficients(
         a, a2, b, b2, c,
         inverse_of(a) if tableau.is_stiffly_accurate else np.full((s, s), np.nan),
         dense_v, dense_q,
@@ -130,7 +130,7 @@ class Systems(NamedTuple):
     z_complex: np.ndarray
 
 
-def new_systems(method: Coefficients, pattern: Pattern, scatter: Scatter, unknowns: int) -> Systems:
+def new_systems(method: StageCoefficients, pattern: Pattern, scatter: Scatter, unknowns: int) -> Systems:
     """Return storage for the systems of a method, of one pattern and `unknowns` accelerations and multipliers."""
     real, cplx = (_stacked(pattern, len(x), x.dtype.type) for x in (method.mu_real, method.mu_complex))
     b_real, x_real = np.zeros((2, unknowns))
@@ -141,8 +141,8 @@ def new_systems(method: Coefficients, pattern: Pattern, scatter: Scatter, unknow
 
 def _stacked(pattern: Pattern, count: int, dtype: type) -> Factors:
     """Return storage for the factors of `count` matrices of one pattern."""
-    one = new_factors(pattern, dtype)
-    return Factors(*(np.zeros((count, len(x)), x.dtype) for x in one))
+    single = new_factors(pattern, dtype)
+    return Factors(*(np.zeros((count, len(x)), x.dtype) for x in single))
 
 
 class Settings(NamedTuple):
@@ -250,7 +250,7 @@ class Stages(NamedTuple):
     coordinates; `q_stage` and `v_stage` belong to the bodies.
     """
 
-    rk: Coefficients
+    rk: StageCoefficients
     systems: Systems
     settings: Settings
     previous: Annotated[PreviousStep, STATE]
@@ -310,7 +310,11 @@ def is_shifted(m):
 
 
 def new_stages(
-    rk: Coefficients, workspace: Workspace, settings: Settings, by_position: np.ndarray, tree: np.ndarray | None = None
+    rk: StageCoefficients,
+    workspace: Workspace,
+    settings: Settings,
+    by_position: np.ndarray,
+    tree: np.ndarray | None = None,
 ) -> Stages:
     """Return the bundle of a method for a mechanism, without pivots.
 
@@ -367,7 +371,6 @@ def nodes_of_beams(top: Topology) -> np.ndarray:
 
 
 def _new_states(workspace: Workspace, stages: int) -> StageStates:
-    """Return storage for the first-order states of a mechanism at the stages."""
     top = workspace.mechanism.topology
     states = top.states
     together = len(states) if is_coupled(top) else max(np.unique(states[:, 0], return_counts=True)[1], default=0)

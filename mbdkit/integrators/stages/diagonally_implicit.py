@@ -64,21 +64,21 @@ class DiagonallyImplicit(StepMethod):
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         """Take one step; see `StepMethod.step`."""
-        found: list[np.ndarray] = []
+        accelerations: list[np.ndarray] = []
         n = equations.n
         work = dissipated = 0.0
         for i, node in enumerate(self._c):
-            v = state.v + h * _combined(self._a[i, :i], found, n)
-            q = state.q + h * node * state.v + h * h * _combined(self._a2[i, :i], found, n)
+            v = state.v + h * _combined(self._a[i, :i], accelerations, n)
+            q = state.q + h * node * state.v + h * h * _combined(self._a2[i, :i], accelerations, n)
             now, rate = t + node * h, h * self._a[i, i]
             a, lam = self._solved(equations, now, q, v, rate) if rate else equations.accelerations(now, q, v)
-            found.append(a)
+            accelerations.append(a)
             given, lost = equations.powers(now, q + rate * rate * a, v + rate * a, lam)
             work += h * self._b[i] * given
             dissipated += h * self._b[i] * lost
         return state.moved(
-            h * state.v + h * h * _combined(self._b2, found, n),
-            h * _combined(self._b, found, n),
+            h * state.v + h * h * _combined(self._b2, accelerations, n),
+            h * _combined(self._b, accelerations, n),
             work=work,
             dissipated=dissipated,
         )
@@ -109,7 +109,6 @@ class DiagonallyImplicit(StepMethod):
     def _newton_change(
         equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, rate: float, solved: Solved
     ) -> Solved:
-        """Return the change of the acceleration by an iteration of Newton's method, and the new multipliers."""
         a, lam = solved
         matrix = equations.iteration_matrix(
             t, q, v, a, lam, damping=rate, stiffness=rate * rate, gamma_v=-rate, residual_q=rate * rate
@@ -122,11 +121,9 @@ class DiagonallyImplicit(StepMethod):
 def _fixed_point_change(
     equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, rate: float, solved: Solved
 ) -> Solved:
-    """Return the change of the acceleration by a fixed-point iteration, and the new multipliers."""
     a, lam = equations.accelerations(t, q, v)
     return a - solved[0], lam
 
 
 def _combined(weights: np.ndarray, accelerations: list[np.ndarray], n: int) -> np.ndarray:
-    """Return the sum of accelerations (n,) with these weights."""
     return sum((w * a for w, a in zip(weights, accelerations, strict=True)), start=np.zeros(n))

@@ -84,7 +84,7 @@ class PastSteps(NamedTuple):
     """(1,) number of consecutive steps of that size that are stored."""
 
 
-class Pair(NamedTuple):
+class PairStages(NamedTuple):
     """A pair of s stages for one mechanism."""
 
     rk: PairCoefficients
@@ -110,7 +110,7 @@ class Pair(NamedTuple):
     """(s, 2) powers of the stages."""
 
 
-def _example() -> Pair:
+def _example() -> PairStages:
     from mbdkit.engine.workspace import example_workspace
     from mbdkit.methods.kinds import LobattoPair
 
@@ -166,7 +166,6 @@ def _keep(m, t, h):
 
 @subkernel
 def _no_tangents(c, m, t, h, at_start, wanted):
-    """Return OK: the iteration has no tangents."""
     return OK
 
 
@@ -204,7 +203,6 @@ def _changes(c, m, t, h, before):
 
 @subkernel
 def _move(c, m, h, active):
-    """Change the accelerations of the stages before the last, and evaluate the stages."""
     for j in range(len(m.rk.c) - 1):
         for d in range(len(c.q) - 3):
             m.acc[j, d] += m.change[j, d]
@@ -315,14 +313,14 @@ def keep(run, method, t, h, unused):
     return OK
 
 
-def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
+def new_pair(method: LobattoPair, workspace: Workspace) -> PairStages:
     """Return the bundle of a pair for a mechanism."""
     a, bar, b, c = (np.array(x, dtype=float) for x in coefficients(method.stages))
     a2 = product(a, bar)
     s, size, pairs = method.stages, workspace.mechanism.size, len(workspace.mechanism.topology.pairs)
     acc, q_stage, v_stage, spread = (np.zeros((s, size)) for _ in range(4))
     past = PastSteps(np.zeros((MOST_PAST, s, size)), np.zeros(1), np.zeros(1), np.zeros(1, dtype=np.int64))
-    return Pair(
+    return PairStages(
         rk=PairCoefficients(bar, a2, inverse_of(a2[1:, :-1]), b, c),
         limit=new_limit(method.max_iterations),
         tolerance=np.array([method.tolerance if method.tolerance is not None else TOLERANCE]),

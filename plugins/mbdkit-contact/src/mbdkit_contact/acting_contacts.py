@@ -99,31 +99,31 @@ class ActingContact:
 
 def pairs_of_shapes(contacts: Sequence[ActingContact]) -> list[list[ActingContact]]:
     """Return the rows of each pair of shapes."""
-    return [list(rows) for _, rows in groupby(contacts, lambda one: (one.pair.key, frozenset(one.pair.bodies)))]
+    return [list(rows) for _, rows in groupby(contacts, lambda row: (row.pair.key, frozenset(row.pair.bodies)))]
 
 
 def contact_law(rows: Sequence[ActingContact], mode: int) -> CompiledLaw:
     """Return the law of a pair of shapes in a mode of `mbdkit_contact.kernels.contact_laws`."""
-    one, (kind, edges) = rows[0], rows[0].pair.kind
+    first, (kind, edges) = rows[0], rows[0].pair.kind
     count = edges or len(rows)
-    other = polygon_edges(one) if kind == "polyline" else len(rows) - count
-    turns = (int(moving == 3) for moving in one.moving)
-    program = (mode, KINDS.index(kind), count, other, FORCE_LAWS.index(one.force), *turns, len(rows))
+    other = polygon_edges(first) if kind == "polyline" else len(rows) - count
+    turns = (int(moving == 3) for moving in first.moving)
+    program = (mode, KINDS.index(kind), count, other, FORCE_LAWS.index(first.force), *turns, len(rows))
     return native_law(NativeLaw(contact, program))
 
 
 def contact_numbers(rows: Sequence[ActingContact]) -> list[float]:
     """Return the parameters of the law of a pair of shapes, preceded by their number; the states of bodies are zero."""
-    one, kind = rows[0], rows[0].pair.kind[0]
+    first, kind = rows[0], rows[0].pair.kind[0]
     if kind == "edge":
-        shapes = [*one.pair.numbers[:3], *one.edges]
+        shapes = [*first.pair.numbers[:3], *first.edges]
     elif kind == "inside":
-        shapes = one.edges + rows[-1].edges
+        shapes = first.edges + rows[-1].edges
     elif kind == "polyline":
-        shapes = surface_numbers(one)
+        shapes = surface_numbers(first)
     else:
         shapes = [number for row in rows for number in (*row.pair.numbers, 0.0)[:ROW]]
-    numbers = [*[0.0] * (2 * POSE), *one.law, *shapes, *[0.0] * (len(rows) if has_sides(rows) else 0)]
+    numbers = [*[0.0] * (2 * POSE), *first.law, *shapes, *[0.0] * (len(rows) if has_sides(rows) else 0)]
     return [float(len(numbers)), *numbers]
 
 
@@ -164,20 +164,20 @@ def contact_values(
     q, v = (np.ascontiguousarray(x, dtype=float) for x in (q, v))
     contact_rows(np.array(table, dtype=np.int64).reshape(-1, 6), np.array(numbers), q, v, values)
     gap, normal, friction, slip = values[..., :4].transpose(2, 0, 1).copy()
-    has_friction, transition = np.array([(one.law[3] > 0.0, one.law[5]) for one in contacts]).T
+    has_friction, transition = np.array([(acting.law[3] > 0.0, acting.law[5]) for acting in contacts]).T
     sticks = (has_friction > 0.0) & (np.abs(slip) <= transition)
     mode = np.where((gap < 0.0) & (normal > 0.0), np.where(sticks, STICK, SLIP), OPEN).astype(float)
-    found = {"gap": gap, "slip": slip, "normal_force": normal, "friction_force": friction, "mode": mode}
-    for i, one in enumerate(contacts):
-        for k, name in enumerate(HELD if one.first_state >= 0 else ()):
-            found[name][:, i] = z[:, one.first_state + k]
-    found["rolling_torque"] = values[..., 8].copy()
-    return found | {"point": values[..., 4:6].copy(), "normal": values[..., 6:8].copy()}
+    columns = {"gap": gap, "slip": slip, "normal_force": normal, "friction_force": friction, "mode": mode}
+    for i, acting in enumerate(contacts):
+        for k, name in enumerate(HELD if acting.first_state >= 0 else ()):
+            columns[name][:, i] = z[:, acting.first_state + k]
+    columns["rolling_torque"] = values[..., 8].copy()
+    return columns | {"point": values[..., 4:6].copy(), "normal": values[..., 6:8].copy()}
 
 
 def held_coordinates(contacts: Sequence[ActingContact]) -> list[int]:
     """Return the indices of the coordinates on which forces of rigid contacts act, in increasing order."""
-    sides = [side for one in contacts if one.first_state >= 0 for side in zip(one.bodies, one.moving, strict=True)]
+    sides = [side for row in contacts if row.first_state >= 0 for side in zip(row.bodies, row.moving, strict=True)]
     return [3 * body + axis for body, count in sorted(set(sides)) for axis in range(count)]
 
 
@@ -203,7 +203,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
     """
     if not mechanism.contacts:
         return []
-    found = []
+    rows = []
     is_rigid = mechanism.reacting is not None
     for name, own in mechanism.contacts.items():
         for pair in own.pairs(name, mechanism.joints):
@@ -217,7 +217,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
                 )
             if is_rigid:
                 given = own.restitution, static, kinetic
-                found.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, coefficients=given))
+                rows.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, coefficients=given))
                 continue
             if own.compliance is None:
                 raise SpecError(
@@ -225,8 +225,8 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
                     key=f"{pair.key}.compliance",
                 )
             law = tuple(own.law_numbers(pair.radius).values())
-            found.append(ActingContact(pair, FORMS[own.compliance.law], moving, bodies, law))
-    return found
+            rows.append(ActingContact(pair, FORMS[own.compliance.law], moving, bodies, law))
+    return rows
 
 
 def _coordinates(mechanism: Mechanism, body: str) -> int:
@@ -249,13 +249,13 @@ def lower_contacts(elements: Mapping[str, Contact], lowering: Lowering, acting: 
         compliant: list[ActingContact] = []
         for rows in pairs_of_shapes(contacts):
             laws = [contact_law(rows, mode) for mode in (FORCES, SLOPES)]
-            place = lowering.pair(f"contact '{rows[0].pair.name}'", rows[0].bodies, laws, contact_numbers(rows))
-            compliant += (replace(one, law_place=place) for one in rows)
+            number = lowering.pair(f"contact '{rows[0].pair.name}'", rows[0].bodies, laws, contact_numbers(rows))
+            compliant += (replace(row, law_place=number) for row in rows)
         return tuple(compliant)
     rigid = []
-    for one in contacts:
-        states = [lowering.state(f"{one.pair.name}.{name}", unit, 0.0, by_method=True) for name, unit in HELD.items()]
-        rigid.append(replace(one, first_state=states[0]))
+    for row in contacts:
+        states = [lowering.state(f"{row.pair.name}.{name}", unit, 0.0, by_method=True) for name, unit in HELD.items()]
+        rigid.append(replace(row, first_state=states[0]))
     bodies, laws_of = list(mechanism.bodies), dict[int, list[int]]()
     for coordinate in held_coordinates(rigid):
         number, axis = divmod(coordinate, 3)
@@ -288,26 +288,26 @@ def check_start(
     weight = sum(body.mass for body in mechanism.bodies.values()) * elementary.hypot(*mechanism.gravity)
     row = with_ground(q)[None]
     values = contact_values(contacts, row, np.zeros_like(row), np.zeros((1, held_states(contacts).stop)))
-    for i, one in enumerate(contacts):
+    for i, acting in enumerate(contacts):
         depth, push = -float(values["gap"][0, i]), float(values["normal_force"][0, i])
-        is_deep = depth > 0.5 * one.pair.radius > 0.0
+        is_deep = depth > 0.5 * acting.pair.radius > 0.0
         remedy = "check the unit of the radius and the direction of the normal, or " if is_deep else ""
-        if one.first_state >= 0 and depth > tolerance:
+        if acting.first_state >= 0 and depth > tolerance:
             raise SpecError(
-                f"the shapes of '{one.pair.name}' overlap by {depth:.4g} m at the start, more than "
+                f"the shapes of '{acting.pair.name}' overlap by {depth:.4g} m at the start, more than "
                 f"`assembly.tolerance`, {tolerance:.4g} m; {remedy}move the bodies apart",
-                key=f"{one.pair.key}.shapes",
+                key=f"{acting.pair.key}.shapes",
             )
         if depth > tolerance and push > HEAVY * weight:
             raise SpecError(
-                f"the shapes of '{one.pair.name}' overlap by {depth:.4g} m at the start, where they would push each "
+                f"the shapes of '{acting.pair.name}' overlap by {depth:.4g} m at the start, where they would push each "
                 f"other apart with {push:.4g} N, more than {HEAVY:g} times the weight of all bodies; "
                 f"{remedy}move the bodies apart",
-                key=f"{one.pair.key}.shapes",
+                key=f"{acting.pair.key}.shapes",
             )
     return {}
 
 
 def members_of(contacts: Sequence[ActingContact]) -> list[tuple[str, tuple[str, ...]]]:
     """Return name and bodies of each row of the contacts."""
-    return [(one.pair.name, one.pair.ordered) for one in contacts]
+    return [(acting.pair.name, acting.pair.ordered) for acting in contacts]

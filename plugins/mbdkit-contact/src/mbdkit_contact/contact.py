@@ -172,7 +172,6 @@ class Shape(StrictModel):
 
 
 def _check_convex(corners: tuple[Pair, ...]) -> None:
-    """Raise SpecError unless a polygon is convex and its corners are counter-clockwise."""
     if not 3 <= len(corners) <= MOST_CORNERS:
         raise SpecError(f"a polygon has from 3 to {MOST_CORNERS} corners, not {len(corners)}", key="polygon")
     turns = 0.0
@@ -348,11 +347,11 @@ class Contact(Element):
         law, speed, given = own.law, own.impact_speed, own.dissipation is not None
         of_speed = law in ("flores", "lankarani-nikravesh")
         if given and of_speed:
-            told = f"the law {law} computes it from `restitution` and `impact_speed`; omit it"
-            raise SpecError(told, key="compliance.dissipation")
+            message = f"the law {law} computes it from `restitution` and `impact_speed`; omit it"
+            raise SpecError(message, key="compliance.dissipation")
         if of_speed and speed is None:
-            told = f"is missing: the law {law} needs the impact speed to which `restitution` refers"
-            raise SpecError(told, key="compliance.impact_speed")
+            message = f"is missing: the law {law} needs the impact speed to which `restitution` refers"
+            raise SpecError(message, key="compliance.impact_speed")
         if speed is not None and law in ("linear", "smooth-sphere-half-space"):
             raise SpecError(f"the law {law} does not use it; give `dissipation`", key="compliance.impact_speed")
         if speed is not None and given:
@@ -361,8 +360,8 @@ class Contact(Element):
             raise SpecError("should be greater than 0: the law flores divides by it", key="restitution")
         kinds = sorted(shape.kind for shape in self._ordered())
         if law == "smooth-sphere-half-space" and any(pair != ("circle", "line") for pair in combinations(kinds, 2)):
-            told = f"the law {law} needs a circle and a line, not {listed(kinds, 'and')}"
-            raise SpecError(told, key="compliance.law")
+            message = f"the law {law} needs a circle and a line, not {listed(kinds, 'and')}"
+            raise SpecError(message, key="compliance.law")
 
     @property
     def by_body(self) -> list[tuple[str, str, str, Shape]]:
@@ -452,13 +451,13 @@ class Contact(Element):
         They are the corners of squares around circles, and not the shapes of the ground, whose extent says nothing
         about the bodies.
         """
-        found = []
+        points = []
         for _, _, name, shape in self.by_body:
             round_shape = shape.circle or shape.hole
             radius = 0.0 if round_shape is None else round_shape.radius
             for _, (x, y) in shape.points() if name != GROUND else ():
-                found += [(name, (x + side, y + side)) for side in (-radius, radius)]
-        return found
+                points += [(name, (x + side, y + side)) for side in (-radius, radius)]
+        return points
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
@@ -466,11 +465,10 @@ class Contact(Element):
 
 
 def _check_kinds(first: Shape, second: Shape, key: str) -> None:
-    """Raise SpecError for two shapes that cannot touch."""
     kinds = {first.kind, second.kind}
     if kinds <= {"line", "polyline"}:
-        told = "two lines cannot touch each other, because they have no ends; use a polygon for one of the bodies"
-        raise SpecError(told, key=key)
+        message = "two lines cannot touch each other, because they have no ends; use a polygon for one of the bodies"
+        raise SpecError(message, key=key)
     if kinds == {"point"}:
         raise SpecError("two points cannot touch; give one of them a radius, {circle: {center, radius}}", key=key)
     if "hole" in kinds:
@@ -478,7 +476,6 @@ def _check_kinds(first: Shape, second: Shape, key: str) -> None:
 
 
 def _check_hole(first: Shape, second: Shape, key: str) -> None:
-    """Raise SpecError if one of two shapes is a hole and the other does not fit into it."""
     hole, other = (first, second) if first.kind == "hole" else (second, first)
     if other.kind not in ("circle", "point"):
         raise SpecError(f"a hole holds a circle or a point, not a {other.kind}", key=key)
@@ -489,7 +486,6 @@ def _check_hole(first: Shape, second: Shape, key: str) -> None:
 
 
 def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Shape) -> Iterator[ContactPair]:
-    """Yield the rows of two shapes, which may be given in either order."""
     order = {"line": 0, "polyline": 0, "polygon": 1, "hole": 2, "circle": 3, "point": 4}
     swapped = order[first.kind] > order[second.kind]
     if swapped:
@@ -556,11 +552,11 @@ def _rows_on_polyline(
 
 def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
     """Return (x, y) of the start and of the unit outward normal of each edge, and its length, edge after edge."""
-    found: list[float] = []
+    edges: list[float] = []
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
         size = elementary.hypot(bx - ax, by - ay)
-        found += [ax, ay, (by - ay) / size, (ax - bx) / size, size]
-    return tuple(found)
+        edges += [ax, ay, (by - ay) / size, (ax - bx) / size, size]
+    return tuple(edges)
 
 
 def check_contacts(contacts: Mapping[str, Contact], mechanism: Any, prefix: str) -> None:

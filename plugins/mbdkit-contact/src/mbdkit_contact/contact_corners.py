@@ -97,5 +97,5 @@ def jumps(contacts: Sequence[ActingContact]) -> list[str]:
     return [
         f"steps do not end where the shapes of the contact '{name}' begin to touch. If the run passes such a point, "
         f"the derivatives lack the contribution of the jump of the force; use another law than `linear`"
-        for name in dict.fromkeys(one.pair.key.rpartition(".")[2] for one in rows)
+        for name in dict.fromkeys(contact.pair.key.rpartition(".")[2] for contact in rows)
     ]

@@ -57,8 +57,8 @@ def slow_friction(spec: RunSpec, compiled: CompiledMechanism, size: float) -> Sl
         elements.append(FrictionElement(f"contact '{name}'", key, speed, 1.0, SHARE * size))
 
     def take(states: States) -> tuple[np.ndarray, np.ndarray]:
-        found = states.of(contacts_in)
-        slip, friction = (found[name][:, : len(elements)] for name in ("slip", "friction_force"))
+        values = states.of(contacts_in)
+        slip, friction = (values[name][:, : len(elements)] for name in ("slip", "friction_force"))
         return slip, slip * friction
 
     return SlowFriction(elements, take)

@@ -1,37 +1,18 @@
-"""Kinematics of rigid contacts: gaps, slips, and their derivatives in a state."""
+"""Geometry of rigid contacts as kernels read it: features, outlines and surfaces."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import groupby
 
 import numpy as np
 
-from mbdkit.plugin.equations import RepeatedCall
 from mbdkit_contact.acting_contacts import ActingContact, polygon_edges, surface_numbers
 from mbdkit_contact.contact import ContactPair
-from mbdkit_contact.kernels.kinematics import (
-    KINDS,
-    LINE,
-    NOWHERE,
-    POLYGONS,
-    ROUND,
-    SINGLE,
-    UNEVEN,
-    Shapes,
-    gaps_at,
-    hold_at,
-    rows_at,
-)
+from mbdkit_contact.kernels.kinematics import KINDS, LINE, NOWHERE, POLYGONS, ROUND, SINGLE, UNEVEN, Shapes
 from mbdkit_contact.kernels.uneven_ground import EDGE, FAR, HIGH, LOW, OWN, SEGMENT
 
-NEAR = 1e-3
-"""Gap, relative to the length of the mechanism, up to which two shapes count as near each other."""
-FEW = 8
-"""Up to this number of contacts, all gaps are computed exactly."""
 EXACT = 1e-9
 """Distance, relative to the length of the mechanism, up to which a corner beyond the end of an edge still acts; closed
 contacts remain closed up to twice this distance.
@@ -40,62 +21,6 @@ SEGMENTS_IN_FULL = 32
 """Up to this number of segments, distances from polylines are computed exactly, else up to `REACH`."""
 REACH = 0.1
 """Distance from a polyline, relative to the length of the mechanism, above which gaps may be too small."""
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Gaps and slips of C contacts in a state, with their derivatives.
-
-    Attributes
-    ----------
-    gap, slip
-        (C,) gaps [m] and slip velocities [m/s].
-    normal_right, tangent_right
-        (C,) right-hand sides of the constraints on accelerations; see `mbdkit_contact.contact_rows.QUANTITIES`.
-    bodies
-        (C, 2) indices of the two bodies of each contact.
-    gradients
-        (2, C, 6) derivatives of the rates of gap and slip with respect to the velocities of both bodies.
-    n
-        Number of coordinates.
-    """
-
-    gap: np.ndarray
-    slip: np.ndarray
-    normal_right: np.ndarray
-    tangent_right: np.ndarray
-    bodies: np.ndarray
-    gradients: np.ndarray
-    n: int
-
-    @cached_property
-    def columns(self) -> np.ndarray:
-        """(C, 6) indices of the coordinates of both bodies; those of the ground come after all others."""
-        return (3 * self.bodies[:, :, None] + np.arange(3)).reshape(len(self.bodies), 6)
-
-    @cached_property
-    def normal(self) -> np.ndarray:
-        """(C, n) derivatives of the rates of the gaps with respect to the velocities."""
-        return self._whole(self.gradients[0])
-
-    @cached_property
-    def tangent(self) -> np.ndarray:
-        """(C, n) derivatives of the slip velocities with respect to the velocities."""
-        return self._whole(self.gradients[1])
-
-    def _whole(self, parts: np.ndarray) -> np.ndarray:
-        rows = np.zeros((len(parts), self.n + 3))
-        np.put_along_axis(rows, self.columns, parts, axis=1)
-        return rows[:, : self.n]
-
-    def rates(self, v: np.ndarray) -> np.ndarray:
-        """Return the rates of the gaps and the slip velocities (2, C) at velocities (n,)."""
-        return np.asarray(np.sum(self.gradients * np.concatenate([v, np.zeros(3)])[self.columns], axis=2))
-
-    def force(self, forces: np.ndarray) -> np.ndarray:
-        """Return the generalized forces (n,) of normal and tangential forces (2, C)."""
-        parts = np.sum(forces[:, :, None] * self.gradients, axis=0)
-        return np.bincount(self.columns.ravel(), parts.ravel(), self.n + 3)[: self.n]
 
 
 Feature = tuple[str, tuple[float, ...]]
@@ -159,7 +84,7 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
         segments = np.reshape(numbers[-SEGMENT * count :], (-1, SEGMENT))
         segments[:, LOW] -= exact
         segments[:, HIGH] += exact
-        edges, of_second = polygon_edges(own[0]), sum(one.pair.kind[0] == kind for one in own)
+        edges, of_second = polygon_edges(own[0]), sum(contact.pair.kind[0] == kind for contact in own)
         surfaces.append((*own[0].bodies, len(surface), edges, count, of_second))
         surface.extend([*numbers[: -SEGMENT * count], *segments.ravel().tolist()])
         return len(surfaces) - 1
@@ -202,7 +127,7 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
         np.array(around).reshape(-1, 3),
         np.array(surfaces, dtype=np.int64).reshape(-1, 6),
         np.array(surface),
-        np.array([FAR if all(one[4] <= SEGMENTS_IN_FULL for one in surfaces) else REACH / EXACT * exact]),
+        np.array([FAR if all(surface[4] <= SEGMENTS_IN_FULL for surface in surfaces) else REACH / EXACT * exact]),
         np.array([exact]),
         np.full(count, -1),
         np.zeros((bodies + 1, 7)),
@@ -211,7 +136,7 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
     )
 
 
-def _arms(s: Shapes) -> np.ndarray:
+def arms_of(s: Shapes) -> np.ndarray:
     """Return the largest distances (C, 2) of the outlines that may touch from the origins of the frames of both bodies
     [m], infinite for lines and polylines.
     """
@@ -233,73 +158,3 @@ def _arms(s: Shapes) -> np.ndarray:
         elif kind == UNEVEN and i - begin >= s.surfaces[first, 5]:
             arms[i] = outline(second), math.inf
     return arms
-
-
-class ContactKinematics:
-    """Gaps and rows of the contacts of a mechanism.
-
-    Parameters
-    ----------
-    contacts
-        The contacts.
-    n
-        Number of coordinates of the mechanism.
-    length
-        Characteristic length of the mechanism [m].
-    """
-
-    def __init__(self, contacts: Sequence[ActingContact], n: int, length: float):
-        self._n, self._count = n, len(contacts)
-        self.shapes = shapes_of(contacts, n // 3, EXACT * length)
-        #: Largest gap that `gaps` always computes exactly [m].
-        self.reach = NEAR * length if len(contacts) > FEW else math.inf
-        #: See `mbdkit_contact.kernels.event_bundle.Touch`.
-        self.arms = _arms(self.shapes)
-        self._bodies = self.shapes.contacts[:, :2].copy()
-        self._all = np.arange(self._count)
-        self._rows_at = RepeatedCall(rows_at, self.shapes, None, None, None, None)
-        self._gaps_at = RepeatedCall(gaps_at, self.shapes, None, None, None)
-        self._hold_at = RepeatedCall(hold_at, self.shapes, None, None)
-
-    @property
-    def held(self) -> np.ndarray:
-        """(C,) index of the feature at which each closed contact stays; -1 for open contacts, which use the feature
-        nearest to touching. See `mbdkit_contact.kernels.kinematics`.
-        """
-        return self.shapes.held.copy()
-
-    @held.setter
-    def held(self, features: np.ndarray) -> None:
-        self.shapes.held[:] = features
-
-    def none_held(self) -> np.ndarray:
-        """Return `held` for contacts that are all open."""
-        return np.full(self._count, -1)
-
-    def hold(self, q: np.ndarray, closed: np.ndarray) -> None:
-        """Fix the features of closed contacts (C,): those fixed already, else the features nearest to touching at
-        position `q`.
-        """
-        self._hold_at(np.ascontiguousarray(q), np.asarray(closed, dtype=np.int64))
-
-    def gaps(self, q: np.ndarray, within: float = 0.0) -> np.ndarray:
-        """Return the gaps (C,) of all contacts at a position [m].
-
-        For a gap above both `within` and `reach`, the result may be a lower bound that is above both, too.
-        """
-        gaps = np.empty(self._count)
-        self._gaps_at(np.ascontiguousarray(q), max(within, self.reach), gaps)
-        return gaps
-
-    def rows(self, q: np.ndarray, v: np.ndarray, some: np.ndarray | None = None) -> Rows:
-        """Return gaps, slips and derivatives of all contacts in a state, or of those with the indices `some`."""
-        chosen = self._all if some is None else np.ascontiguousarray(some, dtype=np.int64)
-        values = np.empty((len(chosen), 16))
-        self._rows_at(np.ascontiguousarray(q), np.ascontiguousarray(v), chosen, values)
-        return self.rows_of(values, chosen)
-
-    def rows_of(self, values: np.ndarray, chosen: np.ndarray) -> Rows:
-        """Return rows from the quantities (k, 16) of contacts with the indices `chosen` (k,); see `rows_at`."""
-        gradients = np.ascontiguousarray(values[:, 2:14].reshape(-1, 2, 6).transpose(1, 0, 2))
-        gap, slip, normal_right, tangent_right = np.ascontiguousarray(values[:, [0, 1, 14, 15]].T)
-        return Rows(gap, slip, normal_right, tangent_right, self._bodies[chosen], gradients, self._n)

@@ -55,7 +55,7 @@ class Definition:
     quantities: tuple[sp.Expr, ...]
 
 
-class Steps:
+class NamedSteps:
     """Assigns symbols to intermediate quantities in the order of their computation, so that formulas stay small."""
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class Steps:
         return self(choose(square, divisor, 0)), self(dx / divisor), self(dy / divisor)
 
 
-def _geometry(kind: str, step: Steps) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
+def _geometry(kind: str, step: NamedSteps) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
     """Return the gap and the normal (x, y) in the global frame of a kind of geometry: ``line``, ``circles`` or
     ``hole``.
     """
@@ -102,7 +102,10 @@ def _geometry(kind: str, step: Steps) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
 
 
 def _sliding(
-    second: tuple[sp.Expr, sp.Expr], first: tuple[sp.Expr, sp.Expr], normal: tuple[sp.Expr, sp.Expr], step: Steps
+    second: tuple[sp.Expr, sp.Expr],
+    first: tuple[sp.Expr, sp.Expr],
+    normal: tuple[sp.Expr, sp.Expr],
+    step: NamedSteps,
 ) -> tuple[sp.Expr, sp.Expr]:
     """Return the slip and the rate of the gap at a point. `second` and `first` are the vectors to the point from the
     centres of mass of the second and of the first body.
@@ -113,7 +116,7 @@ def _sliding(
     return step(vx * ny - vy * nx), step(vx * nx + vy * ny)
 
 
-class _Moving(Steps):
+class _Moving(NamedSteps):
     """Assigns symbols to intermediate quantities, and differentiates them with respect to time."""
 
     def __init__(self) -> None:
@@ -141,11 +144,11 @@ class _Moving(Steps):
         if expression.func == choose:
             condition, first, second = expression.args
             return choose(condition, self.rate(first), self.rate(second))
-        choices = {one: sp.Dummy(real=True) for one in expression.atoms(choose)}
+        choices = {part: sp.Dummy(real=True) for part in expression.atoms(choose)}
         plain = expression.xreplace(choices)
-        back = {dummy: one for one, dummy in choices.items()}
-        parts = ((one, plain.diff(one)) for one in sorted(plain.free_symbols, key=str))
-        return sp.Add(*(slope.xreplace(back) * self.rate(back.get(one, one)) for one, slope in parts if slope != 0))
+        back = {dummy: part for part, dummy in choices.items()}
+        parts = ((part, plain.diff(part)) for part in sorted(plain.free_symbols, key=str))
+        return sp.Add(*(slope.xreplace(back) * self.rate(back.get(part, part)) for part, slope in parts if slope != 0))
 
 
 QUANTITIES = ("gap", "slip", "normal", "tangent", "normal_right", "tangent_right")
@@ -166,5 +169,5 @@ def row_definition(kind: str) -> Definition:
     slip, rate = _sliding((px, py), (ox, oy), (nx, ny), step)
     along = [-nx, -ny, oy * nx - ox * ny, nx, ny, px * ny - py * nx]
     across = [-ny, nx, oy * ny + ox * nx, ny, -nx, -py * ny - px * nx]
-    found = [gap, slip, *along, *across, -step.rate(rate), -step.rate(slip)]
-    return Definition(tuple(step.named), tuple(quantity.xreplace(_BY_TURN) for quantity in found))
+    quantities = [gap, slip, *along, *across, -step.rate(rate), -step.rate(slip)]
+    return Definition(tuple(step.named), tuple(quantity.xreplace(_BY_TURN) for quantity in quantities))

@@ -118,16 +118,16 @@ class ContactState:
         the chosen one, about normal forces that are not unique, about simultaneous impacts whose order would matter,
         and about inaccurate velocities of contacts.
         """
-        found = []
+        sentences = []
         if self.cut:
             names = listed(sorted(self.cut), "and")
-            found.append(
+            sentences.append(
                 f"an infinite sequence of impacts was cut off at {names}: the contact stays closed after the last one "
                 "that was computed; `/impacts` has the time at which the impacts would have accumulated"
             )
         if self.changed:
             names = listed(sorted(self.changed), "and")
-            found.append(
+            sentences.append(
                 f"the law of impact would have created energy at {names}; Stronge's law was used there or, for several "
                 "contacts at once, the law of the run or Poisson's law with a smaller restitution"
             )
@@ -135,22 +135,22 @@ class ContactState:
             names = listed([f"'{name}'" for name in sorted(self.undetermined)], "and")
             several = len(self.undetermined) > 1
             which = f"forces of contacts {names} are" if several else f"force of contact {names} is"
-            found.append(
+            sentences.append(
                 f"the normal {which} not unique, because other forces cause the same motion; the run records one "
                 "possible set"
             )
         if self.ordered:
             names = listed([f"'{name}'" for name in sorted(self.ordered)], "and")
-            found.append(
+            sentences.append(
                 f"impacts of contacts {names} coincide, and the run computes them together; if they happened one after "
                 "another, for example because of a tiny gap, the velocities after them would be different"
             )
         if self.residual > SOLVED:
-            found.append(
+            sentences.append(
                 f"the laws of contact and friction are satisfied to {self.residual:.1g} of the largest velocity only, "
                 "in the worst step; a smaller `time.step` may help"
             )
-        return tuple(found)
+        return tuple(sentences)
 
     def agrees(self, others: Sequence[ReactingMemory], section: ContactTreatment) -> tuple[float, str]:
         """See `ReactingMemory.agrees`: impacts should be the same, in the same order, and none should be left out.

@@ -93,6 +93,8 @@ def _restitutions(run: Run, struck: np.ndarray) -> str:
         joints = run.mechanism.joints
     except MbdkitError:
         return ""
-    known = {pair.name: one.restitution for name, one in contacts.items() for pair in one.pairs(name, joints)}
+    known = {
+        pair.name: contact.restitution for name, contact in contacts.items() for pair in contact.pairs(name, joints)
+    }
     values = dict.fromkeys(f"{known[name]:g}" for name in struck if name in known)
     return f"restitution {listed([*values][:JOINTS_NAMED], 'and')}, " if values else ""

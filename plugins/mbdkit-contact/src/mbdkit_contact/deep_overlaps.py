@@ -45,14 +45,14 @@ class DeepOverlaps:
     """
 
     def __init__(self, compiled: CompiledMechanism, finer: str):
-        self._pairs = [one.pair for one in compiled.extensions["contacts"]]
+        self._pairs = [contact.pair for contact in compiled.extensions["contacts"]]
         self._is_rigid, self._finer = compiled.reacting is not None, finer
         self._depth, self._time = np.zeros((2, len(self._pairs)))
 
     @classmethod
     def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> DeepOverlaps | None:
         """Return the `DeepOverlaps` of a mechanism; None if it has no contacts of circles."""
-        has_circles = any(one.pair.radius > 0.0 for one in compiled.extensions["contacts"])
+        has_circles = any(contact.pair.radius > 0.0 for contact in compiled.extensions["contacts"])
         return cls(compiled, spec.finer) if has_circles else None
 
     def add(self, states: States) -> None:
@@ -61,7 +61,6 @@ class DeepOverlaps:
             self._note(states.time, states.of(contacts_in)["gap"])
 
     def _note(self, time: np.ndarray, gap: np.ndarray) -> None:
-        """Take note of gaps (T, C) at times (T,)."""
         row = np.argmin(gap, axis=0)
         depth = -gap[row, np.arange(len(row))]
         self._time = np.where(depth > self._depth, time[row], self._time)
@@ -69,15 +68,15 @@ class DeepOverlaps:
 
     def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, Any]) -> tuple[str, ...]:
         """Return a sentence for each circle that overlaps too much."""
-        told = []
+        sentences = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):
             if pair.radius > 0.0 and depth > DEEP * pair.radius:
                 advice = f"use {self._finer}" if self._is_rigid else f"increase {pair.key}.compliance.stiffness"
-                told.append(
+                sentences.append(
                     f"contact '{pair.name}' overlaps by {depth:.3g} m at t = {time:.6g} s, {depth / pair.radius:.0%} "
                     f"of the radius of its circle, but contact laws assume small overlaps; {advice}"
                 )
-        return tuple(told)
+        return tuple(sentences)
 
     def stored(self) -> dict[str, Any]:
         """Return the state as plain values, for a checkpoint."""
@@ -117,9 +116,9 @@ class RigidOverlaps(DeepOverlaps):
     def add(self, states: States) -> None:
         """See `DeepOverlaps.add`."""
         if len(states.time):
-            found = states.of(contacts_in)
-            is_sound = (found["mode"] > 0.0) & (found["gap"] > -INTERPOLATED * self._size)
-            self._note(states.time, np.where(is_sound, 0.0, found["gap"]))
+            values = states.of(contacts_in)
+            is_sound = (values["mode"] > 0.0) & (values["gap"] > -INTERPOLATED * self._size)
+            self._note(states.time, np.where(is_sound, 0.0, values["gap"]))
 
     def findings(self, _energies: EnergyRecord, integrals: Mapping[str, Any]) -> tuple[str, ...]:
         """Return a sentence for each contact that overlaps beyond its tolerance."""

@@ -10,16 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Step, StepError, StepMethod, StepState, Why
-from mbdkit.plugin.equations import Workspace, gauss_legendre
-from mbdkit.plugin.methods import Dense, StepTaken, collocation_polynomials, states_at_start
+from mbdkit.plugin.equations import Workspace, gauss_on_unit
+from mbdkit.plugin.methods import SAME_INSTANT, Dense, StepTaken, collocation_polynomials, states_at_start
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
-from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, Point, gains, power_at
+from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, StepPoint, gains, power_at
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations, Powers
-from mbdkit_contact.kernels.steps_to_events import SAME_INSTANT
 
-_NODES = 0.5 * (1.0 + gauss_legendre(6)[0])
+_NODES = gauss_on_unit(6)[0]
 """Places in a step at which powers are evaluated for the energies within it."""
 _INTEGRALS = collocation_polynomials(_NODES)[0]
 
@@ -81,7 +80,6 @@ class EventDriven(StepMethod):
 
 
 def _after_event(step: EventStep) -> StepState:
-    """Return the state after the event that the memory of a step has."""
     kind, contact = step.before.known["event"].tolist()
     step.happen((kind - 1, contact))
     return step.state()
@@ -96,7 +94,7 @@ def reached(step: EventStep, event: Event | None, carries_multipliers: bool) -> 
     return end
 
 
-def _closing(dense: Dense, begin: Point, end: Point) -> Dense:
+def _closing(dense: Dense, begin: StepPoint, end: StepPoint) -> Dense:
     """Return dense output that ends in a state which differs by rounding errors or a projection."""
     assert end.made is not None
     made = end.made.state
@@ -111,7 +109,7 @@ def _closing(dense: Dense, begin: Point, end: Point) -> Dense:
     return closed
 
 
-def _with_forces(events: ContactEvents, begin: Point, end: StepState, dense: Dense | None) -> Dense:
+def _with_forces(events: ContactEvents, begin: StepPoint, end: StepState, dense: Dense | None) -> Dense:
     """Return dense output of a step with the forces of contacts that follow from the motion at each of its states, and
     with the work and the dissipated energy, which include those of an event at its start.
 
@@ -207,9 +205,9 @@ class EventDrivenLibrary(ExternalMethod):
             raise StepError("not-finite", "the library gives no states within its steps")
         end = made.state
         step.dense = dense = made.dense
-        there = Point(float(made.time), end.q, end.v, end.z, multipliers=end.multipliers, made=made)
-        found = step.first_event(there)
-        share, event = (1.0, None) if found is None else found
+        there = StepPoint(float(made.time), end.q, end.v, end.z, multipliers=end.multipliers, made=made)
+        search = step.first_event(there)
+        share, event = (1.0, None) if search is None else search
         if share < 1.0:
             there = step.inside(there, share)
         is_over = there.t >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
@@ -263,7 +261,6 @@ class EventDrivenLibrary(ExternalMethod):
 
 
 def _end(made: Step, share: float) -> StepState:
-    """Return the state that a library gives at a share of its step."""
     assert made.dense is not None
     if share == 1.0:
         return made.state
@@ -272,24 +269,22 @@ def _end(made: Step, share: float) -> StepState:
 
 
 class _LibraryStep(EventStep):
-    """Events in the steps of a library, whose states are those of its dense output."""
-
     dense: Dense
 
-    def inside(self, there: Point, share: float) -> Point:
+    def inside(self, there: StepPoint, share: float) -> StepPoint:
         """Return the state at a share of the step that leads to `there`."""
         q, v, z = self.dense(share)[:3]
-        return Point(self.now.t + share * (there.t - self.now.t), np.array(q), np.array(v), np.array(z))
+        return StepPoint(self.now.t + share * (there.t - self.now.t), np.array(q), np.array(v), np.array(z))
 
-    def _inside(self, there: Point, share: float) -> Point:
+    def _inside(self, there: StepPoint, share: float) -> StepPoint:
         return self.inside(there, share)
 
-    def first_event(self, there: Point) -> tuple[float, Event | None] | None:
+    def first_event(self, there: StepPoint) -> tuple[float, Event | None] | None:
         """See `EventStep.first_event`."""
         self._there = there
         return super().first_event(there)
 
-    def _moved(self, h: float) -> Point:
+    def _moved(self, h: float) -> StepPoint:
         return self.inside(self._there, h / (self._there.t - self.now.t)) if h > 0.0 else self.now
 
 

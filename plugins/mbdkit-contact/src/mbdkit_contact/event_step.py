@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from mbdkit.plugin import Step, StepError, StepMethod, StepState
-from mbdkit.plugin.equations import gauss_legendre
-from mbdkit.plugin.methods import StepTaken
+from mbdkit.plugin.equations import gauss_on_unit
+from mbdkit.plugin.methods import SAME_INSTANT, StepTaken
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations, Powers
 from mbdkit_contact.kernels.steps_to_events import (
     MOST_EVENTS,
     MOST_SAMPLES,
-    SAME_INSTANT,
     SAMPLES,
     TURN,
     begin_search_at,
@@ -29,15 +28,14 @@ from mbdkit_contact.kernels.steps_to_events import (
     values_at,
 )
 
-_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + gauss_legendre(4)[0], gauss_legendre(4)[1]))
-"""Gauss-Legendre quadrature of order 8 on [0, 1]."""
+_NODES, _WEIGHTS = gauss_on_unit(4)
 
 Event = tuple[int, int]
 """Kind of an event function, and contact."""
 
 
 @dataclass(frozen=True)
-class Point:
+class StepPoint:
     """A state within a step, and the work and dissipated energy since the start of the step [J]."""
 
     t: float
@@ -78,8 +76,8 @@ class EventStep:
         self.error: np.ndarray | None = None  # largest estimates of the local errors of q, v and the states
         memory: ContactState = state.memory
         own = events.contacts.own(state.z)
-        self.now = Point(t, state.q.copy(), state.v.copy(), own, 0.0, 0.0, memory.between, state.multipliers)
-        self.begin: Point | None = self.now
+        self.now = StepPoint(t, state.q.copy(), state.v.copy(), own, 0.0, 0.0, memory.between, state.multipliers)
+        self.begin: StepPoint | None = self.now
         """The start of the step, if one step of the method has led from there to `now`; None after an event."""
         self.before = memory
         self.impacts = memory.impacts
@@ -113,7 +111,7 @@ class EventStep:
     def _addresses(self) -> tuple[int, int]:
         return self.events.workspace.stepping_engine, self.events.pinned.address
 
-    def _look_at(self, at: Point) -> None:
+    def _look_at(self, at: StepPoint) -> None:
         self.events.at(at.t, at.q, at.v, at.z)
 
     def reached(self, event: Event | None) -> StepState:
@@ -136,7 +134,7 @@ class EventStep:
 
     # ---- between events ------------------------------------------------------------------------------------------
 
-    def _moved(self, h: float) -> Point:
+    def _moved(self, h: float) -> StepPoint:
         """Return the state after one step of the method, projected to close joints and closed contacts."""
         method, now, equations = self.between, self.now, self.equations()
         assert method is not None
@@ -154,14 +152,14 @@ class EventStep:
         if made.time is not None or made.event is not None:
             raise TypeError("the treatment event-driven needs steps that end at the time for which they are asked")
         made = self.acting(made)
-        end = self.closed(Point(now.t + h, made.state.q, made.state.v, made.state.z))
+        end = self.closed(StepPoint(now.t + h, made.state.q, made.state.v, made.state.z))
         with self.events.acting():
             memory = method.begin(equations, end.t, replace(made.state, q=end.q, v=end.v), "projection")
             work, lost = made.state.work, made.state.dissipated
             if work is None or lost is None:
                 work, lost = gains(equations, now, end, made)
         work, lost = now.work + work, now.dissipated + lost
-        return Point(end.t, end.q, end.v, end.z, work, lost, memory, made.state.multipliers, made)
+        return StepPoint(end.t, end.q, end.v, end.z, work, lost, memory, made.state.multipliers, made)
 
     def acting(self, made: Step) -> Step:
         """Return a step whose dense output, which may evaluate the equations of motion, includes closed contacts."""
@@ -180,7 +178,7 @@ class EventStep:
         equations.hold(self.now.z)
         return equations
 
-    def closed(self, at: Point) -> Point:
+    def closed(self, at: StepPoint) -> StepPoint:
         """Return the nearest state in which joints and closed contacts are closed."""
         self._look_at(at)
         self.events.close()
@@ -193,11 +191,11 @@ class EventStep:
         """Advance to the time `end` or to the first event before it; return that event, or None."""
         while (h := end - self.now.t) > SAME_INSTANT * max(abs(end), 1.0):
             there = self._moved(self.limited(h))
-            found = self.first_event(there)
+            search = self.first_event(there)
             if there.made is not None and there.made.error is not None:
                 self.error = np.maximum(np.abs(there.made.error), 0.0 if self.error is None else self.error)
-            if found is not None:
-                share, event = found
+            if search is not None:
+                share, event = search
                 if share > 0.0:
                     there = self._moved(share * (there.t - self.now.t))
                     self.go_to(there)
@@ -208,7 +206,7 @@ class EventStep:
         self.now = replace(self.now, t=end)
         return None
 
-    def go_to(self, there: Point) -> None:
+    def go_to(self, there: StepPoint) -> None:
         """Continue from a state to which one step of the method has led."""
         self.begin = self.now if self.begin is self.now else None
         self.now = there
@@ -226,14 +224,14 @@ class EventStep:
         self.events.called(limited)
         return size
 
-    def _values(self, at: Point) -> np.ndarray:
+    def _values(self, at: StepPoint) -> np.ndarray:
         """Return three event functions of each contact (3, C), which are negative after an event."""
         self.events.p.counters.rhs_evaluations += 1
         self._look_at(at)
         self.events.called(values_at)
         return self.events.bundle.values.copy()
 
-    def first_event(self, there: Point) -> tuple[float, Event | None] | None:
+    def first_event(self, there: StepPoint) -> tuple[float, Event | None] | None:
         """Return the share of a step at which its first event happens, and the event; None if there is none.
 
         Without an event, the share is where the step has to end because a gap has a minimum there.
@@ -250,35 +248,34 @@ class EventStep:
         self._look_at(there)
         self.events.called(lambda engine, method: begin_search_at(engine, method, h, shares, samples, rates, q, v))
         method, search = self.events.pinned.address, self.events.bundle.search
-        place = search_at(method, False)
-        while place >= 0.0:
-            self._values(self._moved(place * h))
-            place = search_at(self.events.pinned.address, True)
+        share = search_at(method, False)
+        while share >= 0.0:
+            self._values(self._moved(share * h))
+            share = search_at(self.events.pinned.address, True)
         share = float(search.first[0])
         kind, contact = search.event.tolist()
         return None if share == np.inf else (share, None if kind < 0 else (kind, contact))
 
-    def _places(self, there: Point) -> int:
+    def _places(self, there: StepPoint) -> int:
         """Return the number of places of the samples in a step, more than `SAMPLES` if a body turns far."""
         fastest = max(float(np.max(np.abs(at.v[2::3]), initial=0.0)) for at in (self.now, there))
         turn = fastest * (there.t - self.now.t)
         return max(SAMPLES, int(min(turn / TURN, MOST_SAMPLES)))
 
-    def _inside(self, there: Point, share: float) -> Point:
-        """Return an interpolated state within a step that leads to `there`."""
+    def _inside(self, there: StepPoint, share: float) -> StepPoint:
         now, made = self.now, there.made
         taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v, now.z, there.z)
         between = taken.between if made is None or made.dense is None else made.dense
         q, v, z = between(share)[:3]
-        return Point(taken.time(share), q, v, z)
+        return StepPoint(taken.time(share), q, v, z)
 
-    def drift(self, at: Point) -> float:
+    def drift(self, at: StepPoint) -> float:
         """Return the largest gap of joints and closed contacts at a state [m, rad]."""
         self._look_at(at)
         return float(drift_at(*self._addresses))
 
 
-def gains(equations: ForcedEquations, begin: Point, end: Point, made: Step) -> tuple[float, float]:
+def gains(equations: ForcedEquations, begin: StepPoint, end: StepPoint, made: Step) -> tuple[float, float]:
     """Return the work and the dissipated energy of a step of a method [J], from its dense output or from both ends.
 
     The powers are integrated by Gauss-Legendre quadrature of order 8 over dense output, or by Simpson's rule over the

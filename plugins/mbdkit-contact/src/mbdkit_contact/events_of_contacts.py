@@ -27,10 +27,10 @@ from mbdkit_contact.kernels.event_bundle import (
     PAINLEVE,
     UNDETERMINED,
     ZENO,
-    Events,
+    EventBundle,
+    EventSearch,
     Known,
     Newton,
-    Search,
     Touch,
 )
 from mbdkit_contact.kernels.impacts import LAWS, new_impacts
@@ -92,7 +92,7 @@ class ContactEvents:
         def integers(*shape: int) -> np.ndarray:
             return np.zeros(shape, dtype=np.int64)
 
-        self._shapes = self.contacts.kinematics.shapes
+        self._shapes = self.contacts.shapes
         given: dict[str, Any] = {
             "coefficients": np.column_stack([self.contacts.restitution, self.contacts.static, self.contacts.kinetic]),
             "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3])]),
@@ -105,12 +105,12 @@ class ContactEvents:
             "lam_x": np.zeros((pairs, 2)),
             "rows": np.zeros((count, 16)),
             "sample_values": np.zeros((MOST_SAMPLES, 3, count)),
-            "search": Search(
+            "search": EventSearch(
                 np.zeros((3, count, 2)), np.zeros((3, count, 4)), np.zeros((3, count)), np.zeros((3, count)),
                 np.zeros(count), integers(4), np.zeros(7), np.zeros(1), integers(2), np.zeros(1),
             ),
             "touch": Touch(
-                integers(count), self.contacts.kinematics.arms, np.zeros((4, size)), np.zeros((size // 3, 7)),
+                integers(count), self.contacts.arms, np.zeros((4, size)), np.zeros((size // 3, 7)),
                 np.zeros((size // 3, 7)), np.zeros((4, 2)), np.zeros((4, size)),
             ),
             **self._of_room(max(1, min(count, FIRST_ROOM)), size, pairs),
@@ -127,7 +127,7 @@ class ContactEvents:
         counts |= {"basis": 1 + 2 * count}
         counts |= dict.fromkeys(("touching", "struck"), count)
         given |= {name: integers(number) for name, number in counts.items()}
-        self.bundle = Events(**given)
+        self.bundle = EventBundle(**given)
         self.pinned = PinnedBundle(self.bundle)
         self.contacts.hold(self.contacts.own(equations.z0))
         self._take_up_addresses()
@@ -180,7 +180,7 @@ class ContactEvents:
         known, n, p = self.bundle.known, self.p.n, self.p
         rows, strikes = known.rows[: known.number[0]], known.strikes[: known.number[1]]
         unknowns = self.workspace.mechanism.row_index
-        found, reactions = list[ElementImpact](), list[np.ndarray]()
+        impacts, reactions = list[ElementImpact](), list[np.ndarray]()
         times = {int(row[5]): float(row[0]) for row in rows}
         for number, strike in enumerate(strikes):
             lam, pairs = np.zeros(p.m), strike[n + 3 :].reshape(-1, 2)
@@ -189,9 +189,9 @@ class ContactEvents:
         none = 0.0 * p.reactions(0.0, p.q0, np.zeros(p.m)) if len(rows) > 0 else np.zeros((0, 3))
         for time, contact, normal, tangent, lost, strike_of in rows.tolist():
             own = none if strike_of < 0 else reactions[int(strike_of)]
-            found.append(ElementImpact(time, int(contact), normal, tangent, lost, own))
+            impacts.append(ElementImpact(time, int(contact), normal, tangent, lost, own))
         known.number[:] = 0
-        return found
+        return impacts
 
     def serve(self) -> None:
         """See `mbdkit.integrators.stages.compiled_method.CompiledMethod.serve`."""

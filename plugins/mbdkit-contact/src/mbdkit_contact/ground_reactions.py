@@ -35,7 +35,7 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
         at right angles to the vector sum of the normal forces. On flat ground without rolling resistance, it is this
         mean.
     """
-    pairs = [one.pair.ordered for one in contacts]
+    pairs = [contact.pair.ordered for contact in contacts]
     names = feet(pairs)
     touching: dict[str, list[int]] = {name: [] for name in names}
     for i, pair in enumerate(pairs):
@@ -45,18 +45,18 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     turned = np.stack([normal[..., 1], -normal[..., 0]], axis=-1)
     on_second = push[..., None] * normal + values["friction_force"][..., None] * turned
     shape = len(push), len(names)
-    found = {
+    columns = {
         "force": np.zeros((*shape, 2)),
         "normal_force": np.zeros(shape),
         "center_of_pressure": np.zeros((*shape, 2)),
     }
     with np.errstate(invalid="ignore", divide="ignore"):
-        for place, name in enumerate(names):
+        for number, name in enumerate(names):
             own = touching[name]
             signs = np.array([1.0 if contacts[i].pair.bodies[1] == name else -1.0 for i in own])
             on_body, points = signs[:, None] * on_second[:, own], values["point"][:, own]
             force = np.sum(on_body, axis=1)
-            found["force"][:, place], found["normal_force"][:, place] = force, np.sum(push[:, own], axis=1)
+            columns["force"][:, number], columns["normal_force"][:, number] = force, np.sum(push[:, own], axis=1)
             pressed = np.where(values["mode"][:, own] != OPEN, push[:, own], 0.0)
             mean = np.sum(pressed[..., None] * points, axis=1) / np.sum(pressed, axis=1)[:, None]
             arms = points - mean[:, None]
@@ -65,5 +65,5 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
             total = np.sum((signs * pressed)[..., None] * normal[:, own], axis=1)  # of the normal forces, as vectors
             ahead = torque / np.sum(total * force, axis=1)
             along = np.stack([total[:, 1], -total[:, 0]], axis=1)
-            found["center_of_pressure"][:, place] = mean + ahead[:, None] * along
-    return found
+            columns["center_of_pressure"][:, number] = mean + ahead[:, None] * along
+    return columns

@@ -24,7 +24,7 @@ _MORE = {"no_derivative": "the derivatives of quantities of contacts with respec
 
 def rows_of(mechanism: Mechanism) -> list[ContactPair]:
     """Return the rows (possible contact points) of all contacts of a mechanism."""
-    return [pair for name, one in mechanism.contacts.items() for pair in one.pairs(name, mechanism.joints)]
+    return [pair for name, contact in mechanism.contacts.items() for pair in contact.pairs(name, mechanism.joints)]
 
 
 def contact_names(mechanism: Mechanism) -> list[str]:
@@ -45,11 +45,11 @@ def contacts_in(states: States) -> dict[str, np.ndarray]:
     negative.
     """
     contacts = states.mechanism.extensions["contacts"]
-    found = contact_values(contacts, states.q, states.v, states.z)
+    columns = contact_values(contacts, states.q, states.v, states.z)
     if states.is_for_events:
-        is_closed = np.array([one.first_state >= 0 for one in contacts]) & (found["mode"] > 0.0)
-        found["gap"] = np.where(is_closed, np.minimum(found["gap"], CLOSED), found["gap"])
-    return found
+        is_closed = np.array([contact.first_state >= 0 for contact in contacts]) & (columns["mode"] > 0.0)
+        columns["gap"] = np.where(is_closed, np.minimum(columns["gap"], CLOSED), columns["gap"])
+    return columns
 
 
 def ground_reactions_in(states: States) -> dict[str, np.ndarray]:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mbdkit.plugin import EquationsOfMotion, StepState
 from mbdkit_contact.acting_contacts import ActingContact
-from mbdkit_contact.contact_kinematics import ContactKinematics
+from mbdkit_contact.contact_kinematics import EXACT, arms_of, shapes_of
 from mbdkit_contact.contact_state import ContactState, HeldForces
+
+NEAR = 1e-3
+"""Gap, relative to the length of the mechanism, up to which two shapes count as near each other."""
+FEW = 8
+"""Up to this number of contacts, all gaps are computed exactly."""
 
 
 class RigidContacts:
@@ -17,6 +24,15 @@ class RigidContacts:
     ----------
     equations
         The equations of motion, whose forces do not include those of contacts.
+
+    Attributes
+    ----------
+    shapes
+        Their geometry, with the features at which closed contacts stay.
+    arms
+        (C, 2) see `mbdkit_contact.kernels.event_bundle.Touch`.
+    reach
+        Largest gap that time-stepping always computes exactly [m].
     """
 
     def __init__(self, equations: EquationsOfMotion):
@@ -27,10 +43,12 @@ class RigidContacts:
         #: Whether a first-order state (Z,) does not belong to contacts.
         self._is_own = np.ones(len(equations.z0), dtype=bool)
         self._is_own[self.held.states] = False
-        self.names = [one.pair.name for one in self.contacts]
-        given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
+        self.names = [contact.pair.name for contact in self.contacts]
+        given = np.array([contact.coefficients for contact in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = np.ascontiguousarray(given.T)
-        self.kinematics = ContactKinematics(self.contacts, equations.n, equations.length)
+        self.shapes = shapes_of(self.contacts, equations.n // 3, EXACT * equations.length)
+        self.arms = arms_of(self.shapes)
+        self.reach = NEAR * equations.length if len(self.contacts) > FEW else math.inf
 
     def own(self, z: np.ndarray) -> np.ndarray:
         """Return those of the first-order states (Z,) that do not belong to contacts."""

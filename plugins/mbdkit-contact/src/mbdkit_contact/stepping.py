@@ -19,10 +19,10 @@ from mbdkit_contact.kernels.many_contacts import MOST_FACTORIZED
 from mbdkit_contact.kernels.pivoting import new_cones
 from mbdkit_contact.kernels.smooth_steps import NO_IMPULSES, OVERLAP, STAGES
 from mbdkit_contact.kernels.step_impulses import FEW, MOST_PIVOTED
-from mbdkit_contact.kernels.stepping_bundle import Held, Stepping
+from mbdkit_contact.kernels.stepping_bundle import HeldContacts, Stepping
 from mbdkit_contact.kernels.time_stepping import attempt, dense, keep
 from mbdkit_contact.rigid_contacts import RigidContacts
-from mbdkit_contact.time_stepping_methods import GeneralizedAlpha, MoreauJean
+from mbdkit_contact.time_stepping_methods import MoreauJean, NonsmoothGeneralizedAlpha
 
 if TYPE_CHECKING:
     from mbdkit.kernels import RunState
@@ -37,10 +37,10 @@ FAILURES = {
 """Codes and clauses of the reasons for which an attempt fails."""
 
 
-def new_held(count: int, size: int) -> Held:
+def new_held(count: int, size: int) -> HeldContacts:
     """Return what is known before the first step, for C contacts and state vectors of this size."""
     none = (np.zeros(count, dtype=np.int64) for _ in range(2))
-    return Held(
+    return HeldContacts(
         np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(size), np.zeros((2, size)),
         np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1), *none,
     )  # fmt: skip
@@ -75,7 +75,9 @@ class CompiledTimeStepping(CompiledMethod):
     remembers = True
     stages = 1
 
-    def __init__(self, method: MoreauJean | GeneralizedAlpha, workspace: Workspace, control: Control | None = None):
+    def __init__(
+        self, method: MoreauJean | NonsmoothGeneralizedAlpha, workspace: Workspace, control: Control | None = None
+    ):
         super().__init__(workspace)
         top, size = workspace.mechanism.topology, workspace.mechanism.size
         contacts = RigidContacts(EquationsOfMotion(workspace, states_at_start(workspace)))
@@ -100,12 +102,12 @@ class CompiledTimeStepping(CompiledMethod):
         none = empty_pattern()
         self.bundle = Stepping(
             theta=np.array([method.theta] if isinstance(method, MoreauJean) else []),
-            alpha=alpha_of(method.spectral_radius) if isinstance(method, GeneralizedAlpha) else np.zeros(0),
-            shapes=contacts.kinematics.shapes,
+            alpha=alpha_of(method.spectral_radius) if isinstance(method, NonsmoothGeneralizedAlpha) else np.zeros(0),
+            shapes=contacts.shapes,
             coefficients=np.column_stack([contacts.restitution, contacts.static, contacts.kinetic]),
             places=np.array([states.start, len(states)]),
             coordinates=coordinates,
-            reach=np.array([contacts.kinematics.reach]),
+            reach=np.array([contacts.reach]),
             now=new_held(count, size),
             before=new_held(count, size),
             saved=new_held(count, size),

@@ -54,7 +54,7 @@ class MoreauJean(Method):
         return _TRAITS
 
 
-class GeneralizedAlphaOptions(Options):
+class NonsmoothGeneralizedAlphaOptions(Options):
     """Damping of fast vibrations."""
 
     spectral_radius: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.8
@@ -63,7 +63,7 @@ class GeneralizedAlphaOptions(Options):
 
 
 @dataclass(frozen=True)
-class GeneralizedAlpha(Method):
+class NonsmoothGeneralizedAlpha(Method):
     """The nonsmooth generalized-alpha method."""
 
     spectral_radius: float = 0.8
@@ -79,9 +79,9 @@ def create_moreau_jean(options: MoreauJeanOptions) -> MoreauJean:
     return MoreauJean(options.theta)
 
 
-def create_generalized_alpha(options: GeneralizedAlphaOptions) -> GeneralizedAlpha:
+def create_generalized_alpha(options: NonsmoothGeneralizedAlphaOptions) -> NonsmoothGeneralizedAlpha:
     """Return the nonsmooth generalized-alpha method."""
-    return GeneralizedAlpha(options.spectral_radius)
+    return NonsmoothGeneralizedAlpha(options.spectral_radius)
 
 
 def _claims(order: int, **claims: Any) -> Claims:
@@ -102,7 +102,7 @@ def claims_of_moreau_jean(options: MoreauJeanOptions) -> Claims:
     return _claims(1, l_stable=options.theta == 1.0)
 
 
-def claims_of_generalized_alpha(options: GeneralizedAlphaOptions) -> Claims:
+def claims_of_generalized_alpha(options: NonsmoothGeneralizedAlphaOptions) -> Claims:
     """Return the claims of the nonsmooth generalized-alpha method."""
     return _claims(2)
 

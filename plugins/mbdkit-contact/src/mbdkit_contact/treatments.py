@@ -65,7 +65,6 @@ def require_event_driven(spec: RunSpec, method: Method) -> None:
 
 
 def _require_rigid(spec: RunSpec) -> None:
-    """Raise SpecError unless the settings of a spec suit rigid contacts."""
     if spec.formulated.coordinates == "joint":
         message = "rigid contacts are not available in joint coordinates; use index-1, or compliant contacts"
         raise SpecError(message, key="formulation")

@@ -81,13 +81,7 @@ def test_gradients_of_a_ball_on_a_floor_of_hunt_and_crossley() -> None:
 
 
 def test_gradients_of_a_box_that_slides_tips_and_sticks() -> None:
-    box = {
-        "mass": 1.0,
-        "inertia": 0.005,
-        "position": [0.0, 0.1],
-        "velocity": ["v", 0.0],
-        "angular_velocity": -2.0,
-    }
+    box = {"mass": 1.0, "inertia": 0.005, "position": [0.0, 0.1], "velocity": ["v", 0.0], "angular_velocity": -2.0}
     corners = [["-half", -0.1], ["half", -0.1], ["half", 0.1], ["-half", 0.1]]
     floor = {
         "bodies": ["ground", "box"],

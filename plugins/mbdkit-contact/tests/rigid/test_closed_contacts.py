@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from tests.rigid.states_of_contacts import rows_in
 
 import mbdkit
 from mbdkit import EquationsOfMotion
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations
+from mbdkit_contact.kernels.kinematics import hold
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 SQUARE = {"polygon": [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]}
@@ -72,10 +74,10 @@ def forced(events: ContactEvents, q: np.ndarray, v: np.ndarray, modes: np.ndarra
 def put(events: ContactEvents, q: np.ndarray, v: np.ndarray, modes: np.ndarray) -> None:
     """Look at a state with contacts in given modes, at the features nearest to touching."""
     events.load({})
-    kinematics = events.contacts.kinematics
-    kinematics.held = kinematics.none_held()
-    kinematics.hold(q, modes != OPEN)
-    events.load(events.state().known | {"modes": modes.astype(float), "features": kinematics.held.astype(float)})
+    shapes = events.contacts.shapes
+    shapes.held[:] = -1
+    hold(shapes, q, modes != OPEN)
+    events.load(events.state().known | {"modes": modes.astype(float), "features": shapes.held.astype(float)})
     events.at(T, q, v, np.zeros(0))
 
 
@@ -88,7 +90,7 @@ def test_accelerations_and_forces_satisfy_the_equations_of_motion_and_the_laws_o
         some = random.choice(len(modes), random.integers(0, 6), replace=False)
         modes[some] = random.choice([STICK, SLIP, -SLIP], len(some))
         a, multipliers, normal, tangent, within_step = forced(events, q, v, modes)
-        rows, size = contacts.kinematics.rows(q, v), 1.0 + max(np.abs(a).max(), np.abs(normal).max(initial=0.0))
+        rows, size = rows_in(contacts.shapes, q, v), 1.0 + max(np.abs(a).max(), np.abs(normal).max(initial=0.0))
         close = {"rtol": 0.0, "atol": 1e-9 * size}
         push = rows.normal.T @ normal + rows.tangent.T @ tangent
         np.testing.assert_allclose(p.residual(T, q, v, a, multipliers), push, **close)
@@ -126,7 +128,7 @@ def test_contacts_that_stick_share_friction_in_proportion_to_their_normal_forces
 def test_closed_contacts_and_joints_are_closed_with_the_smallest_change() -> None:
     # expected: gaps, joints and slips of contacts that stick vanish; changes are caused by forces of these alone
     events, random = contacts_of(), np.random.default_rng(5)
-    p, kinematics = events.p, events.contacts.kinematics
+    p = events.p
     modes = np.full(len(events.contacts.names), OPEN)
     modes[[0, 1, events.contacts.names.index("tip")]] = STICK, SLIP, STICK
     for _ in range(20):
@@ -134,11 +136,11 @@ def test_closed_contacts_and_joints_are_closed_with_the_smallest_change() -> Non
         put(events, q, v, modes)
         events.close()
         new_q, new_v = events.bundle.q[: p.n], events.bundle.v[: p.n]
-        rows = kinematics.rows(new_q, new_v)
+        rows = rows_in(events.contacts.shapes, new_q, new_v)
         assert np.abs(rows.gap[modes != OPEN]).max() < 1e-12
         assert np.abs(p.constraints(T, new_q)).max() < 1e-12
         assert np.abs(p.constraint_rates(T, new_q, new_v)).max() < 1e-12
-        gaps, slips = rows.rates(new_v)
+        gaps, slips = rows.normal @ new_v, rows.tangent @ new_v
         assert max(np.abs(gaps[modes != OPEN]).max(), np.abs(slips[modes == STICK]).max()) < 1e-12
         closed, sticks = rows.normal[modes != OPEN], rows.tangent[modes == STICK]
         jacobian = p.constraint_jacobian(T, new_q).toarray()

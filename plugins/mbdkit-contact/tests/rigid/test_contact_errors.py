@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
+from tests.rigid.scenes import FLOOR, outline, run
 
 import mbdkit
 from mbdkit.archive.headlines import headlines
 from tests.witness.bouncing import Discs, compared
-
-FLOOR = {"line": {"normal": [0.0, 1.0]}}
 
 
 @pytest.mark.parametrize(("method", "seed"), [("rk-gill", 0), ("dop853", 2)])
@@ -26,22 +25,20 @@ def test_estimated_errors_of_event_driven_runs_are_the_true_ones(method: str, se
 
 
 def checked(model: dict[str, Any], treatment: str, method: str, step: float, end: float) -> mbdkit.Run:
-    sections = {"integrator": {"name": method}, "time": {"end": end, "step": step}, "contact": {"treatment": treatment}}
-    spec = {"mbdkit": 1, "model": {"name": "mechanism"} | model, "measures": {"height": "final(body.y)"}}
-    return mbdkit.run(spec, **sections, check=True)
+    return run(model, end, step, treatment, method, measures={"height": "final(body.y)"}, check=True)
 
 
 def test_errors_of_time_stepping_are_known_from_an_event_driven_run() -> None:
     floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}], "restitution": 0.5}
     model = {"bodies": {"body": {"mass": 1.0, "inertia": 0.01, "position": [0.0, 1.1]}}, "contacts": {"floor": floor}}
-    run = checked(model, "time-stepping", "moreau-jean", 0.004, 0.6)
+    found = checked(model, "time-stepping", "moreau-jean", 0.004, 0.6)
     first = np.sqrt(2.0 / 9.81)
     after = 0.6 - first
     true = 0.1 + 0.5 * 9.81 * first * after - 0.5 * 9.81 * after**2
-    assert run.accuracy is not None
-    assert run.accuracy.is_complete
-    error = abs(run.array("trajectory/position")[-1, 0, 1] - true)
-    assert 0.2 * error <= run.accuracy.position_error[-1, 0, 1] <= 5.0 * error
+    assert found.accuracy is not None
+    assert found.accuracy.is_complete
+    error = abs(found.array("trajectory/position")[-1, 0, 1] - true)
+    assert 0.2 * error <= found.accuracy.position_error[-1, 0, 1] <= 5.0 * error
 
 
 def test_errors_of_the_largest_normal_force_of_event_driven_runs_are_the_true_ones() -> None:
@@ -60,11 +57,8 @@ def test_errors_of_the_largest_normal_force_of_event_driven_runs_are_the_true_on
     rod = {"mass": 3.0, "inertia": 0.25, "position": [0.0, 0.5 * np.sin(0.6)], "angle": 0.6, "angular_velocity": 2.0}
     rod["velocity"] = [0.0, np.cos(0.6)]
     floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"point": [-0.5, 0.0]}]}
-    run = mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism", "bodies": {"body": rod}, "contacts": {"floor": floor}}},
-        integrator={"name": "rk4"}, time={"end": 0.5, "step": 0.01}, contact={"treatment": "event-driven"}, check=True,
-    )  # fmt: skip
-    (largest,) = headlines(run)
+    found = run({"bodies": {"body": rod}, "contacts": {"floor": floor}}, 0.5, 0.01, method="rk4", check=True)
+    (largest,) = headlines(found)
     error = largest.error - largest.missed  # of the largest force at any time
     assert 0.0 < error < 1e-7 * true
     assert abs(largest.largest - true) == pytest.approx(error, rel=0.12)
@@ -72,14 +66,13 @@ def test_errors_of_the_largest_normal_force_of_event_driven_runs_are_the_true_on
 
 def test_errors_are_unknown_after_contacts_that_close_at_once() -> None:
     # the corners of a box reach the floor together; which is first decides how it rebounds
-    box = [[-0.2, -0.05], [0.2, -0.05], [0.2, 0.05], [-0.2, 0.05]]
-    floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"polygon": box}], "restitution": 0.5}
+    floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, outline(0.2, 0.05)], "restitution": 0.5}
     model = {"bodies": {"body": {"mass": 1.0, "inertia": 0.01, "position": [0.0, 0.3]}}, "contacts": {"floor": floor}}
-    run = checked(model, "event-driven", "rk4", 0.01, 0.4)
-    assert run.accuracy is not None
-    assert run.accuracy.known_until == pytest.approx(np.sqrt(2 * 0.25 / 9.81), abs=0.01)
-    assert "contacts that affect each other close at once, in an unknown order" in run.accuracy.method
-    assert np.isnan(run.measure_errors["height"])
+    found = checked(model, "event-driven", "rk4", 0.01, 0.4)
+    assert found.accuracy is not None
+    assert found.accuracy.known_until == pytest.approx(np.sqrt(2 * 0.25 / 9.81), abs=0.01)
+    assert "contacts that affect each other close at once, in an unknown order" in found.accuracy.method
+    assert np.isnan(found.measure_errors["height"])
 
 
 def thrown(end: float, *, speed: float = 3.0, height: float = 0.2, e: float = 0.4, mu: float = 0.3) -> float:
@@ -97,20 +90,17 @@ def thrown(end: float, *, speed: float = 3.0, height: float = 0.2, e: float = 0.
 def test_the_friction_of_an_infinite_sequence_of_impacts_does_not_depend_on_where_it_is_cut(rest_energy: float) -> None:
     floor = {"bodies": ["ground", "puck"], "shapes": [FLOOR, {"point": [0, 0]}], "friction": 0.3, "restitution": 0.4}
     puck = {"mass": 4.0, "position": [0.0, 0.2], "velocity": [3.0, 0.0]}
-    run = mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism", "bodies": {"puck": puck}, "contacts": {"floor": floor}}},
-        integrator={"name": "dop853"},
-        time={"end": 0.8, "step": 0.04},
-        contact={"treatment": "event-driven", "rest_energy": rest_energy},
-        measures={"x": "final(puck.x)"},
-        check=rest_energy > 1e-9,
-    )
-    assert run.measures["x"] == pytest.approx(thrown(0.8), rel=1e-12)
+    treatment = {"treatment": "event-driven", "rest_energy": rest_energy}
+    found = run(
+        {"bodies": {"puck": puck}, "contacts": {"floor": floor}}, 0.8, 0.04, contact=treatment,
+        measures={"x": "final(puck.x)"}, check=rest_energy > 1e-9,
+    )  # fmt: skip
+    assert found.measures["x"] == pytest.approx(thrown(0.8), rel=1e-12)
     if rest_energy > 1e-9:
-        assert run.accuracy is not None
-        assert run.accuracy.known_until < 0.6
-        assert np.isnan(run.measure_errors["x"])
-        assert "bounces below contact.rest_energy are left out" in run.accuracy.method
+        assert found.accuracy is not None
+        assert found.accuracy.known_until < 0.6
+        assert np.isnan(found.measure_errors["x"])
+        assert "bounces below contact.rest_energy are left out" in found.accuracy.method
 
 
 @pytest.mark.parametrize(("step", "verdict"), [(0.003, "good"), (0.006, "doubtful"), (0.02, "bad")])
@@ -124,9 +114,9 @@ def test_errors_of_the_largest_normal_force_of_a_compliant_contact_count_in_the_
     body = {"mass": 1.0, "inertia": 0.004, "position": [0.0, 0.1 + height]}
     model = {"name": "mechanism", "bodies": {"body": body}, "contacts": {"floor": floor}}
     more = {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 0.3, "step": step}}
-    run = mbdkit.run({"mbdkit": 1, "model": model}, **more, check=True)
+    found = mbdkit.run({"mbdkit": 1, "model": model}, **more, check=True)
     depth = brentq(lambda d: 9.81 * (height + d) - 0.4 * stiffness * d**2.5, 1e-4, 0.1)
-    (force,) = headlines(run)
+    (force,) = headlines(found)
     assert abs(force.largest - stiffness * depth**1.5) <= 1.01 * (force.error - force.missed)
-    assert run.verdict == verdict
-    assert ("largest normal force of contact 'floor'" in " ".join(run.verdict_reasons)) == (verdict != "good")
+    assert found.verdict == verdict
+    assert ("largest normal force of contact 'floor'" in " ".join(found.verdict_reasons)) == (verdict != "good")

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from tests.rigid import scenes
+from tests.rigid.scenes import FLOOR, G
 
 import mbdkit
 
-G = 9.81
-FLOOR = {"line": {"normal": [0.0, 1.0]}}
 METHODS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "dopri5": ({"name": "dopri5", "adaptive": True}, {}),
     "rk4": ({"name": "rk4"}, {"step": 0.1}),
@@ -23,12 +23,8 @@ METHODS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
 
 def run(method: str, bodies: dict[str, Any], contacts: dict[str, Any], end: float, **more: Any) -> mbdkit.Run:
     integrator, time = METHODS[method]
-    gravity = more.pop("gravity", [0.0, 0.0])
-    model = {"name": "mechanism", "gravity": gravity, "bodies": bodies, "contacts": contacts}
-    return mbdkit.run(
-        {"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": end, **time}},
-        contact={"treatment": "event-driven"}, **more,
-    )  # fmt: skip
+    model = {"gravity": more.pop("gravity", [0.0, 0.0]), "bodies": bodies, "contacts": contacts}
+    return scenes.run(model, end, **time, method=integrator, **more)
 
 
 def rod(height: float, angle: float, rate: float, rise: float, points: int) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.rigid.scenes import G, run
 
 import mbdkit
 
-RADIUS, GRAVITY, MASS, START = 1.0, 9.81, 0.7, 1.2  # m, m/s^2 (the default), kg, rad
+RADIUS, MASS, START = 1.0, 0.7, 1.2  # m, kg, rad
 METHODS = ("dop853", "dopri5", "radau-iia", "gauss", "scipy-dop853", "scipy-radau")
 
 
 def slid(name: str, friction: float, every: float = 0.013) -> mbdkit.Run:
     """Return a run of a point mass that slides down in a hole of radius `RADIUS`, without a change of its mode."""
     model = {
-        "name": "mechanism",
         "bodies": {"bead": {"mass": MASS, "position": [RADIUS * np.sin(START), -RADIUS * np.cos(START)]}},
         "contacts": {
             "bowl": {
@@ -27,31 +27,22 @@ def slid(name: str, friction: float, every: float = 0.013) -> mbdkit.Run:
             }
         },
     }
-    adaptive: dict[str, Any] = {} if name.startswith("scipy") else {"adaptive": True}
-    return mbdkit.run(
-        {
-            "mbdkit": 1,
-            "model": model,
-            "integrator": {"name": name, "rtol": 1e-9, **adaptive},
-            "contact": {"treatment": "event-driven"},
-            "time": {"end": 0.45},
-            "output": {"interval": every},
-        }
-    )
+    options = {"name": name, "rtol": 1e-9} | ({} if name.startswith("scipy") else {"adaptive": True})
+    return run(model, 0.45, method=options, output={"interval": every})
 
 
-def angle(run: mbdkit.Run) -> np.ndarray:
+def angle(found: mbdkit.Run) -> np.ndarray:
     """Return the angle of the mass from the lowest point (T,) [rad]."""
-    x, y = run["bead"].position.T
+    x, y = found["bead"].position.T
     return np.asarray(np.arctan2(x, -y))
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_normal_forces_follow_from_the_position_in_every_row(name: str) -> None:
     # expected: m v^2 / R = N - m g cos, and m v^2 / 2 = m g R (cos - cos at the start)
-    run = slid(name, 0.0)
-    expected = MASS * GRAVITY * (3.0 * np.cos(angle(run)) - 2.0 * np.cos(START))
-    np.testing.assert_allclose(run.contacts["bowl"].normal_force, expected, atol=2e-5)
+    found = slid(name, 0.0)
+    expected = MASS * G * (3.0 * np.cos(angle(found)) - 2.0 * np.cos(START))
+    np.testing.assert_allclose(found.contacts["bowl"].normal_force, expected, atol=2e-5)
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -59,19 +50,19 @@ def test_friction_and_the_energy_it_dissipates_are_those_of_the_motion_in_every_
     # expected: u = m v^2 / 2 obeys du/ds = m g sin x - mu (m g cos x + 2 u / R) on the way s = R (start - x), where x
     # is the angle; this is linear in u, with the solution below
     mu = 0.2
-    run = slid(name, mu)
-    x, c = angle(run), 1.0 + 4.0 * mu**2
+    found = slid(name, mu)
+    x, c = angle(found), 1.0 + 4.0 * mu**2
 
     def particular(x: np.ndarray | float) -> Any:
         """Return the solution A cos + B sin of du/dx = 2 mu u + m g R (mu cos - sin)."""
-        scale = MASS * GRAVITY * RADIUS / c
+        scale = MASS * G * RADIUS / c
         return scale * ((1.0 - 2.0 * mu**2) * np.cos(x) + 3.0 * mu * np.sin(x))
 
     kinetic = particular(x) - particular(START) * np.exp(2.0 * mu * (x - START))
-    normal = MASS * GRAVITY * np.cos(x) + 2.0 * kinetic / RADIUS
-    lost = MASS * GRAVITY * RADIUS * (np.cos(x) - np.cos(START)) - kinetic
-    np.testing.assert_allclose(run.energy.kinetic, kinetic, atol=1e-6)
-    np.testing.assert_allclose(run.contacts["bowl"].normal_force, normal, atol=2e-5)
-    np.testing.assert_allclose(np.abs(run.contacts["bowl"].friction_force[1:]), mu * normal[1:], atol=2e-5)
-    np.testing.assert_allclose(run.energy.dissipated, lost, atol=1e-6)
-    assert np.max(np.abs(run.energy.balance)) < 1e-6
+    normal = MASS * G * np.cos(x) + 2.0 * kinetic / RADIUS
+    lost = MASS * G * RADIUS * (np.cos(x) - np.cos(START)) - kinetic
+    np.testing.assert_allclose(found.energy.kinetic, kinetic, atol=1e-6)
+    np.testing.assert_allclose(found.contacts["bowl"].normal_force, normal, atol=2e-5)
+    np.testing.assert_allclose(np.abs(found.contacts["bowl"].friction_force[1:]), mu * normal[1:], atol=2e-5)
+    np.testing.assert_allclose(found.energy.dissipated, lost, atol=1e-6)
+    assert np.max(np.abs(found.energy.balance)) < 1e-6

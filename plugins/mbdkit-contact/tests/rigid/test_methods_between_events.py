@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.rigid.scenes import FLOOR, G, outline, run
 
 import mbdkit
 
-G, RADIUS, RESTITUTION, FRICTION = 9.81, 0.1, 0.5, 0.3
+RESTITUTION, FRICTION = 0.5, 0.3
 END, STEP = 0.7, 0.01
 METHODS: dict[str, tuple[dict[str, Any], float]] = {
     "dop853": ({"name": "dop853"}, 1e-9),
@@ -46,7 +47,7 @@ def spec(integrator: dict[str, Any], **sections: Any) -> dict[str, Any]:
         "states": {"x": {"initial": 0.5, "rate": "-3*states.x + 2*cos(9*t)"}},
         "contacts": {
             "bounce": {"bodies": ["ground", "ball"], "shapes": [FLOOR, {"point": [0, 0]}], "restitution": RESTITUTION},
-            "slide": {"bodies": ["ground", "block"], "shapes": [FLOOR, {"polygon": BOX}], "friction": FRICTION},
+            "slide": {"bodies": ["ground", "block"], "shapes": [FLOOR, BOX], "friction": FRICTION},
         },
     }  # fmt: skip
     time = {"end": END, "step": STEP}
@@ -55,8 +56,7 @@ def spec(integrator: dict[str, Any], **sections: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-FLOOR = {"line": {"normal": [0, 1]}}
-BOX = [[-0.3, -0.1], [0.3, -0.1], [0.3, 0.1], [-0.3, 0.1]]
+BOX = outline(0.3, 0.1)
 TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
 
 
@@ -108,14 +108,14 @@ def test_a_ball_with_a_state_and_a_sliding_block_move_as_by_scipy(name: str) -> 
     integrator, bound = METHODS[name]
     ball, impacts = ball_at_end()
     block = block_at_end()
-    run = mbdkit.run(spec(integrator)).check()
-    ends = [run["ball"].position[-1, 1], run["ball"].velocity[-1, 1], run.states["x"].value[-1]]
+    found = mbdkit.run(spec(integrator)).check()
+    ends = [found["ball"].position[-1, 1], found["ball"].velocity[-1, 1], found.states["x"].value[-1]]
     np.testing.assert_allclose(ends, ball, rtol=0, atol=bound)
-    ends = [run["block"].position[-1, 0], run["block"].velocity[-1, 0]]
+    ends = [found["block"].position[-1, 0], found["block"].velocity[-1, 0]]
     np.testing.assert_allclose(ends, block, rtol=0, atol=bound)
-    struck = run.impacts.time[(run.impacts.contact == "bounce") & (run.impacts.normal_impulse > 0)]
+    struck = found.impacts.time[(found.impacts.contact == "bounce") & (found.impacts.normal_impulse > 0)]
     np.testing.assert_allclose(struck, impacts, rtol=0, atol=bound)
-    assert np.max(np.abs(run.energy.balance)) < 100 * bound  # friction, impacts and the force are booked
+    assert np.max(np.abs(found.energy.balance)) < 100 * bound  # friction, impacts and the force are booked
 
 
 @pytest.mark.parametrize("restitution", [0.0, 1.0])
@@ -124,13 +124,10 @@ def test_an_impact_within_rounding_errors_of_the_end_of_a_step_happens_once(rest
     speed = 0.9
     bodies = {"b": {"mass": 1.0, "position": [0.0, 100.0 * speed], "velocity": [0.0, -speed]}}
     contact = {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0, 0]}], "restitution": restitution}
-    model = {"name": "mechanism", "gravity": [0, 0], "bodies": bodies, "contacts": {"floor": contact}}
-    run = mbdkit.run(
-        {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 100.2, "step": 0.01}},
-        contact={"treatment": "event-driven"}, output={"every": 100},
-    ).check()  # fmt: skip
-    assert run.impacts.time == pytest.approx([100.0], abs=1e-11)
-    assert run["b"].velocity[-1, 1] == pytest.approx(restitution * speed)
+    model = {"gravity": [0, 0], "bodies": bodies, "contacts": {"floor": contact}}
+    found = run(model, 100.2, 0.01, method="rk4", output={"every": 100}).check()
+    assert found.impacts.time == pytest.approx([100.0], abs=1e-11)
+    assert found["b"].velocity[-1, 1] == pytest.approx(restitution * speed)
 
 
 @pytest.mark.parametrize("method", ["dopri5", "radau-iia"])
@@ -147,33 +144,27 @@ def test_a_rod_that_turns_far_in_one_step_strikes_the_floor_when_its_first_end_d
         f"end{i}": {"bodies": ["ground", "rod"], "shapes": [FLOOR, {"point": [x, 0.0]}], "restitution": 0.5}
         for i, x in enumerate((-half, half))
     }
-    model = {"name": "mechanism", "bodies": bodies, "contacts": contacts}
-    run = mbdkit.run(
-        {"mbdkit": 1, "model": model, "integrator": {"name": method, "adaptive": True, "rtol": 1e-6}},
-        time={"end": 1.0}, contact={"treatment": "event-driven"},
-    ).check()  # fmt: skip
+    integrator = {"name": method, "adaptive": True, "rtol": 1e-6}
+    found = run({"bodies": bodies, "contacts": contacts}, 1.0, method=integrator).check()
 
     def lowest(t: float) -> float:
         return height - 0.5 * G * t * t - half * abs(math.sin(rate * t))
 
     low = next(t for t in np.arange(0.0, 1.0, 1e-5) if lowest(t + 1e-5) < 0.0)
-    assert run.impacts.time[0] == pytest.approx(low, abs=2e-5)
+    assert found.impacts.time[0] == pytest.approx(low, abs=2e-5)
 
 
 def test_a_run_that_stops_at_an_impact_ends_after_it() -> None:
     # expected: the velocity jumps from -v to e v
     bodies = {"b": {"mass": 1.0, "position": [0.0, 1.0]}}
     contact = {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0, 0]}], "restitution": 0.5}
-    model = {"name": "mechanism", "bodies": bodies, "contacts": {"floor": contact}}
+    model = {"bodies": bodies, "contacts": {"floor": contact}}
+    events = {"up": {"when": "b.vy", "direction": "rising", "action": "stop"}}
     for name in ("dopri5", "rk4"):
-        run = mbdkit.run(
-            {"mbdkit": 1, "model": model, "integrator": {"name": name}, "time": {"end": 1.0, "step": 0.01}},
-            contact={"treatment": "event-driven"},
-            events={"up": {"when": "b.vy", "direction": "rising", "action": "stop"}},
-        )  # fmt: skip
-        assert run.time[-1] == pytest.approx(math.sqrt(2.0 / G), abs=1e-9)
-        assert run["b"].velocity[-1, 1] == pytest.approx(0.5 * math.sqrt(2.0 * G), rel=1e-9)
-        assert len(run.impacts.time) == 1
+        found = run(model, 1.0, 0.01, method=name, events=events)
+        assert found.time[-1] == pytest.approx(math.sqrt(2.0 / G), abs=1e-9)
+        assert found["b"].velocity[-1, 1] == pytest.approx(0.5 * math.sqrt(2.0 * G), rel=1e-9)
+        assert len(found.impacts.time) == 1
 
 
 def test_errors_of_implicit_methods_with_contacts_decrease_with_their_order() -> None:
@@ -181,8 +172,8 @@ def test_errors_of_implicit_methods_with_contacts_decrease_with_their_order() ->
     exact = ball_at_end()[0]
     errors = []
     for step in (0.04, 0.02):
-        run = mbdkit.run(spec({"name": "gauss", "stages": 2}, time={"end": END, "step": step})).check()
-        errors.append(abs(run.states["x"].value[-1] - exact[2]))
+        found = mbdkit.run(spec({"name": "gauss", "stages": 2}, time={"end": END, "step": step})).check()
+        errors.append(abs(found.states["x"].value[-1] - exact[2]))
     assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)
 
 
@@ -207,26 +198,22 @@ def test_stiff_forces_on_a_sticking_block_take_few_iterations(method: dict[str, 
             },
             "push": {"type": "force", "body": "load", "point": [0, 0], "value": ["5*sin(2*t)", 0]},
         },
-        "contacts": {"floor": {"bodies": ["ground", "block"], "shapes": [FLOOR, {"polygon": BOX}], "friction": 0.9}},
+        "contacts": {"floor": {"bodies": ["ground", "block"], "shapes": [FLOOR, BOX], "friction": 0.9}},
     }  # fmt: skip
-    run = mbdkit.run(
-        {"mbdkit": 1, "model": model, "integrator": method, "time": {"end": 1.0, "step": 0.05}},
-        contact={"treatment": "event-driven"},
-    ).check()
-    friction = sum(run.contacts[f"floor.{i}"].friction_force for i in range(4))
-    np.testing.assert_allclose(np.abs(friction[-5:]), np.abs(5.0 * np.sin(2.0 * run.time[-5:])), rtol=1e-3)
-    assert run.stats["newton_iterations"] < 10 * run.stats["steps"]
+    found = run(model, 1.0, 0.05, method=method).check()
+    friction = sum(found.contacts[f"floor.{i}"].friction_force for i in range(4))
+    np.testing.assert_allclose(np.abs(friction[-5:]), np.abs(5.0 * np.sin(2.0 * found.time[-5:])), rtol=1e-3)
+    assert found.stats["newton_iterations"] < 10 * found.stats["steps"]
 
 
 def test_errors_of_a_controlled_run_are_estimated_by_runs_with_other_methods() -> None:
     # expected: the bars hold the differences from SciPy
-
-    run = mbdkit.run(spec({"name": "dopri5", "adaptive": True, "rtol": 1e-5}, check=True, time={"end": 0.3})).check()
+    found = mbdkit.run(spec({"name": "dopri5", "adaptive": True, "rtol": 1e-5}, check=True, time={"end": 0.3})).check()
     tight = mbdkit.run(spec({"name": "dop853", "adaptive": True, "rtol": 1e-12}, time={"end": 0.3})).check()
-    error = np.abs(run["ball"].position[-1] - tight["ball"].position[-1])
-    assert run.accuracy is not None
-    assert run.accuracy.known_until == pytest.approx(0.3)
-    assert np.all(error <= 2.0 * run.accuracy.position_error[-1, 0, :2] + 1e-12)
+    error = np.abs(found["ball"].position[-1] - tight["ball"].position[-1])
+    assert found.accuracy is not None
+    assert found.accuracy.known_until == pytest.approx(0.3)
+    assert np.all(error <= 2.0 * found.accuracy.position_error[-1, 0, :2] + 1e-12)
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from tests.rigid.outlines import Outline, overlap
+from tests.rigid.scenes import FLOOR, G, run
 
 import mbdkit
 from mbdkit_contact.event_step import EventStep
 
-G = 9.81
 EVENT_DRIVEN: tuple[dict[str, Any], ...] = (
     {"name": "rk4"},
     {"name": "rk-gill"},
@@ -188,11 +188,8 @@ class Fall:
         body = {"mass": 1.0, "inertia": 0.01, "position": [x, y], "angle": angle, "velocity": [vx, 0.0]}
         contact = {"bodies": ["ground", "b"], "shapes": [one.shape() for one in self.outlines]}
         contact |= {"friction": self.friction, "restitution": self.restitution}
-        model = {
-            "name": "mechanism", "bodies": {"b": body | {"angular_velocity": rate}}, "contacts": {"c": contact},
-        }  # fmt: skip
-        spec = {"mbdkit": 1, "model": model, "integrator": self.method, "time": {"end": self.end}}
-        return mbdkit.run(spec, contact={"treatment": "event-driven"}, **more)
+        model = {"bodies": {"b": body | {"angular_velocity": rate}}, "contacts": {"c": contact}}
+        return run(model, self.end, method=self.method, **more)
 
     def bounce(self) -> tuple[list[float], np.ndarray]:
         """Return the times of impacts without friction and the last position, by own geometry: flights are parabolas,
@@ -290,14 +287,11 @@ def test_impacts_without_friction_are_those_of_parabolas_and_the_law_of_impact(n
 def test_rigid_bodies_that_overlap_make_a_run_bad(monkeypatch: pytest.MonkeyPatch, check: bool) -> None:
     # a fault of the search is made: no impact is found, and the ball falls 0.21 m into the floor
     monkeypatch.setattr(EventStep, "first_event", lambda self, there: None)
-    bodies = {"b": {"mass": 1.0, "position": [0.0, 1.0]}}
-    contacts = {"floor": {"bodies": ["ground", "b"], "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"point": [0, 0]}]}}
-    spec = {
-        "mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts},
-        "integrator": {"name": "scipy-dop853"}, "time": {"end": (2.0 * 1.21 / G) ** 0.5},
-        "contact": {"treatment": "event-driven"}, "check": check,
-    }  # fmt: skip
-    run = mbdkit.run(spec)
-    assert run.verdict == "bad"
-    assert run.verdict_reasons[0].startswith("The shapes of the rigid contact 'floor' overlap by 0.21 m at t = 0.4966")
-    assert mbdkit.run(spec, accept=["rigid-overlaps"]).verdict != "bad"
+    contacts = {"floor": {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0, 0]}]}}
+    model = {"bodies": {"b": {"mass": 1.0, "position": [0.0, 1.0]}}, "contacts": contacts}
+    more: dict[str, Any] = {"end": (2.0 * 1.21 / G) ** 0.5, "method": "scipy-dop853", "check": check}
+    found = run(model, **more)
+    assert found.verdict == "bad"
+    reason = found.verdict_reasons[0]
+    assert reason.startswith("The shapes of the rigid contact 'floor' overlap by 0.21 m at t = 0.4966")
+    assert run(model, **more, accept=["rigid-overlaps"]).verdict != "bad"

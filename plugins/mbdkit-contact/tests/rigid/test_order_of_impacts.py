@@ -5,25 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from tests.rigid import scenes
+from tests.rigid.scenes import FLOOR, outline
 
 import mbdkit
 
 TREATMENTS = [("event-driven", "rk4"), ("time-stepping", "moreau-jean")]
-FLOOR = {"line": {"normal": [0.0, 1.0]}}
 
 
 def remarks(found: mbdkit.Run) -> list[str]:
     return [sentence for sentence in found.warnings if "coincide" in sentence]
 
 
-def run(treatment: tuple[str, str], model: dict[str, Any], end: float, **more: Any) -> mbdkit.Run:
-    return mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism"} | model},
-        integrator={"name": treatment[1]},
-        time={"end": end, "step": 0.01},
-        contact={"treatment": treatment[0]},
-        **more,
-    )
+def run(treatment: tuple[str, str], model: dict[str, Any], end: float) -> mbdkit.Run:
+    return scenes.run(model, end, 0.01, *treatment)
 
 
 def cradle(gap: float, restitution: float = 1.0) -> dict[str, Any]:
@@ -39,8 +34,7 @@ def cradle(gap: float, restitution: float = 1.0) -> dict[str, Any]:
 
 def box(half_width: float, half_height: float, restitution: float, friction: float = 0.0) -> dict[str, Any]:
     a, b = half_width, half_height
-    outline = {"polygon": [[-a, -b], [a, -b], [a, b], [-a, b]]}
-    contact = {"bodies": ["ground", "box"], "shapes": [FLOOR, outline]}
+    contact = {"bodies": ["ground", "box"], "shapes": [FLOOR, outline(a, b)]}
     body = {"mass": 1.0, "inertia": (a * a + b * b) / 3.0, "position": [0.0, b + 0.05]}
     return {
         "bodies": {"box": body},

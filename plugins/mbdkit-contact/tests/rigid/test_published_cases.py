@@ -4,25 +4,12 @@ github.com/siconos/siconos-tutorials. These runs are by time-stepping, and have 
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-
-import mbdkit
-
-
-def run(model: dict[str, Any], end: float, step: float, treatment: str = "event-driven") -> mbdkit.Run:
-    method = "moreau-jean" if treatment == "time-stepping" else "dop853"
-    spec = json.loads(json.dumps({"mbdkit": 1, "model": {"name": "mechanism"} | model}))
-    return mbdkit.run(
-        spec,
-        integrator={"name": method},
-        time={"end": end, "step": step},
-        contact={"treatment": treatment},
-    )
+from tests.rigid.scenes import FLOOR, outline, run
 
 
 @pytest.mark.parametrize(("treatment", "step"), [("event-driven", 5e-3), ("time-stepping", 1e-4)])
@@ -92,10 +79,9 @@ def test_a_slider_crank_with_clearance_moves_as_in_siconos(treatment: str, step:
     """
     crank, rod, a, b, clearance, speeds = 0.153, 0.306, 0.05, 0.025, 0.001, (150.0, -75.0)
     tip = crank * speeds[0]
-    corners = [[-a, -b], [a, -b], [a, b], [-a, b]]
 
     def guide(y: float, side: float) -> dict[str, Any]:
-        shapes = [{"line": {"point": [0.0, y], "normal": [0.0, side]}}, {"polygon": corners}]
+        shapes = [{"line": {"point": [0.0, y], "normal": [0.0, side]}}, outline(a, b)]
         return {"bodies": ["ground", "slider"], "shapes": shapes, "restitution": 0.4, "friction": 0.01}
 
     model = {
@@ -134,7 +120,6 @@ def test_a_stick_that_would_gain_energy_as_in_siconos_loses_some(treatment: str,
     """ImpactingStick/ImpactingStick.ref, steps of 1e-4 s, in which Newton's law with friction creates 1.08e-4 J."""
     angle = np.pi / 4
     place = {"position": [0.5 * np.sin(angle), 0.5 * np.cos(angle) + 0.01], "angle": angle}
-    floor = {"line": {"normal": [0.0, 1.0]}}
     model = {
         "gravity": [0.0, -10.0],
         "bodies": {
@@ -142,7 +127,7 @@ def test_a_stick_that_would_gain_energy_as_in_siconos_loses_some(treatment: str,
         },
         "contacts": {
             "floor": {
-                "bodies": ["ground", "stick"], "shapes": [floor, {"point": [0.0, -0.5]}], "restitution": 1.0,
+                "bodies": ["ground", "stick"], "shapes": [FLOOR, {"point": [0.0, -0.5]}], "restitution": 1.0,
                 "friction": 0.01,
             },
         },

@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from tests.rigid.random_contacts import PILES, STEP, computed, drawn
+from tests.rigid.scenes import FLOOR, G, run
 
 import mbdkit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.kernels.event_bundle import KEPT_STRIKES, MORE_ROOM
-
-G = 9.81
-FLOOR = {"line": {"normal": [0.0, 1.0]}}
-
-
-def run(gravity: list[float], bodies: dict[str, Any], contacts: dict[str, Any], method: str = "dopri5") -> mbdkit.Run:
-    model = {"name": "mechanism", "gravity": gravity, "bodies": bodies, "contacts": contacts}
-    return mbdkit.run(
-        {"mbdkit": 1, "model": model, "integrator": {"name": method}, "time": {"end": 1.0, "step": 0.05}},
-        contact={"treatment": "event-driven"},
-    )
 
 
 @pytest.mark.parametrize("method", ["rk4", "dopri5", "gauss", "scipy-dop853"])
@@ -33,7 +22,7 @@ def test_a_sliding_point_loses_the_energy_of_each_impact_until_their_infinite_se
     height, e, mu, slip, mass = 0.5, 0.25, 0.3, 6.0, 2.0
     bodies = {"b": {"mass": mass, "position": [0.0, height], "velocity": [slip, 0.0]}}
     contact = {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0.0, 0.0]}], "restitution": e, "friction": mu}
-    found = run([0.0, -G], bodies, {"floor": contact}, method)
+    found = run({"bodies": bodies, "contacts": {"floor": contact}}, 1.0, 0.05, method=method)
     fall, n = math.sqrt(2.0 * height / G), np.arange(len(found.impacts.time) - 1)
     times = fall * (1.0 + 2.0 * e * (1.0 - e**n) / (1.0 - e))
     normal = mass * (1.0 + e) * G * fall * e**n

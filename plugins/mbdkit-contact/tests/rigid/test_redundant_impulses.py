@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.rigid.blocks import FLOOR, G, run
+from tests.rigid.scenes import FLOOR, G, run
 
 import mbdkit
 

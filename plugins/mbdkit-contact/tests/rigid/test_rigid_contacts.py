@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.rigid.blocks import FLOOR, G, along, block, run
 from tests.rigid.cones import coulomb
+from tests.rigid.scenes import FLOOR, G, ball, block, outline, run
+from tests.rigid.states_of_contacts import gaps_in, rows_in
 
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.runs.preparation import caution
 from mbdkit.spec import load_spec
-from mbdkit_contact.contact_kinematics import ContactKinematics
 from mbdkit_contact.kernels.active_set import new_active_set, solve_active_set
 from mbdkit_contact.kernels.impacts import new_strike, stronge
 from mbdkit_contact.kernels.mode_path import solve_by_path
@@ -22,12 +22,6 @@ from mbdkit_contact.kernels.pivoting import new_cones
 from mbdkit_contact.rigid_contacts import RigidContacts
 from mbdkit_report.pages.run_tables import run_tables
 from tests.witness.pit import pit
-
-
-def ball(e: float) -> dict[str, Any]:
-    contact = {"bodies": ["ground", "ball"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}], "restitution": e}
-    bodies = {"ball": {"mass": 2.0, "inertia": 0.1, "position": [0.0, 1.1]}}
-    return {"bodies": bodies, "contacts": {"floor": contact}}
 
 
 @pytest.mark.parametrize(("e", "end"), [(0.5, 1.354570922957193), (0.8, 4.063712768871579)])
@@ -88,6 +82,10 @@ def test_simultaneous_impacts_lose_their_energy_once() -> None:
     impacts = run({"bodies": bodies, "contacts": contacts}, 0.6, 0.05).impacts
     assert len(impacts) == 2
     assert impacts.total_energy_lost == pytest.approx(2 * 1.5 * G, rel=1e-11)
+
+
+def along(found: mbdkit.Run) -> np.ndarray:
+    return found["block"].position @ [np.cos(np.radians(30.0)), np.sin(np.radians(30.0))]
 
 
 def test_a_block_on_an_incline_stops_and_slides_back() -> None:
@@ -156,8 +154,7 @@ def test_a_rocking_block_loses_energy_by_housners_rule() -> None:
         "mass": 1.0, "inertia": (b * b + h * h) / 3.0, "angle": tilt,
         "position": [float(b * np.cos(tilt) - h * np.sin(tilt)), height],
     }  # fmt: skip
-    outline = {"polygon": [[-b, -h], [b, -h], [b, h], [-b, h]]}
-    contact = {"bodies": ["ground", "block"], "shapes": [FLOOR, outline], "friction": 5.0}
+    contact = {"bodies": ["ground", "block"], "shapes": [FLOOR, outline(b, h)], "friction": 5.0}
     found = run({"bodies": {"block": body}, "contacts": {"floor": contact}}, 0.3, 0.02)
     ratio = 1.0 - 1.5 * np.sin(alpha) ** 2
     assert found.impacts.energy_lost[0] == pytest.approx((1 - ratio**2) * G * (height - h), rel=1e-9)
@@ -398,8 +395,7 @@ def test_a_block_that_rocks_comes_to_rest_on_both_corners() -> None:
     side, tilt = 0.2, 0.05
     place = {"position": [side * (np.cos(tilt) - np.sin(tilt)), side * (np.sin(tilt) + np.cos(tilt))], "angle": tilt}
     body = {"mass": 1.0, "inertia": 2 * side**2 / 3.0} | {name: np.asarray(x).tolist() for name, x in place.items()}
-    outline = {"polygon": [[-side, -side], [side, -side], [side, side], [-side, side]]}
-    contact = {"bodies": ["ground", "block"], "shapes": [FLOOR, outline], "friction": 5.0}
+    contact = {"bodies": ["ground", "block"], "shapes": [FLOOR, outline(side, side)], "friction": 5.0}
     found = run({"bodies": {"block": body}, "contacts": {"floor": contact}}, 0.5, 0.05)
     rows = found.contacts["floor.0"], found.contacts["floor.1"]
     assert [row.mode[-1] for row in rows] == [1.0, 1.0]
@@ -475,11 +471,11 @@ def test_gaps_that_are_not_evaluated_are_above_their_bounds() -> None:
     model = {"name": "mechanism", "bodies": bodies, "contacts": contacts}
     spec = {"mbdkit": 1, "model": model, "contact": {"treatment": "event-driven"}, "integrator": {"name": "rk4"}}
     equations = EquationsOfMotion.of(mbdkit.RunSpec(**spec, time={"end": 1.0, "step": 0.1}).mechanism())
-    kinematics = ContactKinematics(RigidContacts(equations).contacts, equations.n, equations.length)
-    reach, far, touch, q = kinematics.reach, 0, 0, equations.q0.copy()
+    contacts = RigidContacts(equations)
+    reach, far, touch, q = contacts.reach, 0, 0, equations.q0.copy()
     for _ in range(200):
         q = q + random.uniform(-1e-2, 1e-2, len(q))
-        found, exact = kinematics.gaps(q), kinematics.rows(q, 0.0 * q).gap
+        found, exact = gaps_in(contacts.shapes, q, reach), rows_in(contacts.shapes, q, 0.0 * q).gap
         is_near, overlaps = found <= reach, exact <= 0.0
         assert np.array_equal(found[is_near], exact[is_near])
         assert np.all(is_near[overlaps])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from tests.rigid.blocks import G, block, run
+from tests.rigid.scenes import G, block, outline, run
 
 import mbdkit
 from mbdkit.base.errors import SpecError
@@ -18,11 +18,6 @@ EDGE_OF_GROUND = {"polyline": [[-1.0, 0.0], [0.0, 0.0], [0.0, -0.5]]}
 """Ground that ends at the origin like the table."""
 TREATMENTS = [("event-driven", 0.02, 1e-8), ("time-stepping", 0.001, 0.01)]
 """Treatment, step [s] and largest error of the position at the end [m]; that of time-stepping is of order 1."""
-
-
-def outline(half_width: float, half_height: float) -> dict[str, Any]:
-    b, h = half_width, half_height
-    return {"polygon": [[-b, -h], [b, -h], [b, h], [-b, h]]}
 
 
 def on_table(

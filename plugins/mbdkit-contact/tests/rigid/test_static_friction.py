@@ -7,19 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.rigid.cones import coulomb
+from tests.rigid.scenes import FLOOR, G, outline, run
 
 import mbdkit
 
-G = 9.81
 METHODS = ("moreau-jean", "nonsmooth-generalized-alpha")
 STEP = 1e-2
-LINE = {"line": {"normal": [0.0, 1.0]}}
 
 
 def feet(count: int) -> list[dict[str, Any]]:
     """Return the shapes of a block of 0.4 m by 0.06 m: a polygon, or a number of points on its lower side."""
     if count == 2:
-        return [{"polygon": [[-0.2, -0.03], [0.2, -0.03], [0.2, 0.03], [-0.2, 0.03]]}]
+        return [outline(0.2, 0.03)]
     return [{"point": [float(x), -0.03]} for x in np.linspace(-0.2, 0.2, count)]
 
 
@@ -27,17 +26,12 @@ def slid(method: str, count: int, friction: tuple[float, float], body: dict[str,
     static, kinetic = friction
     contacts = {
         f"foot{i}": {
-            "bodies": ["ground", "block"], "shapes": [LINE, shape], "friction": {"static": static, "kinetic": kinetic},
+            "bodies": ["ground", "block"], "shapes": [FLOOR, shape], "friction": {"static": static, "kinetic": kinetic},
         }
         for i, shape in enumerate(feet(count))
     }  # fmt: skip
     bodies = {"block": {"mass": 1.0, "inertia": 0.02, "position": [0.0, 0.03]} | body}
-    return mbdkit.run(
-        {"mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts} | more},
-        integrator={"name": method},
-        time={"end": 1.0, "step": STEP},
-        contact={"treatment": "time-stepping"},
-    )
+    return run({"bodies": bodies, "contacts": contacts} | more, 1.0, STEP, "time-stepping", method)
 
 
 @pytest.mark.parametrize("method", METHODS)

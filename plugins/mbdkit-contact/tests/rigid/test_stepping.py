@@ -13,7 +13,7 @@ from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit_contact.kernels.stepping_bundle import Stepping
 from mbdkit_contact.stepping import CompiledTimeStepping
-from mbdkit_contact.time_stepping_methods import GeneralizedAlpha, MoreauJean
+from mbdkit_contact.time_stepping_methods import MoreauJean, NonsmoothGeneralizedAlpha
 from tests.witness.pit import pit
 
 G = 9.81
@@ -44,7 +44,7 @@ def types_of(bundle: Any) -> tuple[Any, ...]:
     return tuple(types_of(x) if isinstance(x, tuple) else (x.dtype, x.ndim) for x in bundle)
 
 
-@pytest.mark.parametrize("method", [MoreauJean(), GeneralizedAlpha()])
+@pytest.mark.parametrize("method", [MoreauJean(), NonsmoothGeneralizedAlpha()])
 def test_the_bundle_has_the_types_that_the_kernels_are_compiled_for(method: Any) -> None:
     workspace, _ = build(load_spec(pile(2, 0.5)))
     assert types_of(CompiledTimeStepping(method, workspace).bundle) == types_of(example_of(Stepping))

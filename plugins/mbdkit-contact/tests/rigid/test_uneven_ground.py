@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.rigid import scenes
+from tests.rigid.scenes import G, outline
 
 import mbdkit
 
-G = 9.81
-DISC, BOX = {"circle": {"radius": 0.1}}, {"polygon": [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]}
+DISC, BOX = {"circle": {"radius": 0.1}}, outline(0.2, 0.1)
+COMPLIANCE = {"law": "linear", "stiffness": 1e5, "dissipation": 300.0}
 METHODS = {"compliant": "rk4", "event-driven": "dop853", "time-stepping": "moreau-jean"}
 STAIRS = [[-2.0, 0.0], [0.0, 0.0], [0.0, -0.1], [0.15, -0.1], [0.15, -0.2], [0.3, -0.2], [0.3, -0.3], [2.0, -0.3]]
 
@@ -24,18 +26,10 @@ def run(
     step: float = 1e-3,
     **more: Any,
 ) -> mbdkit.Run:
-    compliance = {"law": "linear", "stiffness": 1e5, "dissipation": 300.0}
-    contact = {"bodies": ["ground", "body"], "shapes": [ground, shape], "compliance": compliance, "friction": 0.3}
-    model = {
-        "name": "mechanism",
-        "bodies": {"body": {"mass": 1.0, "inertia": 0.004} | body},
-        "contacts": {"floor": contact | more},
-    }
-    return mbdkit.run(
-        {"mbdkit": 1, "model": model},
-        integrator={"name": METHODS[treatment]},
-        time={"end": end, "step": step},
-        contact={"treatment": treatment},
+    contact = {"bodies": ["ground", "body"], "shapes": [ground, shape], "compliance": COMPLIANCE, "friction": 0.3}
+    bodies = {"body": {"mass": 1.0, "inertia": 0.004} | body}
+    return scenes.run(
+        {"bodies": bodies, "contacts": {"floor": contact | more}}, end, step, treatment, METHODS[treatment]
     )
 
 
@@ -79,7 +73,6 @@ def test_a_polyline_may_belong_to_a_turned_body(shape: dict[str, Any], treatment
     body = {"position": [-0.3, 0.15], "velocity": [1.5, 0.0]}
     plain = run(treatment, polyline(points @ [[c, s], [-s, c]]), shape, body)
     model = {
-        "name": "mechanism",
         "bodies": {
             "hill": {"mass": 5.0, "inertia": 1.0, "position": [0.2, -0.3], "angle": turn},
             "body": {"mass": 1.0, "inertia": 0.004} | body,
@@ -89,17 +82,12 @@ def test_a_polyline_may_belong_to_a_turned_body(shape: dict[str, Any], treatment
             "floor": {
                 "bodies": ["body", "hill"],
                 "shapes": [shape, polyline(points - np.array([0.2, -0.3]) @ [[c, -s], [s, c]])],
-                "compliance": {"law": "linear", "stiffness": 1e5, "dissipation": 300.0},
+                "compliance": COMPLIANCE,
                 "friction": 0.3,
             }
         },
     }
-    turned = mbdkit.run(
-        {"mbdkit": 1, "model": model},
-        integrator={"name": METHODS[treatment]},
-        time={"end": 0.4, "step": 1e-3},
-        contact={"treatment": treatment},
-    )
+    turned = scenes.run(model, 0.4, 1e-3, treatment, METHODS[treatment])
     np.testing.assert_allclose(states(turned)[-1], states(plain)[-1], rtol=0.0, atol=1e-6)
 
 

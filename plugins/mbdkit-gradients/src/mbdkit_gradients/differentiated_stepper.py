@@ -216,8 +216,8 @@ class DifferentiatedStepper(CompiledStepper):
         own = () if self.steps is None else self.steps.memory
         return (*super()._memory(), *own)
 
-    def _begin_after_stop(self) -> None:
-        super()._begin_after_stop()
+    def begin_after_stop(self) -> None:
+        super().begin_after_stop()
         progress = self.run_state.progress
         if self.steps is not None and progress.after_stop[0] and not progress.pending[0]:
             self._dual_sampler.passed(self.timetable.stops[int(progress.passed[0]) - 1], self.run_state.z)
@@ -252,7 +252,7 @@ class DifferentiatedStepper(CompiledStepper):
             done = theta >= 1.0 or self._retake(step, theta)
         q, v, z = (np.copy(x) for x in (steps.run.q, steps.run.v, steps.run.z))
         self._recall(after)
-        self._count()
+        self.count()
         if not done:
             raise StepError("newton-failed", f"the step from t = {step.t0:.6g} s cannot be shortened")
         return q, v, z
@@ -273,10 +273,10 @@ class DifferentiatedStepper(CompiledStepper):
         run = steps.run
         return self.time, (np.copy(run.q), np.copy(run.v), np.copy(run.z)), np.copy(run.energy)
 
-    def _drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
+    def drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan, one after another, and differentiate those that are accepted."""
         if self.steps is None or budget <= 0:
-            return super()._drive(plan, budget, path)
+            return super().drive(plan, budget, path)
         c = self.run_state
         progress, rows, limit = (
             c.progress,
@@ -288,12 +288,12 @@ class DifferentiatedStepper(CompiledStepper):
             before, projections = int(progress.accepted[0]), int(c.counts[PROJECTIONS])
             if self._sizes is not None and progress.retrying[0] == 0:
                 progress.next_size[0] = self._sizes[min(before, len(self._sizes) - 1)]
-            status, written = super()._drive(plan, 1, path)
+            status, written = super().drive(plan, 1, path)
             if int(progress.accepted[0]) > before:
                 step = float(progress.tried_begin[0]), float(progress.last_size[0])
                 self.sizes_taken.append(step[1])
                 self.steps.step(
-                    self._pinned_state.address,
+                    self.pinned_state.address,
                     step,
                     self.recorded if written else -1,
                     projected=int(c.counts[PROJECTIONS]) > projections,

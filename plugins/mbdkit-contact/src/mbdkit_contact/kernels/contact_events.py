@@ -41,6 +41,7 @@ from mbdkit_contact.kernels.contact_modes import (
     collect_closed,
     decide_at_rest,
     find_accelerations,
+    find_effects,
     find_free,
     find_limits,
     find_response,
@@ -51,6 +52,7 @@ from mbdkit_contact.kernels.contact_modes import (
     rows_in_place,
     set_modes,
     speed,
+    take_contact,
 )
 from mbdkit_contact.kernels.event_bundle import (
     CHANGED,
@@ -65,7 +67,7 @@ from mbdkit_contact.kernels.event_bundle import (
 )
 from mbdkit_contact.kernels.impacts import OTHER_LAW, UNSOLVED, find_ordered, strike
 from mbdkit_contact.kernels.kinematics import place, place_turned
-from mbdkit_contact.modes import OPEN, STICK
+from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 NEARLY = 1e-13
 """Gaps and rates of joints and closed contacts up to this size, relative to the largest coordinate or velocity (at
@@ -126,6 +128,14 @@ def _closing(m, with_slips):
 
 
 @subkernel
+def _add_changes(s, count, out):
+    """Add the changes (N,) that the forces of contacts cause."""
+    for j in range(count):
+        for d in range(len(out) - 3):
+            out[d] += s.forces[j] * s.moved[j, d]
+
+
+@subkernel
 def _solve_closing(e, m, count, has_forces):
     """Write to ``m.y`` the smallest change for ``w.gamma``, ``w.force`` and the values ``s.right``; return a status."""
     s = m.closed
@@ -139,9 +149,7 @@ def _solve_closing(e, m, count, has_forces):
         s.right[j] -= along(s, j, m.y)
     assemble(s, count)
     least_squares(s, count)
-    for j in range(count):
-        for d in range(len(m.y) - 3):
-            m.y[d] += s.forces[j] * s.moved[j, d]
+    _add_changes(s, count, m.y)
     return OK
 
 
@@ -153,6 +161,8 @@ def close_positions(e, m):
     """
     s, w, still, before = m.closed, e.w, m.still, np.inf
     copy(m.q, m.x)
+    # Newton's method for the nearest positions: each turn corrects the rows at the present positions and returns
+    # towards the positions before, so that only the normals of the rows remain in the change
     for turn in range(MOST_ITERATIONS):
         position_rows(still, w, m.t[0], m.q)
         count = _closing(m, False)
@@ -190,6 +200,7 @@ def close_velocities(e, m):
     s, w, still, before = m.closed, e.w, m.still, np.inf
     position_rows(still, w, m.t[0], m.q)
     size = largest_size(still, m.v)
+    # the equations are linear in the velocities; further turns remove the rounding errors of the first solution
     for turn in range(3):
         solved_rows(still, w, m.q, m.v)
         rate_rows(still, w.jac, w.phi_t, m.v, w.refinement)
@@ -273,7 +284,6 @@ def limited(e, m, h):
 
 @subkernel
 def _decide_and_set(e, m):
-    """Set the modes after an event from ``m.touching`` and ``m.sliding``; return a status."""
     status = decide_at_rest(e, m)
     if status == OK:
         set_modes(m, m.modes)
@@ -350,6 +360,7 @@ def strike_contacts(e, m):
         x.all.cones.friction[j] = m.coefficients[i, 2]
         x.all.restitution[j] = x.restitution[j] = m.coefficients[i, 0]
         m.approach[i] = x.all.before[j]
+    # which contact of a chain strikes first decides the velocities after it, so that error bars end here
     _note_coupling(m, k)
     outcome = strike(x.all, k, m.law[0])
     if outcome == UNSOLVED:
@@ -393,6 +404,7 @@ def _cut(e, m):
     sequence may belong to one contact or to several in turn, as for a rocking block. Its end is noted as an impact
     without impulses.
     """
+    # only a contact that an impact opens can fall back onto its partner without end
     any_open = False
     for i in range(len(m.struck)):
         any_open |= m.struck[i] != 0 and m.known.modes[i] == OPEN
@@ -452,32 +464,28 @@ def _change_by_tail(e, m):
         if k == len(s.chosen):
             m.reason[0] = MORE_ROOM
             return PAUSED
-        s.chosen[k], s.sticks[k], s.share[k] = i, -1, 0.0
         slip = m.rows[i, 1]
-        if mode == STICK:
-            s.sticks[k] = 0
-        elif abs(slip) > slow:
+        if mode != STICK and abs(slip) > slow:  # until the sequence ends, friction acts against the slip
             direction = slip if m.touching[i] != 0 else mode
-            s.share[k] = -m.coefficients[i, 2] if direction > 0.0 else m.coefficients[i, 2]
+            take_contact(m, k, i, SLIP if direction > 0.0 else -SLIP)
+        else:
+            take_contact(m, k, i, STICK if mode == STICK else OPEN)
         k += 1
-    place(s.shapes, m.q, m.v)
-    count = find_directions(s, k)
-    status = find_answers(m.still, e.w, e.solver, s, count, True)
+    status, count = find_effects(e, m, k)
     if status != OK:
         return status
     for j in range(count):
         s.right[j] = -along(s, j, m.v)
     assemble(s, count)
     least_squares(s, count)
-    for j in range(count):
-        for d in range(len(m.v) - 3):
-            m.v[d] += s.forces[j] * s.moved[j, d]
+    _add_changes(s, count, m.v)
     return OK
 
 
 @subkernel
 def _meet(e, m):
     """Set the modes of contacts in ``m.touching``; those that approach each other collide first. Returns a status."""
+    # contacts at rest on each other need no impact: with rounding errors as velocities, it would never end
     approaches, slow = False, SAME * speed(m)
     for i in range(len(m.touching)):
         approaches |= m.touching[i] != 0 and rate_of_gap(m, i, 2, m.v) < -slow
@@ -500,7 +508,6 @@ def begin_modes(e, m):
 
 @separate
 def _change_modes(e, m, kind, contact):
-    """Apply an event of a closed contact; return a status."""
     modes, limits = m.known.modes, m.search.limits
     fill(m.sliding, 0.0)
     if kind == FRICTION and modes[contact] == STICK:

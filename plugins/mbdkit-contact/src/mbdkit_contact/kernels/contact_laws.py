@@ -182,7 +182,6 @@ def _oppose(out):
 
 @inlined
 def _clear_torque(head, row, out):
-    """Set a torque and its derivatives to zero."""
     if head[MODE] == FORCES:
         out[row] = 0.0
     else:
@@ -193,7 +192,6 @@ def _clear_torque(head, row, out):
 
 @inlined
 def _turned(x, body, px, py):
-    """Return a vector of a body in the global frame."""
     c, s = x[body + 2], x[body + 3]
     return c * px - s * py, s * px + c * py
 

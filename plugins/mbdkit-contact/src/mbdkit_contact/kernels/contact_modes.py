@@ -146,23 +146,41 @@ def any_closed(m):
 
 
 @subkernel
+def take_contact(m, k, i, mode):
+    """Write contact `i`, in a mode, as number `k` of the contacts in ``m.closed``; an open one has no friction."""
+    s = m.closed
+    s.chosen[k], s.sticks[k], s.share[k] = i, -1, 0.0
+    if mode == STICK:
+        s.sticks[k] = 0
+    elif is_slipping(mode):  # the friction force is a fixed share of the normal force, against the slip
+        s.share[k] = -m.coefficients[i, 2] if mode > 0 else m.coefficients[i, 2]
+
+
+@subkernel
+def find_effects(e, m, k):
+    """Write the directions of the forces of the `k` contacts in ``m.closed`` and their effects at the point.
+
+    Return a status, and the number of forces. Requires the factors of the system at the point.
+    """
+    place(m.closed.shapes, m.q, m.v)
+    count = find_directions(m.closed, k)
+    return find_answers(m.still, e.w, e.solver, m.closed, count, True), count
+
+
+@subkernel
 def collect_closed(m):
     """Write the closed contacts to ``m.closed``, with the constraints of their modes; return their number, or -1 if
     there are more than the arrays have room for.
     """
-    s, k = m.closed, 0
+    k = 0
     for i in range(len(m.known.modes)):
         mode = m.known.modes[i]
         if mode == OPEN:
             continue
-        if k == len(s.chosen):
+        if k == len(m.closed.chosen):
             m.reason[0] = MORE_ROOM
             return -1
-        s.chosen[k], s.sticks[k], s.share[k] = i, -1, 0.0
-        if mode == STICK:
-            s.sticks[k] = 0
-        else:
-            s.share[k] = -m.coefficients[i, 2] if mode > 0 else m.coefficients[i, 2]
+        take_contact(m, k, i, mode)
         k += 1
     return k
 
@@ -184,6 +202,7 @@ def react(engine, method, t, unused, none):
         return OK
     place_turned(s.shapes, w.cs, w.reaction[0], w.reaction[1])
     count = find_directions(s, k)
+    # the motion needs independent forces only; how redundant contacts share them is decided where rows show it
     if find_few_forces(m.still, w, e.solver, s, k, count, known.basis, w.reaction[2], w.reaction_lam):
         if known.basis[0] < count:
             m.samples[2] = 1 if spread(s, count, known.basis, known.shares) else 2
@@ -199,6 +218,7 @@ def react(engine, method, t, unused, none):
     for d in range(len(w.reaction[2]) - 3):
         if not abs(w.reaction[2, d]) < np.inf:
             return NOT_FINITE
+    # the search for events uses the forces at the stages, which cost nothing more
     place_of_sample = _sample_at(m, t)
     for j in range(k):
         i, normal, tangent = s.chosen[j], s.forces[j], tangential(s, j)
@@ -252,9 +272,7 @@ def find_accelerations(e, m):
     if k < 0:
         return PAUSED
     s = m.closed
-    place(s.shapes, m.q, m.v)
-    count = find_directions(s, k)
-    status = find_answers(m.still, e.w, e.solver, s, count, True)
+    status, count = find_effects(e, m, k)
     if status != OK:
         return status
     failed = find_forces(s, k, count, m.free, m.known.basis, m.known.shares)
@@ -284,11 +302,9 @@ def find_response(e, m):
             if k == len(s.chosen):
                 m.reason[0] = MORE_ROOM
                 return PAUSED, 0
-            s.chosen[k], s.sticks[k], s.share[k] = i, 0, 0.0
+            take_contact(m, k, i, STICK)
             k += 1
-    place(s.shapes, m.q, m.v)
-    count = find_directions(s, k)
-    status = find_answers(m.still, e.w, e.solver, s, count, True)
+    status, count = find_effects(e, m, k)
     for i in range(count):
         for j in range(count):
             cones.response[i, j] = along(s, i, s.moved[j])
@@ -379,6 +395,7 @@ def share_forces(e, m):
     ``m.normal`` and ``m.tangent`` are those of `find_accelerations`. They are replaced by forces that cause the same
     accelerations and satisfy Coulomb's law, if there are any.
     """
+    # least squares may put more friction on a contact than its normal force carries, although other forces would do
     most, excess = 0.0, 0.0
     for i in range(len(m.normal)):
         most = max(most, abs(m.normal[i]))
@@ -398,6 +415,7 @@ def share_forces(e, m):
         if is_slipping(mode):
             cones.sliding[j] = 1.0 if mode > 0 else -1.0
         cones.friction[j] = m.coefficients[s.chosen[j], 2 if cones.sliding[j] != 0.0 else 1]
+    # without such forces, those of least squares stay: the motion is the same, and the run records one possible set
     if not solve_cones(cones, k):
         return OK
     largest, moved = 1.0, 0.0
@@ -455,6 +473,7 @@ def find_limits(e, m, out):
 
     Requires `find_accelerations` at the point if a contact is closed.
     """
+    # forces are compared with the weights and inertia forces of the bodies: a force alone has no scale
     weight = 1e-300
     if any_closed(m):
         for i in range(len(m.normal)):
@@ -536,17 +555,11 @@ def note_undetermined(e, m):
             continue
         if k == min(FEW, len(s.chosen)):
             return OK
-        s.chosen[k], s.sticks[k], s.share[k] = i, -1, 0.0
-        if mode == STICK:
-            s.sticks[k] = 0
-        elif is_slipping(mode):
-            s.share[k] = -m.coefficients[i, 2] if mode > 0 else m.coefficients[i, 2]
+        take_contact(m, k, i, mode)
         k += 1
     if k == 0:
         return OK
-    place(s.shapes, m.q, m.v)
-    count = find_directions(s, k)
-    status = find_answers(m.still, e.w, e.solver, s, count, True)
+    status, count = find_effects(e, m, k)
     if status != OK:
         return status
     widest = 0.0

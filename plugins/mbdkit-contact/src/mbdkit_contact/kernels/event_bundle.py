@@ -18,7 +18,7 @@ from mbdkit.kernels import (
     example_of,
 )
 from mbdkit_contact.kernels.contact_forces import ClosedContacts
-from mbdkit_contact.kernels.impacts import Impacts
+from mbdkit_contact.kernels.impacts import ImpactBundle
 
 NORMAL, FRICTION, PLACE = range(3)
 """Kinds of event functions: gap or normal force, slip or how far the friction force is from its limit, and the place on
@@ -87,7 +87,7 @@ CUT, CHANGED, UNDETERMINED, ORDERED = range(4)
 """Rows of `Known.flags`."""
 
 
-class Search(NamedTuple):
+class EventSearch(NamedTuple):
     """Search for the first event in a step; shares are those of the step, arrays (3, C) belong to event functions."""
 
     best: RealCube
@@ -153,7 +153,7 @@ class Newton(NamedTuple):
     solved: RealVector
 
 
-class Events(NamedTuple):
+class EventBundle(NamedTuple):
     """Event-driven contacts of a mechanism; U <= 2 K forces of contacts that act at once, L < 64 samples in a step."""
 
     inner: IntVector
@@ -227,18 +227,18 @@ class Events(NamedTuple):
     begin: RealMatrix
     """(3, C) event functions at the start and at the end of the step."""
     end: RealMatrix
-    search: Search
+    search: EventSearch
     touch: Touch
     closed: ClosedContacts
     basis: IntVector
     """Work arrays in place of ``known.basis`` and ``known.shares``."""
     shares: RealVector
     newton: Newton
-    impacts: Impacts
+    impacts: ImpactBundle
     pauses: IntVector
     """(1,) whether attempts return `PAUSED` after an event at their start."""
     reason: IntVector
     """(2,) why the last call failed, and the contact; 0 if not."""
 
 
-load_events = bundle_loader(lambda: example_of(Events))
+load_events = bundle_loader(lambda: example_of(EventBundle))

@@ -189,7 +189,6 @@ def needs_forces(m):
 
 @subkernel
 def _value(m):
-    """Return the event function that is searched, from ``m.values``."""
     kind, i = m.search.state[1], m.search.state[2]
     value = m.values[kind, i]
     if is_open_gap(m, kind, i):
@@ -281,7 +280,6 @@ def note_value(m):
 
 @subkernel
 def _bracket(m):
-    """Begin to narrow the bracket."""
     b = m.search.bracket
     b[4], b[5] = b[2], b[3]
     if b[1] == 0.0 or b[3] == 0.0:
@@ -292,7 +290,6 @@ def _bracket(m):
 
 @subkernel
 def _narrow(m):
-    """Choose the next place in the bracket, or end the search for this zero."""
     x = m.search
     b = x.bracket
     root, value = (b[0], b[1]) if abs(b[1]) < abs(b[3]) else (b[2], b[3])

@@ -111,7 +111,6 @@ def find_near(m, before, after):
 
 @subkernel
 def _place(m, body, s):
-    """Write the state of a body at a share of the piece to the shapes."""
     c, x, d = m.touch.piece, m.closed.shapes.states[body], 3 * body
     for k in range(2):
         x[k] = c[0, d + k] + s * (c[1, d + k] + s * (c[2, d + k] + s * c[3, d + k]))
@@ -178,7 +177,6 @@ def _least(hull, nx, ny):
 
 @subkernel
 def _middle(hull):
-    """Return the middle of a path."""
     x = 0.125 * (hull[0, 0] + 3.0 * (hull[1, 0] + hull[2, 0]) + hull[3, 0])
     return x, 0.125 * (hull[0, 1] + 3.0 * (hull[1, 1] + hull[2, 1]) + hull[3, 1])
 
@@ -231,7 +229,6 @@ def _nearest_corner(s, polygon, x, y):
 
 @subkernel
 def _at_polygon(m, polygon, radius, error, ignored):
-    """Look at a path beside a polygon."""
     s, hull, margin = m.closed.shapes, m.touch.hull, radius + error - ignored
     first, highest = s.outlines[polygon, 1], -np.inf
     for e in range(first, first + s.outlines[polygon, 2]):

@@ -42,7 +42,7 @@ class Strike(NamedTuple):
     """(2 K,) work array: impulses of compression."""
 
 
-class Impacts(NamedTuple):
+class ImpactBundle(NamedTuple):
     """An impact of up to K contacts, and sequences of impacts of one contact each."""
 
     all: Strike
@@ -61,10 +61,10 @@ def new_strike(most: int) -> Strike:
     return Strike(new_cones(most), np.zeros(2 * most), np.zeros(most), np.zeros(2 * most), np.zeros(2 * most))
 
 
-def new_impacts(most: int) -> Impacts:
+def new_impacts(most: int) -> ImpactBundle:
     """Return arrays for up to `most` contacts."""
     u, together, ordered = np.zeros(2 * most), np.zeros(2 * most), np.zeros(most, dtype=np.int64)
-    return Impacts(new_strike(most), new_strike(1), np.zeros(most), u, together, ordered)
+    return ImpactBundle(new_strike(most), new_strike(1), np.zeros(most), u, together, ordered)
 
 
 @subkernel
@@ -132,7 +132,6 @@ def _by_law(s, k, law):
 
 @subkernel
 def _gains(s, k):
-    """Return whether the impulses would increase the kinetic energy by more than rounding errors do."""
     gain = size = 0.0
     for i in range(2 * k):
         moved = 0.0
@@ -170,7 +169,6 @@ def strike(s, k, law):
 
 @subkernel
 def _is_coupled(response, k):
-    """Return whether an impulse at one of k contacts changes the velocity of another."""
     largest = others = 0.0
     for i in range(k):
         for j in range(k):

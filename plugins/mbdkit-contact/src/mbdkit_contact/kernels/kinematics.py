@@ -19,7 +19,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.kernels import IntMatrix, IntVector, RealMatrix, RealVector, cosine_and_sine, kernel, subkernel
+from mbdkit.kernels import IntMatrix, IntVector, RealMatrix, RealVector, cosine_and_sine, subkernel
 from mbdkit_contact.kernels.row_kernels import circles_gap, circles_row, hole_gap, hole_row, line_gap, line_row
 from mbdkit_contact.kernels.uneven_ground import (
     EDGE,
@@ -322,7 +322,10 @@ def row_of(s, i, out):
 
 @subkernel
 def find_gaps(s, within, gaps):
-    """Compute the gaps of all contacts in the states of the bodies; see `gaps_at`."""
+    """Compute the gaps (C,) of all contacts in the states of the bodies.
+
+    For a gap above `within`, the result may be a lower bound that is above `within` too.
+    """
     for pair in range(len(s.pairs)):
         first, count = s.pairs[pair, 1], s.pairs[pair, 2]
         if s.pairs[pair, 0] == ROUND or s.pairs[pair, 0] == POLYGONS:
@@ -336,31 +339,12 @@ def find_gaps(s, within, gaps):
             gaps[i] = gap_of(s, i)
 
 
-@kernel
-def gaps_at(s: Shapes, q: RealVector, within: float, gaps: RealVector) -> None:
-    """Compute the gaps (C,) of all contacts at positions (n,).
-
-    For a gap above `within`, the result may be a lower bound that is above `within` too.
-    """
-    place(s, q, q)
-    find_gaps(s, within, gaps)
-
-
-@kernel
-def rows_at(s: Shapes, q: RealVector, v: RealVector, some: IntVector, rows: RealMatrix) -> None:
-    """Compute the quantities (k, 16) of contacts with the indices `some` (k,) at positions and velocities (n,)."""
-    place(s, q, v)
-    last = -1
-    for k in range(len(some)):
-        if s.contacts[some[k], 3] != last:
-            last = s.contacts[some[k], 3]
-            choose(s, last)
-        row_of(s, some[k], rows[k])
-
-
 @subkernel
 def hold(s, q, closed):
-    """Fix the features of closed contacts; see `hold_at`."""
+    """Fix the features of contacts for which `closed` (C,) is not 0, and release all others.
+
+    Features that are fixed already stay, others are those nearest to touching at positions (n,).
+    """
     place(s, q, q)
     for pair in range(len(s.pairs)):
         wanted = False
@@ -370,15 +354,6 @@ def hold(s, q, closed):
             choose(s, pair)
         for i in range(s.pairs[pair, 1], s.pairs[pair, 1] + s.pairs[pair, 2]):
             s.held[i] = s.features[i] if s.pairs[pair, 0] != SINGLE and closed[i] != 0 else -1
-
-
-@kernel
-def hold_at(s: Shapes, q: RealVector, closed: IntVector) -> None:
-    """Fix the features of contacts for which `closed` (C,) is not 0, and release all others.
-
-    Features that are fixed already stay, others are those nearest to touching at positions (n,).
-    """
-    hold(s, q, closed)
 
 
 @subkernel

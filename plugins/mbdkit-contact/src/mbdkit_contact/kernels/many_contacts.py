@@ -153,7 +153,6 @@ def _residual(c, m, velocities, out):
 
 @subkernel
 def _add_impulses(m, x):
-    """Add scaled changes (2 C,) to the impulses."""
     k = m.number[0]
     for j in range(k):
         if m.states[j] == OPEN:
@@ -233,7 +232,6 @@ def _better_mode(m, j, size, largest):
 
 @subkernel
 def _correct_modes(m, size):
-    """Change all modes that contradict the impulses; return their number."""
     k, count, largest = m.number[0], 0, 0.0
     for j in range(k):
         largest = max(largest, m.normal[j] * sqrt(m.block[j, 0]))
@@ -246,7 +244,6 @@ def _correct_modes(m, size):
 
 @subkernel
 def _take_modes(m):
-    """Take the modes from the impulses of sweeps."""
     for j in range(m.number[0]):
         limit = m.friction[j] * m.normal[j]
         m.states[j] = OPEN

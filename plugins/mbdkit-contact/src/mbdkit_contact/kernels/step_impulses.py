@@ -197,7 +197,6 @@ def _gains(m):
 
 @subkernel
 def _by_newton(c, m):
-    """Find the impulses by Newton's law with the coefficients ``m.restitution``."""
     for j in range(m.number[0]):
         approach = min(rate_of(m, j, ALONG, m.v), 0.0)
         m.more[j] = m.restitution[j] * approach + m.closing[m.some[j]]

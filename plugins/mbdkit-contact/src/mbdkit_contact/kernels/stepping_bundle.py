@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 
 from mbdkit.kernels import STATE, Factors, IntMatrix, IntVector, Pattern, RealMatrix, RealVector, subkernel
 from mbdkit_contact.kernels.active_set import ActiveSet
-from mbdkit_contact.kernels.impacts import Impacts
+from mbdkit_contact.kernels.impacts import ImpactBundle
 from mbdkit_contact.kernels.kinematics import Shapes
 from mbdkit_contact.kernels.pivoting import Cones
 
@@ -14,7 +14,7 @@ GAP, ALONG, ACROSS, CURVE = 0, 2, 8, 14
 """Columns of a row of a contact: gap, derivatives of gap rate and slip, right-hand side of the gap."""
 
 
-class Held(NamedTuple):
+class HeldContacts(NamedTuple):
     """What a step passes to the next one; C contacts, N = 3 (B + 1)."""
 
     modes: RealVector
@@ -54,11 +54,11 @@ class Stepping(NamedTuple):
     coordinates: IntVector
     reach: RealVector
     """(1,) largest gap that is always computed exactly [m]."""
-    now: Annotated[Held, STATE]
-    before: Held
+    now: Annotated[HeldContacts, STATE]
+    before: HeldContacts
     """Copies at the start of an attempt and of a part of a step, and the result of the part."""
-    saved: Held
-    new: Held
+    saved: HeldContacts
+    new: HeldContacts
     saved_q: RealVector
     """(N,) state at the start of the part of a step."""
     saved_v: RealVector
@@ -144,7 +144,7 @@ class Stepping(NamedTuple):
     krylov: RealMatrix
     cones: Cones
     active: ActiveSet
-    impacts: Impacts
+    impacts: ImpactBundle
     reason: IntVector
     """(1,) why the last attempt failed; see `mbdkit_contact.kernels.smooth_steps`."""
 

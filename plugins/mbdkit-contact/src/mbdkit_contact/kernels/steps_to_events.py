@@ -37,6 +37,7 @@ from mbdkit.kernels import (
     separate,
     subkernel,
 )
+from mbdkit.plugin.methods import SAME_INSTANT
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, is_nearly_closed, limited
 from mbdkit_contact.kernels.contact_modes import (
     add_forces,
@@ -88,8 +89,6 @@ WHOLE = 1.0 - 1e-12
 """Share of a step from which on an event counts as one at its end."""
 SAME_SHARE = 1e-9
 """Times that differ by less than this share of a step are equal."""
-SAME_INSTANT = 4e-16
-"""Times that differ by less than this, in seconds or relative to their size, are equal."""
 
 
 @subkernel
@@ -285,6 +284,7 @@ def _take(e, c, m, run, t, h, want_error):
         m.v[d] = c.from_v[d] + (c.dv[d] + c.v_low[d])
     for d in range(len(m.z)):
         m.z[d] = c.from_z[d] + c.dz[d]
+    # a projection in every step would cost as much as a stage; drift of a few rounding errors is left to later steps
     m.ended[1] = not is_nearly_closed(e, m)
     if m.ended[1] == 0:
         fill(known.shift_q, 0.0)
@@ -319,7 +319,6 @@ def _find_within(e, c, m, run, t, h, theta):
 
 @subkernel
 def _has_power(m):
-    """Return whether work is done or energy is dissipated between events."""
     return m.power[0] != 0 or any_closed(m)
 
 
@@ -360,6 +359,7 @@ def _pieces(e, c, m, run, t, h):
     """Return into how many cubics the motion of a step is divided, with which their error is below `SAME_PLACE`; also a
     status.
     """
+    # without dense output, the motion within a step is by definition the cubic through both ends
     if m.inner[2] == 0:
         return 1, OK
     status = _find_within(e, c, m, run, t, h, 0.5)
@@ -461,6 +461,7 @@ def _is_quiet(c, m, h):
 
     If redundant contacts had to be closed, independent ones are chosen anew.
     """
+    # after a correction, the forces at the stages belong to other independent contacts
     if m.ended[1] != 0 and m.samples[2] != 0:
         return False
     for i in range(len(m.known.modes)):
@@ -511,6 +512,7 @@ def _sample_forces(m, t, h):
     """Add samples of contact forces, slips and limits of friction, at the stages of the method, if they are unique."""
     if m.samples[2] != 0:
         return
+    # stages need not be in order of time, but the search brackets a zero between neighbours
     for _ in range(m.samples[0]):
         first, at = 0, np.inf
         for j in range(m.samples[0]):
@@ -597,6 +599,8 @@ def _advance(e, c, m, run, t, h, want_error):
         status = _begin_search(e, c, m, run, t, h)
     if status != OK or m.search.event[0] == UNKNOWN:
         return status, h, False
+    # every place of the search is the end of a shorter step, so that an event has the accuracy of the method, not
+    # that of its dense output
     x, is_at_end = m.search, True
     while True:
         share = next_place(m)
@@ -618,6 +622,7 @@ def _advance(e, c, m, run, t, h, want_error):
     size = h
     if x.first[0] < WHOLE and (has_event or t + x.first[0] * h > t):
         size = x.first[0] * h
+    # the last place that was examined need not be the event: the step to the event itself is taken again
     if size != h or not is_at_end:
         if t + size > t:
             status = _take(e, c, m, run, t, size, want_error)

@@ -151,7 +151,6 @@ def _powers(c, t, q, v, lam):
 
 @subkernel
 def _take_part(c, m, t, h):
-    """Take a part of a step from ``m.q``, ``m.v`` to ``m.end``, ``m.x`` and add its energies; return a status."""
     if len(m.theta) > 0:
         status = moreau_jean(c, m, t, h)
     else:
