@@ -16,6 +16,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import FORMAT_VERSION
+from mbdkit.archive.result_table import ResultTable, is_table
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.stored_kinds import kinds_of_file
@@ -25,6 +26,7 @@ from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import AXES, COORDINATES
 from mbdkit.registry.feature_items import FileFormat
 from mbdkit.registry.manager import registry
+from mbdkit.spec.spec_kinds import kind_of
 from mbdkit.trust.criteria import LEVELS
 
 
@@ -110,6 +112,8 @@ class _Checker:
                 with self.reading(array.path):
                     self.array(array)
             self.others(arrays)
+        with self.reading("the tables"):
+            ResultTable.of_file(self.file)
         with self.reading("time"):
             self.times()
         with self.reading("the events"):
@@ -133,6 +137,14 @@ class _Checker:
                         f"{layout.ATTRIBUTES_HASH} does not match"
                     )
         return self.found
+
+    @property
+    def is_integrated(self) -> bool:
+        """Whether the run was integrated, so that its errors are envelopes, which do not decrease with time."""
+        try:
+            return kind_of(self.spec).is_integrated
+        except SpecError:  # the part with the kind is not installed
+            return False
 
     def say(self, sentence: str) -> None:
         self.found.append(shown(sentence))  # names and values come from the file
@@ -263,7 +275,7 @@ class _Checker:
             return  # later 1.x versions may add arrays
         known = {array.path for array in arrays}
         for dataset in datasets(self.file):
-            if dataset.name.lstrip("/") not in known:
+            if dataset.name.lstrip("/") not in known and not is_table(dataset.parent):
                 self.say(f"{dataset.name.lstrip('/')} is not part of the layout")
 
     def times(self) -> None:
@@ -316,8 +328,7 @@ class _Checker:
                 values = self.file[path][:]
                 if not np.all(np.isfinite(values[:count])):
                     self.say(f"{path} has unknown values before known_until")
-                of_run = "motion" not in self.file  # error bars of inverse dynamics may decrease with time
-                if np.any(values < 0) or (of_run and np.any(np.diff(values, axis=0) < 0)):
+                if np.any(values < 0) or (self.is_integrated and np.any(np.diff(values, axis=0) < 0)):
                     self.say(f"{path} is negative or decreases")
 
     def names(self) -> None:

@@ -278,14 +278,14 @@ def largest_of(
 
     Values that count as zero are left out.
     """
-    rows = _peak_rows(size)
+    rows, is_integrated = _peak_rows(size), run.spec_kind.is_integrated
     beyond = np.zeros(len(rows)) if missed is None else missed
     headlines = []
     for column, row in enumerate(rows):
         error = math.nan if errors is None else float(errors[column])
         label = f"largest {words} {names[column]}" if words else names[column]
         value, at, is_checked = float(size[row, column]), float(run.time[row]), run.accuracy is not None
-        ends = run.kind == "forward" and row == len(size) - 1 and is_at_end(size[:, column])
+        ends = is_integrated and row == len(size) - 1 and is_at_end(size[:, column])
         headlines.append(
             Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked, ends)
         )

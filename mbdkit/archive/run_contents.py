@@ -25,6 +25,7 @@ from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_kinds import kinds_of_file
@@ -114,6 +115,8 @@ class RunContents(ABC):
         Gradients of the measures; see `Run.gradients`.
     accuracy
         Estimated errors; None if there are none, or if a study did not store them.
+    tables
+        Tables of further results by name.
     """
 
     header: Header
@@ -127,6 +130,7 @@ class RunContents(ABC):
     integrals: Integrals
     gradients: Mapping[str, Mapping[str, Any]]
     accuracy: Accuracy | None
+    tables: Mapping[str, ResultTable]
 
     @abstractmethod
     def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
@@ -331,6 +335,12 @@ class ArchiveContents(RunContents):
             group = self.file.get("accuracy")
             return None if group is None else Accuracy.read(group)
 
+    @cached_property
+    def tables(self) -> Mapping[str, ResultTable]:  # type: ignore[override]
+        """See `RunContents`."""
+        with reading("its tables", self.path):
+            return ReadOnlyDict(ResultTable.of_file(self.file))
+
     @property
     def file(self) -> h5py.File:
         """The archive."""
@@ -388,7 +398,7 @@ class ArrayContents(RunContents):
     ):
         self._finished, self._spec, self._mechanism, self._store = finished, spec, mechanism, store
         self.measures = measured or MeasuredValues({}, {})
-        self.integrals, self.accuracy = finished.integrals, finished.accuracy
+        self.integrals, self.accuracy, self.tables = finished.integrals, finished.accuracy, finished.tables
         self.gradients, self._gradients = ReadOnlyDict(json.loads(gradients or "{}")), gradients
         self._closed = False
         self.run_spec, self.cause = spec if isinstance(spec, RunSpec) else None, finished.cause

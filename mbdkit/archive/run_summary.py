@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mbdkit.archive.accuracy_summary import accuracy_sentence, asked_sentence
+from mbdkit.archive.accuracy_summary import asked_sentence
 from mbdkit.archive.headlines import (
     JOINTS_NAMED,
     ROUND_OFF,
@@ -28,7 +28,6 @@ from mbdkit.registry.feature_items import SummaryLine
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
 from mbdkit.spec.formulation_choice import name_of
-from mbdkit.spec.spec_kinds import kind_of
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         *verdict_lines(run),
         ("run", " ".join(str(spec.get("title") or "").split())),
         *answer_lines(run),
-        ("accuracy", accuracy_sentence(run, with_force=bool(run.measures))),
+        ("accuracy", run.errors.sentence(with_force=bool(run.measures))),
         ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), *_elements(run)))),
@@ -73,7 +72,6 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("redundancy", run.redundancy and f"{run.redundancy}{_LEAST_NORM}"),
         ("start", _start(run)),
         ("integrator", _method(spec) if "integrator" in spec else ""),
-        ("smoothing", _smoothing(spec)),
         ("stabilization", _stabilization(run)),
         *(("warning", warning) for warning in run.warnings if warning not in run.verdict_reasons),
         ("time", _time(run)),
@@ -97,7 +95,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
 def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
     """Return the lines of an item; if it fails, a line says so, because the run itself is not affected."""
     own = cast(SummaryLine, item.plugin)
-    if (own.of and kind_of(run.spec).name not in own.of) or (own.group and own.group not in run.kinds):
+    if (own.of and run.spec_kind.name not in own.of) or (own.group and own.group not in run.kinds):
         return []
     try:
         lines = use(item, lambda: list(own.text()(run)))
@@ -119,28 +117,11 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
 
 def without_suspicion(run: Run) -> str:
     """Return a clause for a run whose verdict has no reasons."""
-    estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
-    if not estimated:
+    if not run.errors.are_estimated:
         return NOTHING_SUSPICIOUS
-    unknown = f"those {times}" if run.kind == "inverse" and (times := _times_of_unknown_errors(run)) else ""
+    unknown = f"those {times}" if (times := run.errors.unknown_times) else ""
     excluded = " and ".join(filter(None, (excluded_error(run), unknown)))
     return f"errors estimated{f', except {excluded}; ' if excluded else ', '}nothing suspicious seen"
-
-
-def known_rows(run: Run) -> np.ndarray:
-    """Return the rows (T,) in which all errors are known, or not estimated."""
-    errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
-    errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
-    known = np.ones(len(run.time), dtype=bool)
-    return np.asarray(np.all([known, *(~np.any(np.isnan(one), axis=1) for one in errors)], axis=0))
-
-
-def _times_of_unknown_errors(run: Run) -> str:
-    """Return a phrase with the times at which errors of inverse dynamics are unknown; empty if all are known."""
-    borders = np.flatnonzero(np.diff(np.concatenate([[True], known_rows(run), [True]])))
-    spans = [f"from t = {run.time[i]:.6g} to {run.time[end - 1]:.6g} s" for i, end in borders.reshape(-1, 2).tolist()]
-    more = f" and in {len(spans) - JOINTS_NAMED} more intervals" if len(spans) > JOINTS_NAMED else ""
-    return ", ".join(spans[:JOINTS_NAMED]) + more
 
 
 def few(texts: Sequence[str], separator: str = "; ", most: int = JOINTS_NAMED) -> str:
@@ -181,7 +162,7 @@ def _method(spec: Mapping[str, Any]) -> str:
 
 
 def _options(chosen: Mapping[str, Any]) -> list[str]:
-    """Return the options of a method or a smoothing, without its name."""
+    """Return the options of a method, without its name."""
     return [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
 
 
@@ -214,7 +195,7 @@ def _time(run: Run) -> str:
     if rows == 0:
         return "no row recorded"
     steps = run.stats.get("steps")
-    taken = "" if steps is None or run.kind == "inverse" else f", {counted(int(steps), 'step')}"
+    taken = "" if steps is None or not run.spec_kind.is_integrated else f", {counted(int(steps), 'step')}"
     return f"{run.time[0]:g} to {run.time[-1]:g} s{taken}, {counted(rows, 'row')}"
 
 
@@ -286,12 +267,6 @@ def _drivers(run: Run) -> str:
         own = [one for one in largest if one.element in run.drivers and one.largest > floor]
         parts += [f"{one.label} {one.text()}{'' if one.misses else f' at {one.time:.4g} s'}" for one in own[:1]]
     return "; ".join(parts)
-
-
-def _smoothing(spec: Mapping[str, Any]) -> str:
-    """Return the smoothing of a measured motion and its options; empty for runs other than inverse dynamics."""
-    chosen = spec.get("motion", {}).get("smooth", {})
-    return ", ".join([*([str(chosen["name"])] if chosen else []), *_options(chosen)])
 
 
 def impacts_of_drivers(run: Run) -> np.ndarray:

@@ -102,6 +102,7 @@ class ArchiveWriter(RunWriter):
         self.ending: Ending | None = None
         self.head: Mapping[str, str] = {}
         self._known: dict[str, str] = {}  # see `attributes_sha256`
+        self._lines_of_tables: list[str] = []
 
     @property
     def row_keys(self) -> frozenset[str]:
@@ -197,18 +198,41 @@ class ArchiveWriter(RunWriter):
         self._target.take_place_of(part)
 
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
-        """Write the remaining rows, the hash and the status, and rename the archive to its final name."""
+        """Write the remaining rows, the hash and the status, and rename the archive to its final name.
+
+        Parameters
+        ----------
+        ending
+            Results known at the end. Besides `Ending.stats`, this method stores its own duration up to the last write
+            [s], as ``finish_s``.
+        measured
+            Function that evaluates the measures from the HDF5 file, which is otherwise complete, and returns the
+            attribute ``measures``.
+
+        Returns
+        -------
+        h5py.File or None
+            The open archive in memory; None if it is a file on disk, which this method closes.
+
+        Raises
+        ------
+        ResourceError
+            If the archive cannot be written or renamed.
+        """
         if ending.status not in layout.STATUSES[1:]:
             raise ValueError(f"a run ends as complete, failed or interrupted, not {ending.status!r}")
         started = time.perf_counter()
         accuracy = ending.accuracy
         with self._storing():
-            errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
-            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(ending.misalignment_max) + errors):
+            more = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
+            more += sum(table.size_in_bytes for table in ending.tables.values())
+            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(ending.misalignment_max) + more):
                 is_begun = self._file is not None
                 file, unread = self._with_all_rows()
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
+                for name, table in ending.tables.items():
+                    self._lines_of_tables += table.write(file, name)
                 self._write_end(file, ending)
                 self._write_verdict(file, ending.judgement, ending.warnings)
                 if ending.integrals:
@@ -322,7 +346,7 @@ class ArchiveWriter(RunWriter):
         origin = self.origin
         status, reason, digest = "running", "", ""
         if ending is not None:
-            digest = digest_lines([*name_lines(self.names, self.arrays), *self.lines])
+            digest = digest_lines([*name_lines(self.names, self.arrays), *self.lines, *self._lines_of_tables])
             status, reason = ending.status, ending.reason
         values = (
             layout.FORMAT, layout.FORMAT_VERSION, status, reason, origin.run_id, origin.created_utc, origin.spec_json,

@@ -146,7 +146,7 @@ def _check_interrupted(path: Path, *, overwrite: bool) -> None:
         if run.status == "complete":
             hint = "to simulate a longer time, run its spec with another time.end"
             raise SpecError(f"this run is complete, so there is nothing to resume; {hint}", file=path)
-        if run.status != "interrupted" or run.kind != "forward":
+        if run.status != "interrupted" or not run.spec_kind.is_integrated:
             raise _refused(path, f"it was not interrupted but has ended with the status {run.status}")
         checkpoint = Checkpoint.of(path)
         if checkpoint is None:
