@@ -46,7 +46,7 @@ def check(path: str | Path) -> list[str]:
     path = Path(path)
     try:
         file = open_archive(path)
-    except SpecError as error:
+    except (SpecError, ArchiveError) as error:
         for item in registry().of_kind("file-format"):
             of_kind = cast(FileFormat, item.plugin).problems
             if of_kind is not None and (problems := of_kind()(path)) is not None:
@@ -84,7 +84,7 @@ def _unreadable(path: Path) -> list[str]:
         with Run.open(path) as run:
             run.summary()
     except MbdkitError as error:
-        return [shown(error.message if isinstance(error, SpecError) else str(error))]
+        return [shown(error.message if isinstance(error, SpecError | ArchiveError) else str(error))]
     except MemoryError:
         raise
     except Exception as error:

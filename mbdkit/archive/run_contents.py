@@ -31,7 +31,7 @@ from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.errors import MbdkitError, SpecError, UnknownNameError
+from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind
 from mbdkit.quantities.registered_kinds import array_at, kinds
@@ -169,7 +169,7 @@ class ArchiveContents(RunContents):
 
     Raises
     ------
-    SpecError
+    ArchiveError
         If the header is read and is damaged.
     """
 
@@ -181,7 +181,7 @@ class ArchiveContents(RunContents):
         try:
             with reading("its header", path):
                 self.header = self._read_header()
-        except SpecError:
+        except MbdkitError:
             file.close()
             raise
 
@@ -217,7 +217,7 @@ class ArchiveContents(RunContents):
         contents.kinds = known
         try:
             assert contents.names is not None
-        except SpecError:
+        except MbdkitError:
             file.close()
             raise
         return contents

@@ -22,7 +22,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.plugin.archives import COUNTERS
 from mbdkit.spec import RunSpec
 from mbdkit_studies.compute import batch, pool, run_blocks
@@ -270,7 +270,7 @@ def test_a_block_whose_runs_have_other_data_than_the_index_is_not_read(tmp_path:
         file["runs/data_sha256"][1] = file["runs/data_sha256"][0]
     assert study.run(0) is not None
     for read in (study.run, study.remake):
-        with pytest.raises(SpecError, match="the data of run 2 are not those that the study has indexed"):
+        with pytest.raises(ArchiveError, match="the data of run 2 are not those that the study has indexed"):
             read(1)
 
 
