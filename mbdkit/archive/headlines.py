@@ -178,7 +178,6 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
 
 
 def _added(run: Run) -> list[Headline]:
-    """Return the headlines of plugins whose groups the run has."""
     return [one for item in _of_groups(run) for one in use(item, partial(_taken, item, run))]
 
 
@@ -258,7 +257,6 @@ def _as_measured(run: Run, quantity: str, found: list[Headline]) -> list[Headlin
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
-    """Return errors (J,) of the largest of all values `size` (T, J) of joints; None unless all rows have errors."""
     is_known = run.accuracy is not None and run.accuracy.is_complete
     return peak_errors(run, name, size, len(run.time)) if is_known else None
 
@@ -294,5 +292,4 @@ def largest_of(
 
 
 def _peak_rows(size: np.ndarray) -> np.ndarray:
-    """Return the row (J,) of the largest value in each column of `size` (T, J)."""
     return np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)

@@ -90,7 +90,6 @@ def describe(path: str | Path) -> dict[str, Any]:
 
 
 def _elements(run: Run, path: str) -> list[str]:
-    """Return the names in the array at `path`; none if the run did not record it."""
     return [str(name) for name in run.array(path)] if run.records(path) else []
 
 

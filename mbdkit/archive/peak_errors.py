@@ -274,7 +274,6 @@ def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: 
 
 
 def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return the largest values (J,) of the rows, or of parabolas through three rows where they are higher."""
     left, right = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         before, after = np.diff(size, axis=0)[:-1] / left, np.diff(size, axis=0)[1:] / right
@@ -287,7 +286,6 @@ def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 def _above_spline(time: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return the largest values (J,) of cubic splines at their stationary points."""
     from scipy.interpolate import CubicSpline
 
     a, b, c, d = CubicSpline(time, size).c

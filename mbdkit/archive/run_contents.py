@@ -283,7 +283,6 @@ class ArchiveContents(RunContents):
         raise NotRecordedError(path)
 
     def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
-        """Return the complete rows of a growing array of a crashed run."""
         is_flushed = self.whole_rows["time"] > 0  # arrays are created with their first rows
         if is_flushed and array.path in self.file:
             dataset, rows = self.file[array.path], self.whole_rows[array.dims[0]]
@@ -417,7 +416,6 @@ class ArrayContents(RunContents):
 
     @cached_property
     def _texts(self) -> Mapping[str, tuple[str, ...]]:
-        """Names along the axes, by path."""
         texts = name_texts(self._finished.names)
         return {array.path: tuple(texts[array.path]) for array in self._finished.layout if not array.grows}
 
@@ -428,7 +426,6 @@ class ArrayContents(RunContents):
 
     @cached_property
     def _recorded(self) -> frozenset[str]:
-        """Paths of the arrays with rows."""
         return frozenset([array.path for array in self._finished.layout if array.grows])
 
     @cached_property

@@ -109,7 +109,7 @@ def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
 def verdict_lines(run: Run) -> list[tuple[str, str]]:
     """Return the verdict on a run and its reasons as labelled lines; reasons after the first have no label."""
     if not run.is_judged:
-        why = "the run did not end" if run.status == "running" else "written by a version without verdicts"
+        why = "the run did not end" if run.status == "running" else "the archive has none"
         return [("verdict", f"unknown: {why}")]
     first, *others = run.verdict_reasons or [without_suspicion(run)]
     return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
@@ -148,7 +148,6 @@ def _gravity(spec: Mapping[str, Any]) -> str:
 
 
 def _start(run: Run) -> str:
-    """Return the changes made by assembly; empty if there were none."""
     assembly = str(run.provenance.get("assembly", ""))
     moved = assembly.removeprefix("The start was made consistent; ")
     return moved.rstrip(".") if moved != assembly else ""
@@ -162,12 +161,10 @@ def _method(spec: Mapping[str, Any]) -> str:
 
 
 def _options(chosen: Mapping[str, Any]) -> list[str]:
-    """Return the options of a method, without its name."""
     return [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
 
 
 def _stabilization(run: Run) -> str:
-    """Return the stabilization and its corrections; empty without stabilization."""
     chosen = run.spec.get("stabilization") or "none"
     if not isinstance(chosen, Mapping):
         return "" if chosen == "none" else str(chosen)
@@ -223,7 +220,6 @@ def _misalignment(run: Run) -> str:
 
 
 def _angles(run: Run) -> str:
-    """Return the largest recorded angle misalignment; empty if it is zero or not recorded."""
     if not run.records("joints/angle_misalignment") or len(run.time) == 0:
         return ""
     largest = np.max(np.abs(run.array("joints/angle_misalignment")), axis=0)
@@ -257,7 +253,6 @@ def _energy(run: Run) -> str:
 
 
 def _drivers(run: Run) -> str:
-    """Return the largest torque and the largest force of the drivers, such as motors, with their errors."""
     if not run.drivers or not run.records("joints/reaction_torque") or len(run.time) == 0:
         return ""
     forces, torques = largest_forces(run), largest_torques(run)
@@ -277,7 +272,6 @@ def impacts_of_drivers(run: Run) -> np.ndarray:
 
 
 def _impacts(run: Run) -> str:
-    """Return the number of impulses of each driver, the largest impulses of joints, and the energy."""
     impacts, some = run.impacts, impacts_of_drivers(run)
     if not np.any(some):
         return ""
@@ -299,7 +293,6 @@ def counted_impacts(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
 
 
 def _events(run: Run) -> str:
-    """Return the number of crossings of each event and the time of the first crossing."""
     parts = []
     for name in run.spec.get("events") or ():
         times = run.events.of_name(name).time
@@ -353,7 +346,6 @@ def derivative_texts(gradient: Mapping[str, Any], sign: str = "+-") -> Iterator[
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each derivative of a measure, measure without derivatives, and doubt about derivatives."""
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []

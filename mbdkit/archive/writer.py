@@ -147,7 +147,6 @@ class ArchiveWriter(RunWriter):
         return tuple(sorted(self._grown(timings=False).values()))
 
     def _grown(self, *, timings: bool) -> dict[str, str]:
-        """Return the lines of the timings, or of the other arrays with rows, by path."""
         every = ((one.array.path, one) for table in self._tables.values() for one in table.series)
         return {path: one.line() for path, one in every if layout.is_timing(path) is timings}
 
@@ -273,7 +272,6 @@ class ArchiveWriter(RunWriter):
         return self._file, {path: lines for path, lines in skeleton.unread.items() if path not in changed}
 
     def _publish(self, target: Target, file: h5py.File, *, keep: bool) -> None:
-        """Close the file, which is complete, and rename it; a file in memory is written first."""
         if target.file is None:
             file.flush()
             file.flush()  # HDF5 releases space at the end of the file that the first flush has left unused
@@ -302,7 +300,6 @@ class ArchiveWriter(RunWriter):
         return self._target is not None and self._target.file is not None
 
     def _begin(self) -> h5py.File:
-        """Return the file; create it, with names and attributes, if all rows have been in the buffers so far."""
         if self._file is None:
             self._file = memory_file() if self._target is None else self._target.open()
             names = self.names
@@ -328,7 +325,6 @@ class ArchiveWriter(RunWriter):
             self._add(file, "joints", {"redundancy": self.shared.redundancy, "characteristic_length": length})
 
     def _add(self, file: h5py.File, path: str, values: Mapping[str, Attribute]) -> None:
-        """Add attributes to a group or an array, and store their lines, which `attributes_sha256` needs."""
         self._known |= add_attributes(file, path, values)
 
     def _change_head(self, file: h5py.File) -> None:
@@ -342,7 +338,6 @@ class ArchiveWriter(RunWriter):
             self._known.pop(f"@{name}")
 
     def _root_attributes(self, ending: Ending | None) -> dict[str, str]:
-        """Return `layout.ROOT_ATTRIBUTES` with their values at the end of a run, or while it is in progress."""
         origin = self.origin
         status, reason, digest = "running", "", ""
         if ending is not None:

@@ -234,7 +234,6 @@ def _begun(spec: RunSpec, request: Request, choice: Choice | None = None) -> Sim
 
 
 def _ended(spec: RunSpec, request: Request, progress: Progress | None) -> SimulatedRun:
-    """Run a spec to its end, and return the simulation with its finished writer."""
     method = "the method is chosen during the run" if spec.choose == "method" else spec.integrator_item.id
     if _LOG.isEnabledFor(logging.INFO):
         _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
@@ -279,7 +278,6 @@ def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -
 
 
 def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, attempts: int) -> Choice | None:
-    """Return the choice for the next attempt after one that missed the accuracy; None for no further attempt."""
     choice = simulation.choice
     assert spec.accuracy is not None
     assert choice is not None
@@ -289,7 +287,6 @@ def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, at
 
 
 def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path | None, overwrite: bool) -> RunWriter:
-    """Begin the archive of a run."""
     workspace, assembled = start
     return ArchiveWriter(
         path,
@@ -302,7 +299,6 @@ def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path |
 
 
 def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
-    """Return a writer that stores the rows of a run in memory."""
     workspace, assembled = start
     return ArrayWriter(
         archive_names(workspace.mechanism),
@@ -323,7 +319,6 @@ def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | 
 
 
 def _log(found: Iterable[Finding]) -> None:
-    """Log findings about a run."""
     for warning in found:
         _LOG.warning("%s", shown(warning))
 

@@ -91,9 +91,7 @@ def _trust(run: Run) -> Claim:
     if run.verdict_reasons:
         sentence += " " + " ".join(run.verdict_reasons)
     elif not run.is_judged:
-        sentence += (
-            " The archive contains no verdict: it was written by a version without verdicts, or the run crashed."
-        )
+        sentence += " The archive contains no verdict, as after a crash of the run."
     elif run.verdict == "unknown":
         sentence = f"The verdict is unknown: {without_suspicion(run)}."
     return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
