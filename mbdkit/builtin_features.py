@@ -73,6 +73,7 @@ def builtin_features() -> list[Feature]:
         validate=Target("mbdkit.cli.runs:validate_run"),
         run_kind="forward",
         model=Target("mbdkit.spec.run_spec:RunSpec"),
+        differentiate=Target("mbdkit.base.higher_layers:gradient_of_run"),
     )
     notes = {name for name, *_ in _NOTES}
     criteria = [

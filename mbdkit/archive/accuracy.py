@@ -280,7 +280,6 @@ class Accuracy(HtmlView):
 
 
 def _scales(largest: np.ndarray) -> np.ndarray:
-    """Return the forces (J,) by which errors are divided, from the largest forces of the joints; see `SMALL_FORCE`."""
     return np.asarray(np.fmax(largest, SMALL_FORCE * np.max(largest, initial=0.0)))
 
 

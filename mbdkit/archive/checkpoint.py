@@ -207,7 +207,6 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _stored_rows(values: Mapping[str, Any]) -> StoredRows:
-    """Return the locations of rows from their encoded form; raise ValueError if they are invalid."""
     offsets, shape = values["offsets"], tuple(map(int, values["row_shape"]))
     if offsets.dtype != np.int64 or offsets.ndim != 1 or min(shape, default=0) < 0:
         raise ValueError("not the locations of rows")
@@ -215,8 +214,6 @@ def _stored_rows(values: Mapping[str, Any]) -> StoredRows:
 
 
 class _Reader:
-    """Reads arrays one after another from the bytes that follow the JSON."""
-
     def __init__(self, body: bytes, place: int):
         self.body, self.place = body, place
 
@@ -247,7 +244,6 @@ def _without_arrays(value: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def _with_arrays(value: Any, reader: _Reader) -> Any:
-    """Return a state from JSON values, with its arrays in the order in which `_without_arrays` appended them."""
     match value:
         case dict():
             if value.keys() == {_ARRAY}:

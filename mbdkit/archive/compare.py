@@ -99,7 +99,6 @@ def compare(first: Run, second: Run) -> Comparison:
 
 
 def _contents(run: Run) -> tuple[dict[str, h5py.Dataset], str, list[str]]:
-    """Return the hashed arrays of a run, their hash, and one sentence for each stored hash that does not match."""
     file = run.file
     with reading("its contents", run.path):
         arrays = {item.name.lstrip("/"): item for item in datasets(file) if is_hashed(item.name)}

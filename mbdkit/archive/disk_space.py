@@ -91,6 +91,5 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
 
 
 def _round_up(number: int) -> int:
-    """Round up to one significant digit."""
     ten: int = 10 ** (len(str(number)) - 1)
     return -(-number // ten) * ten

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
 from types import MappingProxyType
 
-import h5py
 import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import beginning, text_bytes
-from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_lines
+from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_lines, utc_now
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.quantities.array import GROWING, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
@@ -76,6 +75,8 @@ class ArrayWriter(RunWriter):
     ----------
     finished
         The run, once it is finished.
+    created_utc
+        Time at which the run began, ISO 8601.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class ArrayWriter(RunWriter):
         self._rows = dict.fromkeys(GROWING, 0)
         self._capacity = dict.fromkeys(GROWING, 0)
         self.finished: FinishedRun | None = None
+        self.created_utc = utc_now()
 
     @property
     def row_keys(self) -> frozenset[str]:
@@ -127,8 +129,8 @@ class ArrayWriter(RunWriter):
         """Discard the rows."""
         self._buffers = {}
 
-    def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> None:
-        """Compute the hash of the rows, and store the run in `finished`; `measured` is not called."""
+    def finish(self, ending: Ending) -> FinishedRun:
+        """Compute the hash of the rows, and return the run."""
         started = time.perf_counter()
         for dim, rows in self._rows.items():
             self._resize(dim, rows)
@@ -143,6 +145,7 @@ class ArrayWriter(RunWriter):
             data_sha256=of_data,
             assembly=self._assembly,
         )
+        return self.finished
 
 
 class ArrayHash:

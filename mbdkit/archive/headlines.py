@@ -178,7 +178,6 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
 
 
 def _added(run: Run) -> list[Headline]:
-    """Return the headlines of plugins whose groups the run has."""
     return [one for item in _of_groups(run) for one in use(item, partial(_taken, item, run))]
 
 
@@ -258,7 +257,6 @@ def _as_measured(run: Run, quantity: str, found: list[Headline]) -> list[Headlin
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
-    """Return errors (J,) of the largest of all values `size` (T, J) of joints; None unless all rows have errors."""
     is_known = run.accuracy is not None and run.accuracy.is_complete
     return peak_errors(run, name, size, len(run.time)) if is_known else None
 
@@ -278,14 +276,14 @@ def largest_of(
 
     Values that count as zero are left out.
     """
-    rows = _peak_rows(size)
+    rows, is_integrated = _peak_rows(size), run.spec_kind.is_integrated
     beyond = np.zeros(len(rows)) if missed is None else missed
     headlines = []
     for column, row in enumerate(rows):
         error = math.nan if errors is None else float(errors[column])
         label = f"largest {words} {names[column]}" if words else names[column]
         value, at, is_checked = float(size[row, column]), float(run.time[row]), run.accuracy is not None
-        ends = run.kind == "forward" and row == len(size) - 1 and is_at_end(size[:, column])
+        ends = is_integrated and row == len(size) - 1 and is_at_end(size[:, column])
         headlines.append(
             Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked, ends)
         )
@@ -294,5 +292,4 @@ def largest_of(
 
 
 def _peak_rows(size: np.ndarray) -> np.ndarray:
-    """Return the row (J,) of the largest value in each column of `size` (T, J)."""
     return np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)

@@ -9,7 +9,6 @@ from typing import Any
 
 import h5py
 
-from mbdkit.archive.accuracy_summary import accuracy_sentence
 from mbdkit.archive.archive_check import blaming_damage
 from mbdkit.archive.changed_contents import hash_warnings
 from mbdkit.archive.fingerprint import datasets, is_text
@@ -63,7 +62,7 @@ def describe(path: str | Path) -> dict[str, Any]:
             "formulation": run.spec.get("formulation"),
             "stabilization": run.spec.get("stabilization"),
             "corrections": corrections(run),
-            "accuracy": accuracy_sentence(run),
+            "accuracy": run.errors.sentence(),
             "rows": len(time),
             "start": float(time[0]) if len(time) else None,
             "end": float(time[-1]) if len(time) else None,
@@ -91,7 +90,6 @@ def describe(path: str | Path) -> dict[str, Any]:
 
 
 def _elements(run: Run, path: str) -> list[str]:
-    """Return the names in the array at `path`; none if the run did not record it."""
     return [str(name) for name in run.array(path)] if run.records(path) else []
 
 

@@ -20,24 +20,6 @@ ROWS_FLUSHED = "rows_flushed"
 
 
 STATUSES = ("running", "complete", "failed", "interrupted")
-REASONS = (
-    "max-steps",
-    "wall-time",
-    "newton-failed",
-    "singular",
-    "step-too-small",
-    "not-finite",
-    "fell-apart",
-    "energy-jump",
-    "branch-left",
-    "out-of-range",
-    "zeno",
-    "painleve",
-    "contact-solver",
-    "self-locking",
-    "event",
-    "plugin-error",
-)
 
 ROOT_ATTRIBUTES = (
     "format",

@@ -185,7 +185,6 @@ class Target:
             os._exit(1)
 
     def _create(self) -> int:
-        """Create an empty .part, and return its locked file descriptor."""
         # Exclusive creation: if two runs start at the same time, only one of them can create the .part.
         for _ in range(3):
             try:

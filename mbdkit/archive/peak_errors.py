@@ -48,13 +48,6 @@ blanks."""
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
     """Return the errors (J,) of the largest values of the joints in the first `count` rows; None without a check.
 
-    In a simulated run, the error is the sum of two terms: the largest error of the method in any of these rows, because
-    the true peak may be in another row, and the height by which the largest value during the run exceeds the recorded
-    one, with its error. This height is known only for all rows. For fewer rows, it is estimated by interpolation if
-    every step is recorded; otherwise the errors are nan. If the largest value is also a measure, the error is the sum
-    of the height and the error of the measure, so that a number has the same error wherever it is printed. For inverse
-    dynamics, whose values belong to the frames of the data, see `errors_of_frames`.
-
     Parameters
     ----------
     run
@@ -68,21 +61,39 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
     """
     if run.accuracy is None:
         return None
-    errors: np.ndarray = getattr(run.accuracy, name)[:count]
-    size = size[:count]
-    if run.kind == "inverse":
-        return errors_of_frames(run, _ATTRIBUTES[name], run.joint_names, size, errors)
-    missed = missed_between_rows(run, _ATTRIBUTES[name], run.joint_names, size)
-    if missed is not None and count == len(run.time):
+    errors: np.ndarray = getattr(run.accuracy, name)
+    return run.errors.of_largest(_ATTRIBUTES[name], run.joint_names, size[:count], errors[:count])
+
+
+def simulated_peak_errors(
+    run: Run, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray
+) -> np.ndarray:
+    """Return the errors (E,) of the largest values of elements in the leading rows of a simulated run.
+
+    The error is the sum of two terms: the largest error of the method in any of these rows, because the true peak may
+    be in another row, and the height by which the largest value during the run exceeds the recorded one, with its
+    error. This height is known only for all rows. For fewer rows, it is estimated by interpolation if every step is
+    recorded; otherwise the errors are nan. If the largest value is also a measure, the error is the sum of the height
+    and the error of the measure, so that a number has the same error wherever it is printed.
+
+    Parameters
+    ----------
+    quantity, names
+        Quantity as in `expression_of_largest`, and names of the elements.
+    size, errors
+        (T, E) values and their errors.
+    """
+    missed = missed_between_rows(run, quantity, names, size)
+    if missed is not None and len(size) == len(run.time):
         between = BETWEEN * missed / _steps_per_row(run) ** 2  # peaks are parabolas near their vertices
         of_run = np.max(errors, axis=0) + between
-        for place, _, error in errors_of_measures(run, _ATTRIBUTES[name], run.joint_names):
-            of_run[place] = error
+        for index, _, error in errors_of_measures(run, quantity, names):
+            of_run[index] = error
         return np.asarray(of_run + missed)
     if skips_steps(run.spec):
         missed = np.full(size.shape[1], np.nan)
     else:
-        missed = excess_between_rows(np.asarray(run.time)[:count], size, jumps(run))
+        missed = excess_between_rows(np.asarray(run.time)[: len(size)], size, jumps(run))
     return np.asarray(np.max(errors, axis=0) + missed)
 
 
@@ -174,8 +185,8 @@ def missed_of_verdict(
 
 
 def missed_between_rows(run: Run, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
-    """Return the result of `missed_by_rows` for a simulated run; None for inverse dynamics."""
-    if run.kind == "inverse":
+    """Return the result of `missed_by_rows` for a run; None if nothing happens between its rows."""
+    if not run.spec_kind.is_integrated:
         return None
     return missed_by_rows(run.integrals, quantity, names, size, skips_steps=skips_steps(run.spec))
 
@@ -199,37 +210,6 @@ def jumps(run: Run) -> np.ndarray:
             changed = np.flatnonzero(np.any(np.diff(run.array(path), axis=0), axis=1))
             found.append(0.5 * (run.time[changed] + run.time[changed + 1]))
     return np.unique(np.concatenate(found))
-
-
-def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Return the errors (E,) of the largest values of joints or actuators in inverse dynamics.
-
-    If the run has a measure such as ``max(abs(joints.NAME.force))`` for the value, the error of the measure is
-    returned, so that a number has the same error wherever it is printed. Otherwise the result is the error of the frame
-    with the largest value. These two errors can differ: that of the measure is sampled for the maximum itself, while
-    that of a frame is a bound for a vector, or belongs to a single frame.
-
-    Parameters
-    ----------
-    run
-        The run.
-    quantity
-        ``joints.force``, ``joints.torque`` or ``actuators.value``.
-    names
-        Names of the joints or actuators.
-    size, errors
-        (T, E) magnitudes and their errors.
-    """
-    rows = np.argmax(np.nan_to_num(size), axis=0)
-    found = np.take_along_axis(errors, rows[None], axis=0)[0].copy()
-    parts = {} if run.accuracy is None or quantity != "joints.force" else run.accuracy.parts
-    if "reaction_peak_error" in parts:  # contains that another frame may have the largest force
-        of_data = np.take_along_axis(parts["reaction_error_data"], rows[None], axis=0)[0]
-        found = np.where(np.isfinite(found), np.sqrt(of_data**2 + parts["reaction_peak_error"] ** 2), np.nan)
-    for place, value, error in errors_of_measures(run, quantity, names):
-        if np.isclose(value, size[rows[place], place], rtol=1e-9, atol=0.0):
-            found[place] = error
-    return np.asarray(found)
 
 
 def measures_of_largest(measures: Mapping[str, object], quantity: str) -> dict[str, str]:
@@ -294,7 +274,6 @@ def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: 
 
 
 def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return the largest values (J,) of the rows, or of parabolas through three rows where they are higher."""
     left, right = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         before, after = np.diff(size, axis=0)[:-1] / left, np.diff(size, axis=0)[1:] / right
@@ -307,7 +286,6 @@ def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 def _above_spline(time: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return the largest values (J,) of cubic splines at their stationary points."""
     from scipy.interpolate import CubicSpline
 
     a, b, c, d = CubicSpline(time, size).c

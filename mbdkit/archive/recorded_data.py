@@ -274,18 +274,6 @@ class RecordedData(FurtherKinds, Extensible):
         return tuple(name for name in self.joint_names if rows.get(name) in _ROWS_OF_DRIVERS)
 
     @property
-    def raw_misalignment(self) -> np.ndarray:
-        """Misalignment of each joint if bodies are placed by the measured data alone, (T, J) [m]; nan where
-        undetermined.
-
-        Raises
-        ------
-        MbdkitError
-            If this is not inverse dynamics.
-        """
-        return self.array("motion/raw_misalignment")
-
-    @property
     def singularity_distance(self) -> np.ndarray:
         """Distance from a singular position at the recorded rows, (T,), accurate to about 1 %.
 

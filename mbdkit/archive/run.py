@@ -14,6 +14,7 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.measured_values import Integrals, MeasuredValues
 from mbdkit.archive.part_file import write_image
 from mbdkit.archive.recorded_data import RecordedData
+from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.archive.run_views import Animation, RunPlots
 from mbdkit.archive.stored_mechanism import StoredMechanism
@@ -30,6 +31,9 @@ from mbdkit.trust.criteria import LEVELS, Level
 if TYPE_CHECKING:
     import pandas
     import xarray
+
+    from mbdkit.archive.accuracy_summary import RunErrors
+    from mbdkit.registry.feature_items import SpecKind
 
 
 class Run(RecordedData, HtmlView):
@@ -169,7 +173,20 @@ class Run(RecordedData, HtmlView):
     @property
     def kind(self) -> str:
         """``forward`` for the integration of a motion, ``inverse`` for inverse dynamics, or a kind of a plugin."""
-        return kind_of(self.spec).run_kind
+        return self.spec_kind.run_kind
+
+    @property
+    def spec_kind(self) -> SpecKind:
+        """The kind of the spec, which says how such runs are computed."""
+        return kind_of(self.spec)
+
+    @property
+    def errors(self) -> RunErrors:
+        """What is known of the errors of the run, and how it is stated."""
+        from mbdkit.archive.accuracy_summary import RunErrors
+
+        of_kind = self.spec_kind.errors
+        return RunErrors(self) if of_kind is None else of_kind()(self)
 
     @cached_property
     def integrals(self) -> Integrals:
@@ -232,6 +249,11 @@ class Run(RecordedData, HtmlView):
         not keep the errors.
         """
         return self._contents.accuracy
+
+    @property
+    def tables(self) -> Mapping[str, ResultTable]:
+        """Tables of further results by name, such as residuals or a covariance, which kinds of specs may store."""
+        return self._contents.tables
 
     @property
     def file(self) -> h5py.File:

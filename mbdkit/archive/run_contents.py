@@ -25,12 +25,13 @@ from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.errors import MbdkitError, SpecError, UnknownNameError
+from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind
 from mbdkit.quantities.registered_kinds import array_at, kinds
@@ -114,6 +115,8 @@ class RunContents(ABC):
         Gradients of the measures; see `Run.gradients`.
     accuracy
         Estimated errors; None if there are none, or if a study did not store them.
+    tables
+        Tables of further results by name.
     """
 
     header: Header
@@ -127,6 +130,7 @@ class RunContents(ABC):
     integrals: Integrals
     gradients: Mapping[str, Mapping[str, Any]]
     accuracy: Accuracy | None
+    tables: Mapping[str, ResultTable]
 
     @abstractmethod
     def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
@@ -165,7 +169,7 @@ class ArchiveContents(RunContents):
 
     Raises
     ------
-    SpecError
+    ArchiveError
         If the header is read and is damaged.
     """
 
@@ -177,7 +181,7 @@ class ArchiveContents(RunContents):
         try:
             with reading("its header", path):
                 self.header = self._read_header()
-        except SpecError:
+        except MbdkitError:
             file.close()
             raise
 
@@ -213,7 +217,7 @@ class ArchiveContents(RunContents):
         contents.kinds = known
         try:
             assert contents.names is not None
-        except SpecError:
+        except MbdkitError:
             file.close()
             raise
         return contents
@@ -279,7 +283,6 @@ class ArchiveContents(RunContents):
         raise NotRecordedError(path)
 
     def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
-        """Return the complete rows of a growing array of a crashed run."""
         is_flushed = self.whole_rows["time"] > 0  # arrays are created with their first rows
         if is_flushed and array.path in self.file:
             dataset, rows = self.file[array.path], self.whole_rows[array.dims[0]]
@@ -330,6 +333,12 @@ class ArchiveContents(RunContents):
         with reading("accuracy", self.path):
             group = self.file.get("accuracy")
             return None if group is None else Accuracy.read(group)
+
+    @cached_property
+    def tables(self) -> Mapping[str, ResultTable]:  # type: ignore[override]
+        """See `RunContents`."""
+        with reading("its tables", self.path):
+            return ReadOnlyDict(ResultTable.of_file(self.file))
 
     @property
     def file(self) -> h5py.File:
@@ -388,7 +397,7 @@ class ArrayContents(RunContents):
     ):
         self._finished, self._spec, self._mechanism, self._store = finished, spec, mechanism, store
         self.measures = measured or MeasuredValues({}, {})
-        self.integrals, self.accuracy = finished.integrals, finished.accuracy
+        self.integrals, self.accuracy, self.tables = finished.integrals, finished.accuracy, finished.tables
         self.gradients, self._gradients = ReadOnlyDict(json.loads(gradients or "{}")), gradients
         self._closed = False
         self.run_spec, self.cause = spec if isinstance(spec, RunSpec) else None, finished.cause
@@ -407,7 +416,6 @@ class ArrayContents(RunContents):
 
     @cached_property
     def _texts(self) -> Mapping[str, tuple[str, ...]]:
-        """Names along the axes, by path."""
         texts = name_texts(self._finished.names)
         return {array.path: tuple(texts[array.path]) for array in self._finished.layout if not array.grows}
 
@@ -418,7 +426,6 @@ class ArrayContents(RunContents):
 
     @cached_property
     def _recorded(self) -> frozenset[str]:
-        """Paths of the arrays with rows."""
         return frozenset([array.path for array in self._finished.layout if array.grows])
 
     @cached_property

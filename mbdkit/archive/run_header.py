@@ -167,7 +167,6 @@ def spec_of(text: str) -> dict[str, Any]:
 
 
 def _integer(digits: str) -> int:
-    """Return an integer of a spec; raise ValueError if its magnitude exceeds the largest float."""
     if math.isinf(float(digits)):
         raise ValueError(f"it has an integer of {len(digits)} digits")
     return int(digits)

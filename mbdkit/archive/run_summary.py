@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mbdkit.archive.accuracy_summary import accuracy_sentence, asked_sentence
+from mbdkit.archive.accuracy_summary import asked_sentence
 from mbdkit.archive.headlines import (
     JOINTS_NAMED,
     ROUND_OFF,
@@ -28,7 +28,6 @@ from mbdkit.registry.feature_items import SummaryLine
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
 from mbdkit.spec.formulation_choice import name_of
-from mbdkit.spec.spec_kinds import kind_of
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         *verdict_lines(run),
         ("run", " ".join(str(spec.get("title") or "").split())),
         *answer_lines(run),
-        ("accuracy", accuracy_sentence(run, with_force=bool(run.measures))),
+        ("accuracy", run.errors.sentence(with_force=bool(run.measures))),
         ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), *_elements(run)))),
@@ -73,7 +72,6 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("redundancy", run.redundancy and f"{run.redundancy}{_LEAST_NORM}"),
         ("start", _start(run)),
         ("integrator", _method(spec) if "integrator" in spec else ""),
-        ("smoothing", _smoothing(spec)),
         ("stabilization", _stabilization(run)),
         *(("warning", warning) for warning in run.warnings if warning not in run.verdict_reasons),
         ("time", _time(run)),
@@ -97,7 +95,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
 def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
     """Return the lines of an item; if it fails, a line says so, because the run itself is not affected."""
     own = cast(SummaryLine, item.plugin)
-    if (own.of and kind_of(run.spec).name not in own.of) or (own.group and own.group not in run.kinds):
+    if (own.of and run.spec_kind.name not in own.of) or (own.group and own.group not in run.kinds):
         return []
     try:
         lines = use(item, lambda: list(own.text()(run)))
@@ -111,7 +109,7 @@ def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
 def verdict_lines(run: Run) -> list[tuple[str, str]]:
     """Return the verdict on a run and its reasons as labelled lines; reasons after the first have no label."""
     if not run.is_judged:
-        why = "the run did not end" if run.status == "running" else "written by a version without verdicts"
+        why = "the run did not end" if run.status == "running" else "the archive has none"
         return [("verdict", f"unknown: {why}")]
     first, *others = run.verdict_reasons or [without_suspicion(run)]
     return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
@@ -119,28 +117,11 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
 
 def without_suspicion(run: Run) -> str:
     """Return a clause for a run whose verdict has no reasons."""
-    estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
-    if not estimated:
+    if not run.errors.are_estimated:
         return NOTHING_SUSPICIOUS
-    unknown = f"those {times}" if run.kind == "inverse" and (times := _times_of_unknown_errors(run)) else ""
+    unknown = f"those {times}" if (times := run.errors.unknown_times) else ""
     excluded = " and ".join(filter(None, (excluded_error(run), unknown)))
     return f"errors estimated{f', except {excluded}; ' if excluded else ', '}nothing suspicious seen"
-
-
-def known_rows(run: Run) -> np.ndarray:
-    """Return the rows (T,) in which all errors are known, or not estimated."""
-    errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
-    errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
-    known = np.ones(len(run.time), dtype=bool)
-    return np.asarray(np.all([known, *(~np.any(np.isnan(one), axis=1) for one in errors)], axis=0))
-
-
-def _times_of_unknown_errors(run: Run) -> str:
-    """Return a phrase with the times at which errors of inverse dynamics are unknown; empty if all are known."""
-    borders = np.flatnonzero(np.diff(np.concatenate([[True], known_rows(run), [True]])))
-    spans = [f"from t = {run.time[i]:.6g} to {run.time[end - 1]:.6g} s" for i, end in borders.reshape(-1, 2).tolist()]
-    more = f" and in {len(spans) - JOINTS_NAMED} more intervals" if len(spans) > JOINTS_NAMED else ""
-    return ", ".join(spans[:JOINTS_NAMED]) + more
 
 
 def few(texts: Sequence[str], separator: str = "; ", most: int = JOINTS_NAMED) -> str:
@@ -167,7 +148,6 @@ def _gravity(spec: Mapping[str, Any]) -> str:
 
 
 def _start(run: Run) -> str:
-    """Return the changes made by assembly; empty if there were none."""
     assembly = str(run.provenance.get("assembly", ""))
     moved = assembly.removeprefix("The start was made consistent; ")
     return moved.rstrip(".") if moved != assembly else ""
@@ -181,12 +161,10 @@ def _method(spec: Mapping[str, Any]) -> str:
 
 
 def _options(chosen: Mapping[str, Any]) -> list[str]:
-    """Return the options of a method or a smoothing, without its name."""
     return [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
 
 
 def _stabilization(run: Run) -> str:
-    """Return the stabilization and its corrections; empty without stabilization."""
     chosen = run.spec.get("stabilization") or "none"
     if not isinstance(chosen, Mapping):
         return "" if chosen == "none" else str(chosen)
@@ -214,7 +192,7 @@ def _time(run: Run) -> str:
     if rows == 0:
         return "no row recorded"
     steps = run.stats.get("steps")
-    taken = "" if steps is None or run.kind == "inverse" else f", {counted(int(steps), 'step')}"
+    taken = "" if steps is None or not run.spec_kind.is_integrated else f", {counted(int(steps), 'step')}"
     return f"{run.time[0]:g} to {run.time[-1]:g} s{taken}, {counted(rows, 'row')}"
 
 
@@ -242,7 +220,6 @@ def _misalignment(run: Run) -> str:
 
 
 def _angles(run: Run) -> str:
-    """Return the largest recorded angle misalignment; empty if it is zero or not recorded."""
     if not run.records("joints/angle_misalignment") or len(run.time) == 0:
         return ""
     largest = np.max(np.abs(run.array("joints/angle_misalignment")), axis=0)
@@ -276,7 +253,6 @@ def _energy(run: Run) -> str:
 
 
 def _drivers(run: Run) -> str:
-    """Return the largest torque and the largest force of the drivers, such as motors, with their errors."""
     if not run.drivers or not run.records("joints/reaction_torque") or len(run.time) == 0:
         return ""
     forces, torques = largest_forces(run), largest_torques(run)
@@ -288,12 +264,6 @@ def _drivers(run: Run) -> str:
     return "; ".join(parts)
 
 
-def _smoothing(spec: Mapping[str, Any]) -> str:
-    """Return the smoothing of a measured motion and its options; empty for runs other than inverse dynamics."""
-    chosen = spec.get("motion", {}).get("smooth", {})
-    return ", ".join([*([str(chosen["name"])] if chosen else []), *_options(chosen)])
-
-
 def impacts_of_drivers(run: Run) -> np.ndarray:
     """Return which impacts (I,) of a run are impulses of drivers, which have no impulses of their own."""
     impacts = run.impacts
@@ -302,7 +272,6 @@ def impacts_of_drivers(run: Run) -> np.ndarray:
 
 
 def _impacts(run: Run) -> str:
-    """Return the number of impulses of each driver, the largest impulses of joints, and the energy."""
     impacts, some = run.impacts, impacts_of_drivers(run)
     if not np.any(some):
         return ""
@@ -324,7 +293,6 @@ def counted_impacts(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
 
 
 def _events(run: Run) -> str:
-    """Return the number of crossings of each event and the time of the first crossing."""
     parts = []
     for name in run.spec.get("events") or ():
         times = run.events.of_name(name).time
@@ -378,7 +346,6 @@ def derivative_texts(gradient: Mapping[str, Any], sign: str = "+-") -> Iterator[
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each derivative of a measure, measure without derivatives, and doubt about derivatives."""
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []

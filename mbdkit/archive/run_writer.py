@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
@@ -11,13 +11,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import h5py
 import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base.files_read import files_json
 from mbdkit.quantities.array import FLOAT, TEXT, Array, Recorded
@@ -67,6 +67,8 @@ class Ending:
         Integrals over time and extrema, by expression, in SI units; see `mbdkit.archive.measured_values.Integrals`.
     cause
         The exception of a plugin that ended the run; None if there was none.
+    tables
+        Tables of further results by name.
     """
 
     status: str
@@ -78,6 +80,7 @@ class Ending:
     accuracy: Accuracy | None = None
     integrals: Integrals = field(default_factory=dict)
     cause: BaseException | None = None
+    tables: Mapping[str, ResultTable] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -191,31 +194,6 @@ class RunWriter(ABC):
     @abstractmethod
     def abandon(self) -> None:
         """Discard the run; no effect once it is finished."""
-
-    @abstractmethod
-    def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
-        """End the run.
-
-        Parameters
-        ----------
-        ending
-            Results known at the end. Besides `Ending.stats`, this method stores its own duration up to the last write
-            [s], as ``finish_s``.
-        measured
-            Function that evaluates the measures from the HDF5 file, which is otherwise complete, and returns the
-            attribute ``measures``. Writers that make no HDF5 file do not call it.
-
-        Returns
-        -------
-        h5py.File or None
-            The open archive if it is an HDF5 file in memory. None if it is a file on disk, which this method closes,
-            or if the writer makes no HDF5 file.
-
-        Raises
-        ------
-        ResourceError
-            If the archive cannot be written or renamed.
-        """
 
     def append(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append recorded rows; the values are copied.

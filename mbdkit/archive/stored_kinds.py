@@ -60,7 +60,6 @@ def reasons_for_missing(file: h5py.File) -> Mapping[str, str]:
 
 
 def _stored(group: h5py.Group) -> Kind:
-    """Return the kind of a group whose arrays have the axes, units and descriptions of the file."""
     name = group.name.lstrip("/")
     every = [array for item in group.values() if isinstance(item, h5py.Dataset) and (array := _array(item))]
     scales = {array.name for array in every if array.is_scale}

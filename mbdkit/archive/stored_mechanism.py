@@ -165,7 +165,6 @@ def _adapter(section: str) -> TypeAdapter[Any]:
 
 
 def _element(section: str, value: Any) -> Any:
-    """Return an element, or an entry of another section."""
     text = json.dumps(value)
     try:
         return _adapter(section).validate_json(text, context={"plugins": _OWN})

@@ -102,6 +102,7 @@ class ArchiveWriter(RunWriter):
         self.ending: Ending | None = None
         self.head: Mapping[str, str] = {}
         self._known: dict[str, str] = {}  # see `attributes_sha256`
+        self._lines_of_tables: list[str] = []
 
     @property
     def row_keys(self) -> frozenset[str]:
@@ -146,7 +147,6 @@ class ArchiveWriter(RunWriter):
         return tuple(sorted(self._grown(timings=False).values()))
 
     def _grown(self, *, timings: bool) -> dict[str, str]:
-        """Return the lines of the timings, or of the other arrays with rows, by path."""
         every = ((one.array.path, one) for table in self._tables.values() for one in table.series)
         return {path: one.line() for path, one in every if layout.is_timing(path) is timings}
 
@@ -197,18 +197,41 @@ class ArchiveWriter(RunWriter):
         self._target.take_place_of(part)
 
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
-        """Write the remaining rows, the hash and the status, and rename the archive to its final name."""
+        """Write the remaining rows, the hash and the status, and rename the archive to its final name.
+
+        Parameters
+        ----------
+        ending
+            Results known at the end. Besides `Ending.stats`, this method stores its own duration up to the last write
+            [s], as ``finish_s``.
+        measured
+            Function that evaluates the measures from the HDF5 file, which is otherwise complete, and returns the
+            attribute ``measures``.
+
+        Returns
+        -------
+        h5py.File or None
+            The open archive in memory; None if it is a file on disk, which this method closes.
+
+        Raises
+        ------
+        ResourceError
+            If the archive cannot be written or renamed.
+        """
         if ending.status not in layout.STATUSES[1:]:
             raise ValueError(f"a run ends as complete, failed or interrupted, not {ending.status!r}")
         started = time.perf_counter()
         accuracy = ending.accuracy
         with self._storing():
-            errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
-            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(ending.misalignment_max) + errors):
+            more = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
+            more += sum(table.size_in_bytes for table in ending.tables.values())
+            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(ending.misalignment_max) + more):
                 is_begun = self._file is not None
                 file, unread = self._with_all_rows()
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
+                for name, table in ending.tables.items():
+                    self._lines_of_tables += table.write(file, name)
                 self._write_end(file, ending)
                 self._write_verdict(file, ending.judgement, ending.warnings)
                 if ending.integrals:
@@ -249,7 +272,6 @@ class ArchiveWriter(RunWriter):
         return self._file, {path: lines for path, lines in skeleton.unread.items() if path not in changed}
 
     def _publish(self, target: Target, file: h5py.File, *, keep: bool) -> None:
-        """Close the file, which is complete, and rename it; a file in memory is written first."""
         if target.file is None:
             file.flush()
             file.flush()  # HDF5 releases space at the end of the file that the first flush has left unused
@@ -278,7 +300,6 @@ class ArchiveWriter(RunWriter):
         return self._target is not None and self._target.file is not None
 
     def _begin(self) -> h5py.File:
-        """Return the file; create it, with names and attributes, if all rows have been in the buffers so far."""
         if self._file is None:
             self._file = memory_file() if self._target is None else self._target.open()
             names = self.names
@@ -304,7 +325,6 @@ class ArchiveWriter(RunWriter):
             self._add(file, "joints", {"redundancy": self.shared.redundancy, "characteristic_length": length})
 
     def _add(self, file: h5py.File, path: str, values: Mapping[str, Attribute]) -> None:
-        """Add attributes to a group or an array, and store their lines, which `attributes_sha256` needs."""
         self._known |= add_attributes(file, path, values)
 
     def _change_head(self, file: h5py.File) -> None:
@@ -318,11 +338,10 @@ class ArchiveWriter(RunWriter):
             self._known.pop(f"@{name}")
 
     def _root_attributes(self, ending: Ending | None) -> dict[str, str]:
-        """Return `layout.ROOT_ATTRIBUTES` with their values at the end of a run, or while it is in progress."""
         origin = self.origin
         status, reason, digest = "running", "", ""
         if ending is not None:
-            digest = digest_lines([*name_lines(self.names, self.arrays), *self.lines])
+            digest = digest_lines([*name_lines(self.names, self.arrays), *self.lines, *self._lines_of_tables])
             status, reason = ending.status, ending.reason
         values = (
             layout.FORMAT, layout.FORMAT_VERSION, status, reason, origin.run_id, origin.created_utc, origin.spec_json,

@@ -55,29 +55,19 @@ class SpecError(MbdkitError, ValueError):
         return new
 
 
-class ArchiveError(SpecError):
-    """A file that mbdkit wrote, such as an archive, a block or the index of a study, or a checkpoint, is damaged, is of
-    another kind or version, or is refused because reading it could do harm.
-
-    It is a `SpecError` for one version only; a later one derives it from `MbdkitError` alone.
-    """
-
-
 class UnsupportedMechanismError(SpecError):
     """A method does not support elements of a mechanism; the claims of the method say which mechanisms it supports."""
 
 
-class ResourceError(MbdkitError):
-    """A resource is not available: disk space, memory, a permission, or a file that another process uses.
-
-    The input is not the cause, and the same call may succeed later.
+class _FileError(MbdkitError):
+    """Base class of errors about a file or a folder that the content of a spec does not cause.
 
     Parameters
     ----------
     message
-        Which resource is not available, and why.
+        What is wrong, and how to correct it.
     file
-        The file or folder concerned, if any.
+        The file or folder, if any.
     """
 
     def __init__(self, message: str, *, file: str | Path | None = None):
@@ -87,6 +77,19 @@ class ResourceError(MbdkitError):
 
     def __str__(self) -> str:
         return f"{shown(self.file)}: {self.message}" if self.file else self.message
+
+
+class ArchiveError(_FileError):
+    """A file that mbdkit wrote, such as an archive, a block or the index of a study, or a checkpoint, is damaged, is of
+    another kind or version, or is refused because reading it could do harm.
+    """
+
+
+class ResourceError(_FileError):
+    """A resource is not available: disk space, memory, a permission, or a file that another process uses.
+
+    The input is not the cause, and the same call may succeed later.
+    """
 
 
 #: Error numbers of the system that are due to a file name given by the user.
@@ -132,7 +135,7 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
 
     Ctrl-C, errors of mbdkit about the input or a plugin, and the `expected` exceptions pass unchanged.
     """
-    unchanged: tuple[type[BaseException], ...] = (KeyboardInterrupt, SpecError, PluginError, *expected)
+    unchanged: tuple[type[BaseException], ...] = (KeyboardInterrupt, SpecError, ArchiveError, PluginError, *expected)
     try:
         with in_this_process():
             yield

@@ -36,6 +36,9 @@ check_gradients: Callable[[Any, Any], None]
 gradients_json: Callable[[Any], str]
 """Returns the gradients requested by a run spec, in the form stored in its archive."""
 
+gradient_of_run: Callable[..., Any]
+"""Returns the derivatives of measures of a run; see `SpecKind.differentiate`."""
+
 run_summary: Callable[[Any], str]
 """Returns the summary of a run as lines of text."""
 

@@ -20,7 +20,7 @@ import typer
 from typer.core import TyperGroup
 
 from mbdkit.base.command_words import executing
-from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, file_error
+from mbdkit.base.errors import ArchiveError, MbdkitError, PluginError, ResourceError, RunError, SpecError, file_error
 from mbdkit.base.interrupts import INTERRUPTED as INTERRUPTED
 from mbdkit.base.text import one_line, shown
 
@@ -187,6 +187,8 @@ def _json_error(message: str, status: int, error: BaseException | None = None) -
     place = {}
     if isinstance(error, SpecError):
         place = {"key": error.key or None, "file": error.file, "line": error.line}
+    elif isinstance(error, ArchiveError):
+        place = {"key": None, "file": error.file, "line": None}
     return json_text({"error": message, "exit_status": status, **place})
 
 

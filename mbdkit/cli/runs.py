@@ -318,15 +318,15 @@ def rerun(
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Repeat the run in an archive."""
     from mbdkit.base.errors import SpecError
-    from mbdkit.runs.simulation import simulate
-    from mbdkit.spec.spec_kinds import kind_of_runs
 
     try:
-        kind = kind_of_runs(before.kind)
+        kind = before.spec_kind
         with progress_bar(archive.name, quiet) as progress:
             if kind.repeat is None:
-                return simulate(kind.load()(before.spec), path=output, overwrite=overwrite, progress=progress)
-            repeated: Run = kind.repeat()(before, archive, output, overwrite=overwrite, progress=progress)
+                spec = kind.load()(before.spec)
+                repeated: Run = kind.compute()(spec, path=output, overwrite=overwrite, progress=progress)
+            else:
+                repeated = kind.repeat()(before, archive, output, overwrite=overwrite, progress=progress)
             return repeated
     except SpecError as error:
         raise error.located(file=archive) from error

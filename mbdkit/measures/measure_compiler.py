@@ -63,8 +63,6 @@ _NUMBER = _Value(PLAIN, is_number=True)
 
 
 class _Code(list[tuple[str, float]]):
-    """A program with the known properties of its value."""
-
     def __init__(self, program: Code, value: _Value):
         super().__init__(program)
         self.value = value
@@ -337,12 +335,10 @@ def _known(program: Code) -> _Value:
 
 
 def _is_of_rows(program: Sequence[tuple[str, float]]) -> bool:
-    """Return whether a program has a reduction of recorded rows."""
     return any(operation.startswith(REDUCE) and not place for operation, place in program)
 
 
 def _without_end(program: Program) -> Program:
-    """Return a program without ``final(t)``, the end of the run."""
     ends = [place for place in range(1, len(program)) if program[place - 1 : place + 1] == _END]
     return tuple(one for place, one in enumerate(program) if place not in ends)
 

@@ -32,7 +32,6 @@ class Series:
 
 
 def _mean(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the mean over time by the trapezoidal rule; the value itself if there is only one row."""
     duration = time[-1] - time[0]
     return np.trapezoid(values, time, axis=-1) / duration if duration > 0 else values[..., 0]
 

@@ -14,7 +14,6 @@ from mbdkit.engine.compile_mechanism import characteristic_length
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.registry.items import MeasurePlugin
-from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.trust.measure_error import measure_error
@@ -111,13 +110,12 @@ def _why_undecided(run: Run, spec: ModelSpec) -> str:
     With impacts, their order may then be undecided. The comparison runs may choose the same order as the run, so that
     the differences of their measures are smaller than the errors.
     """
-    accuracy, chosen = run.accuracy, spec.reacting if isinstance(spec, RunSpec) else None
-    return "" if chosen is None or accuracy is None or accuracy.is_complete else chosen.item.undecided
+    return "" if run.accuracy is None or run.accuracy.is_complete else spec.undecided
 
 
 def has_error(measure: DefinedMeasure, spec: ModelSpec) -> bool:
     """Return whether a measure of the runs of a spec has an error estimate, which may be nan."""
-    return isinstance(spec, RunSpec) and spec.check and measure.item is None and is_taken(measure, spec)
+    return spec.checks_measures and measure.item is None and is_taken(measure, spec)
 
 
 def with_error(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> dict[str, float]:
@@ -151,8 +149,7 @@ def _of_extrema(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> list[str]
 
 
 def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: ModelSpec) -> list[str]:
-    """Return a remark if the error of a measure is unknown although the run has a check."""
-    if not (isinstance(spec, RunSpec) and spec.check and math.isnan(error)):
+    if not (spec.checks_measures and math.isnan(error)):
         return []
     if measure.item is not None:
         return ["its error is unknown: errors of measures of plugins are not estimated"]

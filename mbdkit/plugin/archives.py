@@ -7,7 +7,7 @@ from mbdkit.base.lazy_names import door
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
     from mbdkit.archive import layout as layout, recorded_columns as recorded_columns
-    from mbdkit.archive.accuracy_summary import accuracy_sentence as accuracy_sentence
+    from mbdkit.archive.accuracy_summary import RunErrors as RunErrors
     from mbdkit.archive.archive_check import blaming_damage as blaming_damage
     from mbdkit.archive.changed_contents import hash_warnings as hash_warnings
     from mbdkit.archive.fingerprint import (
@@ -33,11 +33,12 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         check_target as check_target, checkpoint_path as checkpoint_path, part_path as part_path,
     )
     from mbdkit.archive.peak_errors import (
-        errors_of_frames as errors_of_frames, expression_of_largest as expression_of_largest,
+        errors_of_measures as errors_of_measures, expression_of_largest as expression_of_largest,
         missed_between_rows as missed_between_rows, peak_errors as peak_errors,
     )
     from mbdkit.archive.plain_spec import PlainSpec as PlainSpec
     from mbdkit.archive.recorded_data import RecordedData as RecordedData
+    from mbdkit.archive.result_table import ResultTable as ResultTable, TableColumn as TableColumn
     from mbdkit.archive.run_contents import ArrayContents as ArrayContents
     from mbdkit.archive.run_summary import few as few, ranked as ranked
     from mbdkit.archive.run_writer import (
@@ -64,6 +65,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.quantities.table import KINDS as KINDS
     from mbdkit.archive.run_contents import NotStoredError as NotStoredError
     from mbdkit.quantities.array import MIXED as MIXED
+    from mbdkit.runs.finish import finish_states as finish_states
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -11,6 +11,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         EQUAL as EQUAL, MotionPart as MotionPart, Peak as Peak, Sampled as Sampled, sampled as sampled,
     )
     from mbdkit.runs.integrals import RunIntegrals as RunIntegrals, functionals_of as functionals_of
+    from mbdkit.runs.finish import run_in_memory as run_in_memory
     from mbdkit.runs.preparation import (
         build as build, caution as caution, guards as guards, make_method as make_method,
         recorded_arrays as recorded_arrays, require_support as require_support, size_at_start as size_at_start,
@@ -19,7 +20,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.runs.provenance import model_provenance as model_provenance
     from mbdkit.runs.recorded_states import recorded_states as recorded_states
     from mbdkit.runs.recorder import shared_forces as shared_forces
-    from mbdkit.runs.run_in_memory import run_in_memory as run_in_memory
     from mbdkit.runs.simulation import measured_in as measured_in, simulate_arrays as simulate_arrays
     from mbdkit.runs.step_interpolation import StepEnds as StepEnds
     # fmt: on

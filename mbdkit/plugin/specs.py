@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         run_schema as run_schema,
     )
     from mbdkit.spec.sections import Count as Count, Section as Section
-    from mbdkit.spec.spec_kinds import kind_of as kind_of, kind_of_runs as kind_of_runs, refused as refused
+    from mbdkit.spec.spec_kinds import kind_of as kind_of, refused as refused
     from mbdkit.spec.study_measures import (
         DefinedMeasure as DefinedMeasure, Measures as Measures, RunMeasures as RunMeasures, defined as defined,
     )

@@ -113,7 +113,6 @@ def _imported(item: Registered) -> Kind:
 
 
 def _blaming(item: Registered, array: Array) -> Array:
-    """Return an array whose function, if it is wrong, raises PluginError."""
     if not isinstance(array, Recorded):
         return array
 

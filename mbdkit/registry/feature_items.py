@@ -60,6 +60,9 @@ def _check_identifier(item: Item) -> None:
         raise PluginError(f"the name {item.name!r} is not made of letters, digits and _, as names in Python are")
 
 
+_SIMULATE: Target[Callable[..., Any]] = Target("mbdkit.runs.simulation:simulate")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SpecKind(Feature):
     """A kind of specs: how it is recognised, checked, computed again and documented.
@@ -100,10 +103,22 @@ class SpecKind(Feature):
         `Run.kind` of the archives of this kind; empty if there are none.
     model
         Class of the validated spec that such an archive contains.
+    compute
+        Function that computes the run of a validated spec: it takes the spec, and by name ``path``, the archive to
+        write or None, ``overwrite`` and ``progress``. By default, the spec is simulated.
+    differentiate
+        Function that computes derivatives of measures: it takes a validated spec, the definitions of the measures, the
+        parameters, and ``check`` by name, and returns a `mbdkit_gradients.Gradient`; None if runs of this kind have no
+        derivatives.
+    errors
+        Class of what is known of the errors of the quantities of such runs, derived from
+        `mbdkit.plugin.archives.RunErrors`; by default, that class, for simulated runs.
+    is_integrated
+        Whether such runs are integrated step by step from an initial state, so that a longer run may continue them.
     repeat
         Function that computes the run of an archive again: it takes the `Run`, the path of its archive, the path of the
         new archive or None, and ``overwrite`` and ``progress`` by name. By default, the spec in the archive is loaded
-        and simulated.
+        and computed.
     heading
         Heading of its examples in ``mbdkit examples``.
     """
@@ -124,6 +139,10 @@ class SpecKind(Feature):
     schema: Target[Callable[[Any], dict[str, Any]]] | None = None
     run_kind: str = ""
     model: Target[Any] | None = None
+    compute: Target[Callable[..., Any]] = _SIMULATE
+    differentiate: Target[Callable[..., Any]] | None = None
+    errors: Target[Any] | None = None
+    is_integrated: bool = True
     repeat: Target[Callable[..., Any]] | None = None
     heading: str = ""
 

@@ -217,11 +217,9 @@ def _angles(
 
 
 def _is_flat(values: Sequence[object]) -> bool:
-    """Return whether a sequence consists of floats."""
     return all(type(value) is float for value in values)
 
 
 @lru_cache(maxsize=256)
 def _fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
-    """Return the names of the fields of a model, and whether their unit is the radian."""
     return tuple((name, _ANGLE.search(description(model, name)) is not None) for name in model.model_fields)

@@ -80,7 +80,6 @@ def _loaded(spec: RunSpec, text: str) -> RunSpec:
 
 
 def _check(spec: RunSpec) -> None:
-    """Raise SpecError if the start of a spec is doubtful."""
     doubts = findings("start", spec, build(spec)[1])
     if doubts:
         message = f"the start stays doubtful also from the assembled pose: {doubts[0]}"
@@ -88,7 +87,6 @@ def _check(spec: RunSpec) -> None:
 
 
 def _values(body: Body) -> Iterator[tuple[str, Any]]:
-    """Yield the initial values of a body that are not zero, by key."""
     for key in ("position", "angle", "velocity", "angular_velocity"):
         value = getattr(body, key)
         if any(value) if isinstance(value, tuple) else value:
@@ -96,7 +94,6 @@ def _values(body: Body) -> Iterator[tuple[str, Any]]:
 
 
 def _edited(text: str, given: Mapping[str, Body], moved: Mapping[str, Body]) -> str:
-    """Return a text with the initial values of moved bodies."""
     model = _entry(yaml.compose(text, Loader=yaml.SafeLoader), "model")
     edits: list[_Edit] = []
     for name, body in moved.items():
@@ -172,14 +169,12 @@ def _entry(node: yaml.Node | None, key: str) -> yaml.Node | None:
 
 
 def _mappings(node: yaml.Node | None) -> Iterator[yaml.MappingNode]:
-    """Yield the mappings in a mapping."""
     for _, value in node.value if isinstance(node, yaml.MappingNode) else ():
         if isinstance(value, yaml.MappingNode):
             yield value
 
 
 def _is_same(one: Any, other: Any) -> bool:
-    """Return whether plain data are the same up to rounding errors of numbers."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         keys = {key for key in one.keys() | other.keys() if one.get(key) or other.get(key)}
         return all(_is_same(one.get(key, 0.0), other.get(key, 0.0)) for key in keys)

@@ -155,7 +155,6 @@ class ContinuousFunctionals:
                 ends.drop(ends.done - BESIDE)
 
     def _part(self, ends: _Ends, first: int, count: int) -> MotionPart:
-        """Return the motion over `count` steps, with up to `BESIDE` further ends on both sides."""
         begin, end = max(0, first - BESIDE), min(len(ends.time), first + count + 1 + BESIDE)
         some = slice(begin, end)
         time, q, v, z = (np.array(x[some]) for x in (ends.time, ends.q, ends.v, ends.z))
@@ -173,11 +172,9 @@ class ContinuousFunctionals:
         return MotionPart(self._observer, self._names, states, steps, sides)
 
     def _is_within(self, one: Functional, span: tuple[float, float]) -> bool:
-        """Return whether the time of a value is within a span of times, and the value is not yet known."""
         return span[0] <= self._times[one.text] <= span[1] and bool(np.isnan(self._values[one.text]).any())
 
     def _add(self, one: Functional, part: MotionPart) -> None:
-        """Add the contribution of a part of the motion to an integral, an extremum or a value."""
         if one.is_value:
             self._values[one.text] = value_at(part, one, {}, 0.0, self._times[one.text])
         elif one.is_extremum:

@@ -90,7 +90,6 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
 
 
 def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
-    """Yield time and margin of every change of the outputs of controllers."""
     start, end = spec.time.start, spec.time.final
     controllers = spec.mechanism().controllers
     for name, one in controllers.items():
@@ -134,7 +133,6 @@ def check_jumps(spec: RunSpec) -> None:
 
 
 def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
-    """Raise SpecError if the value or the velocity of the motion of a driver is discontinuous."""
     start, end = spec.time.start, spec.time.final
     for corner in corners_of(motion, start, end):
         if _is_at_end(corner.time, corner.margin, start, end):
@@ -175,7 +173,6 @@ def overshoots_and_corners(spec: RunSpec, _measures: Sequence[str] = ()) -> Iter
 
 
 def _is_at_end(time: float, margin: float, start: float, end: float) -> bool:
-    """Return whether a discontinuity is at the start or the end of the run, up to rounding errors."""
     return min(time - start, end - time) <= SAME_TIME * margin
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -16,10 +16,13 @@ from mbdkit.integrators.interface import StepEvidence
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.registered_kinds import peaks_of
+from mbdkit.runs.law_ranges import steps_are_rows
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
+from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import EstimatedErrors, Evidence
 from mbdkit.trust.energy_record import EnergyRecord, gravity_level
+from mbdkit.trust.finding import Finding, accepted_doubts, open_doubts
 
 
 class Recorded(Protocol):
@@ -47,21 +50,21 @@ class Recorded(Protocol):
 
 
 def evidence_of_run(
+    spec: RunSpec,
     recorder: Recorded,
     steps: StepEvidence | None,
     ending: tuple[str, str],
     misalignment_max: np.ndarray,
     size: float,
-    warnings: Sequence[str],
-    accepted: Sequence[str] = (),
-    faults: Sequence[str] = (),
-    *,
-    finer: str,
+    found: Sequence[Finding],
+    doubts: Iterable[str] = (),
 ) -> Evidence:
     """Return the evidence of a run that has ended.
 
     Parameters
     ----------
+    spec
+        Spec of the run, which may accept findings.
     recorder
         The recorder, after all rows have been written.
     steps
@@ -72,14 +75,10 @@ def evidence_of_run(
         (J,) largest misalignment of each joint over all steps [m].
     size
         Size of the mechanism [m].
-    warnings
-        Warnings that cast doubt on the result.
-    accepted
-        Warnings that would cast doubt on the result, but are accepted by the spec.
-    faults
-        Findings that make the result bad.
-    finer
-        See `mbdkit.spec.run_spec.RunSpec.finer`.
+    found
+        Findings about the spec and the run.
+    doubts
+        Further sentences that cast doubt on the result.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
     energies, topology = recorder.energies, recorder.mechanism.topology
@@ -101,28 +100,22 @@ def evidence_of_run(
         energy_jump=steps.energy_jump,
         energy_jump_time=steps.energy_jump_time,
         branch=steps.branch,
-        warnings=warnings,
-        accepted=accepted,
-        faults=faults,
-        finer=finer,
+        warnings=(*open_doubts(found, spec.accept), *doubts),
+        accepted=accepted_doubts(found, spec.accept),
+        faults=open_doubts(found, spec.accept, "bad"),
+        finer=spec.finer,
     )
 
 
 def estimated_errors(
-    recorder: Recorder,
-    accuracy: Accuracy,
-    position_error: float,
-    missed: str = "",
-    *,
-    integrals: Integrals,
-    skips_steps: bool,
-    measures: Mapping[str, object],
-    finer: str,
+    spec: RunSpec, recorder: Recorder, accuracy: Accuracy, position_error: float, missed: str, integrals: Integrals
 ) -> EstimatedErrors:
     """Return the estimated errors of a checked run in the form used by the verdict.
 
     Parameters
     ----------
+    spec
+        Spec of the run.
     recorder
         The recorder, which has stored the rows.
     accuracy
@@ -133,13 +126,9 @@ def estimated_errors(
         Reason why the requested accuracy is not reached, as a clause.
     integrals
         Integrals and extrema of the run.
-    skips_steps
-        Whether its rows may skip ends of steps.
-    measures
-        Expressions of the measures of the run, by name.
-    finer
-        See `mbdkit.spec.run_spec.RunSpec.finer`.
     """
+    skips_steps = not steps_are_rows(spec) and "joints" in spec.recorded
+    measures = {measure.name: measure.expression for measure in spec.defined_measures() if measure.item is None}
     rows, joints = ObservedRows.joined(recorder.kept or []), recorder.workspace.mechanism.joints
     size = np.linalg.norm(rows.force, axis=2)
     beyond = missed_by_rows(integrals, "joints.force", joints, size, skips_steps=skips_steps)
@@ -148,7 +137,7 @@ def estimated_errors(
     worst = figures.worst_joint
     between = ""
     if worst is not None and worst.missed > worst.error:
-        advice = "record more rows" if skips_steps else f"use {finer}"
+        advice = "record more rows" if skips_steps else f"use {spec.finer}"
         between = (
             f"joint '{worst.name}' reaches {worst.peak + worst.missed:.4g} N, in the recorded rows {worst.peak:.4g} N; "
             f"{advice}"

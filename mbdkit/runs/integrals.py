@@ -234,7 +234,6 @@ class RunIntegrals:
         self._waiting = [nodes.part(slice(done, None))]
 
     def _joined_kept(self) -> list[np.ndarray]:
-        """Return times, weights, and the quantities of nested integrands at all nodes; empty arrays if none."""
         if not self._kept:
             return [np.zeros(0), np.zeros(0), *(self._unknown(one, 0) for one in self._read)]
         return [np.concatenate(x, axis=-1) for x in zip(*self._kept, strict=True)]

@@ -285,7 +285,6 @@ def _cubics(states: np.ndarray) -> np.ndarray:
 
 
 def _values(cubics: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return the values of cubics (4, ...) at shares (...) of their steps."""
     c0, c1, c2, c3 = cubics
     return np.asarray(c0 + share * (c1 + share * (c2 + share * c3)))
 

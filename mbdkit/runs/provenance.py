@@ -103,7 +103,6 @@ def _is_of(spec: RunSpec, kind: Registered) -> bool:
 
 
 def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:
-    """Return the given plugins, and those of the force laws of a spec, with their versions."""
     versions: dict[str, str] = {}
     for kind, item in items.items():
         versions[kind] = item.id

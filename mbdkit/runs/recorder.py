@@ -156,7 +156,6 @@ class Recorder:
     def _checked(
         self, stretch: Stretch, observed: Observed, singular: SingularState | None
     ) -> tuple[int, Failure | None]:
-        """Return how many leading states can be recorded, and the reason why the next state cannot be."""
         mechanism = self.workspace.mechanism
         count, failure = len(stretch.time), None
         if singular is not None:
@@ -178,7 +177,6 @@ class Recorder:
         return count, failure
 
     def _contradiction(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state in which redundant joints are inconsistent, and the failure."""
         count = len(observed.phi)
         gaps, uncertainty = self._observer.gaps[:count], self._observer.gap_uncertainty[:count]
         apart = gaps > APART + SECOND_ORDER * uncertainty
@@ -218,7 +216,6 @@ class Recorder:
         )
 
     def _fallen_apart(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state in which the misalignment of a joint exceeds a limit, and the failure."""
         smallest = min(self.guards.misalignment, self.guards.angle_misalignment)
         # a joint has at most three rows, so that none can exceed a limit; the check saves time
         if np.max(np.abs(observed.phi), initial=0.0) <= smallest / 4:
@@ -244,7 +241,6 @@ class Recorder:
         return first
 
     def _out_of_range(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the first row after a force law has left its range, and the failure if this stops the run."""
         left = None if self.ranges is None else self.ranges.add(stretch.time, observed.forces)
         if self.ranges is None or left is None or not self.ranges.stops:
             return None

@@ -49,9 +49,6 @@ PART = f"{SUFFIX}.part"
 
 _ANEW = "run it anew"
 
-_CHECKPOINT_0_2 = "checkpoint"
-"""Name of the group that holds checkpoints in a ``.part`` of version 0.2."""
-
 
 def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | None = None, files: bool = False) -> Run:
     """Continue a run that was killed or interrupted, from the last checkpoint beside its archive.
@@ -146,7 +143,7 @@ def _check_interrupted(path: Path, *, overwrite: bool) -> None:
         if run.status == "complete":
             hint = "to simulate a longer time, run its spec with another time.end"
             raise SpecError(f"this run is complete, so there is nothing to resume; {hint}", file=path)
-        if run.status != "interrupted" or run.kind != "forward":
+        if run.status != "interrupted" or not run.spec_kind.is_integrated:
             raise _refused(path, f"it was not interrupted but has ended with the status {run.status}")
         checkpoint = Checkpoint.of(path)
         if checkpoint is None:
@@ -180,7 +177,6 @@ def _held(part: Path) -> Iterator[BinaryIO]:
 
 
 def _replacement(part: Path) -> Path:
-    """Return the name of the new file of a resumed run before it replaces the ``.part``."""
     return part.with_name(f"{part.name.removesuffix('.part')}.resumed.part")
 
 
@@ -217,8 +213,6 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
         if run.status == "running":
             spec = _same_spec(part, run.spec_json, run.run_id, run.provenance)
             why = why_without(spec, make_method(spec))
-            if not why and _CHECKPOINT_0_2 in run.file:
-                why = "its checkpoint is in the file itself, where another version of mbdkit has written it"
             missing = f"its checkpoint {checkpoint_path(part).name} is not in the same folder"
             first = f"the first one is written after {INTERVAL:g} s of steps"
             raise _refused(part, why or f"{missing} (a run may also end before it has one: {first})")
@@ -308,7 +302,6 @@ class _Unfinished:
             raise error.located(file=self.part) from error
 
     def _writer(self, spec: RunSpec, method: Method, start: tuple[Workspace, AssembledState]) -> ArchiveWriter:
-        """Create the file that will replace the ``.part``."""
         workspace, _ = start
         then = self.checkpoint.head["provenance"]
         writer = ArchiveWriter(
@@ -327,7 +320,6 @@ class _Unfinished:
         return writer
 
     def _copy(self, writer: ArchiveWriter) -> None:
-        """Copy the rows and the checkpoint into the new file."""
         with reading("its rows", self.part, hint=_ANEW):
             writer.copy_rows(self.checkpoint, self.stream)
         if writer.lines != self.checkpoint.lines:
@@ -335,7 +327,6 @@ class _Unfinished:
         writer.keep_checkpoint(self.checkpoint.state)
 
     def _observed(self) -> list[ObservedRows]:
-        """Return states and reactions of the rows up to the checkpoint."""
         paths = (
             "trajectory/time", "trajectory/position", "trajectory/velocity",
             "joints/reaction_force", "joints/reaction_torque",
@@ -347,7 +338,6 @@ class _Unfinished:
 
 
 def _word(key: str, provenance: Mapping[str, object]) -> str:
-    """Return the name of the component that an entry of the provenance describes, such as a plugin."""
     kind, _, part = key.rpartition("_")
     if part == "version":
         return f"{provenance[kind]} {part}"

@@ -119,7 +119,6 @@ def changed_velocities(spec: RunSpec, start: AssembledState) -> Iterator[str]:
 
 
 def _accepted(criterion: str) -> str:
-    """Return a clause on what to do if a change by assembly is intended."""
     return (
         f"; if this is intended, `mbdkit validate SPEC --assembled FILE` writes the spec with the initial values after "
         f"assembly, or write `accept: [{criterion}]`"

@@ -8,24 +8,24 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import ArrayWriter
-from mbdkit.archive.hdf5 import set_text
-from mbdkit.archive.layout import GRADIENTS
+from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArchiveContents
-from mbdkit.archive.run_writer import Ending, RunWriter, utc_now
+from mbdkit.archive.run_writer import Ending, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.logs import logger_of
 from mbdkit.base.text import listed, shown
+from mbdkit.engine.assembly import AssembledState
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
@@ -46,18 +46,18 @@ from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
-from mbdkit.runs.integrals import RunIntegrals, compared_loads
+from mbdkit.runs.finish import finish
+from mbdkit.runs.integrals import RunIntegrals, compared_loads, expressions_of
 from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
 from mbdkit.runs.preparation import guards, plugin_failure, size_at_start, timetable
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.runs.run_criteria import step_advice
-from mbdkit.runs.run_in_memory import measured_values, run_in_memory
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import judge
-from mbdkit.trust.finding import Finding, accepted_doubts, open_doubts
+from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
@@ -71,25 +71,15 @@ _FINAL = ("wall-time", "max-steps", "plugin-error")
 """Failures that smaller steps cannot avoid."""
 
 
-class _Told:
-    """Calls the callback of a user. If it raises an exception, the run is stopped and the callback is not called again.
-
-    Parameters
-    ----------
-    stop
-        Function that stops the run, like Ctrl-C.
-
-    Attributes
-    ----------
-    error
-        The exception, unless it was KeyboardInterrupt.
+class _Reporter:
+    """Calls the `progress` of a user. If it raises an exception, the run is stopped by `stop`, as by Ctrl-C, and
+    `progress` is not called again; `error` is then the exception, unless it was KeyboardInterrupt.
     """
 
     def __init__(self, progress: Progress, stop: Callable[[], None]):
         self.progress, self.stop = progress, stop
-        self.stopped, self.error = False, None
-
-    error: Exception | None
+        self.stopped = False
+        self.error: Exception | None = None
 
     def __call__(self, reached: float, end: float) -> None:
         if self.stopped:
@@ -102,6 +92,38 @@ class _Told:
             self.stopped, self.error = True, error
         if self.stopped:
             self.stop()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Request:
+    """What is asked of a simulation besides its spec.
+
+    Parameters
+    ----------
+    begun
+        Function that returns the writer of a run, given its spec, its method and its start.
+    begin
+        Time at which the run was requested [s].
+    measured_in
+        Function that evaluates expressions of measures in a comparison run.
+    path, starts, measures, tables
+        See `mbdkit.runs.simulation.simulate`.
+    continuation
+        The state to continue from, if any.
+    becomes_run
+        Whether the caller gets a `Run`, which Ctrl-C ends early and which shows the rows until then; otherwise, only
+        the arrays in its writer are used.
+    """
+
+    begun: Callable[[RunSpec, Method, tuple[Workspace, AssembledState]], RunWriter]
+    begin: float
+    measured_in: Callable[[Sequence[str], RunSpec], Sequence[float] | None]
+    path: Path | None = None
+    starts: Starts | None = None
+    measures: Sequence[str] = ()
+    tables: Mapping[str, ResultTable] = field(default_factory=dict)
+    continuation: Continuation | None = None
+    becomes_run: bool = True
 
 
 class SimulatedRun:
@@ -117,10 +139,10 @@ class SimulatedRun:
         The method of integration.
     writer
         Receives the rows and writes them to an open archive, or to arrays in memory.
-    begin
-        Time at which the run began, as returned by `time.perf_counter` [s].
-    warnings
-        Warnings so far.
+    request
+        What is asked of the run.
+    findings
+        Findings so far.
     choice
         The method and step chosen for the requested accuracy, if any.
     functionals
@@ -133,20 +155,17 @@ class SimulatedRun:
         workspace: Workspace,
         method: Method,
         writer: RunWriter,
-        begin: float,
+        request: Request,
         findings: tuple[Finding, ...],
         choice: Choice | None,
-        functionals: Sequence[Functional] = (),
+        functionals: Sequence[Functional],
     ):
-        self.spec, self.workspace, self.method, self.writer, self.begin = spec, workspace, method, writer, begin
-        self.findings, self.choice = findings, choice
+        self.spec, self.workspace, self.method, self.writer = spec, workspace, method, writer
+        self.request, self.findings, self.choice, self.interrupted = request, findings, choice, False
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
-        #: Whether the run is returned as a `Run`, which Ctrl-C ends early; otherwise, only the arrays in its writer are
-        #: used.
-        self.becomes_run = True
-        self.created = utc_now()
-        self.in_memory: Run | None = None
+        #: The run, once it is finished; None if only the arrays in its writer are used.
+        self.run: Run | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
         between = None if steps_are_rows(spec) else workspace
@@ -164,12 +183,7 @@ class SimulatedRun:
         self.watch: Watch | None = None
         self.failure: Failure | None = None
         self.cause: BaseException | None = None
-        self.interrupted = False
         self.accuracy: Accuracy | None = None
-        #: Expressions of measures, and the function that evaluates them in comparison runs.
-        self.expressions: Sequence[str] = ()
-        self.measured_in: Callable[[Sequence[str], RunSpec], Sequence[float] | None] | None = None
-        self.continuation: Continuation | None = None
         #: Gradients of the measures as JSON; empty if there are none.
         self.gradients = ""
         if spec.estimates_errors:
@@ -177,30 +191,32 @@ class SimulatedRun:
 
     def integrate(self, progress: Progress | None) -> None:
         """Record the initial state, integrate to the end, and check the accuracy; raise what `progress` raises."""
-        told = None if progress is None else _Told(progress, self.interrupt)
-        if self.continuation is None:
+        reporter = None if progress is None else _Reporter(progress, self.interrupt)
+        if self.request.continuation is None:
             self.record_start()
         with self._blaming_the_plugin():
             if self.failure is None:
                 self.start()
-        before = dict.fromkeys(TIMES, 0.0) if self.continuation is None else self.take_up(self.continuation)
-        setup = before["setup_s"] + time.perf_counter() - self.begin
+        before = (
+            dict.fromkeys(TIMES, 0.0) if self.request.continuation is None else self.take_up(self.request.continuation)
+        )
+        setup = before["setup_s"] + time.perf_counter() - self.request.begin
         wall, cpu = time.perf_counter() - before["wall_s"], time.process_time() - before["cpu_s"]
         self.timings = {"setup_s": setup}
         if self.integrals is not None:
             self.timings["integrals_s"] = before["integrals_s"]
         if self.stepper is not None:
-            self.advance(self.stepper, told, wall, self.checkpoints(wall, cpu))
+            self.advance(self.stepper, reporter, wall, self.checkpoints(wall, cpu))
         self.timings |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         if isinstance(self.stepper, Replay):  # the steps have been computed by the pilot, before this run
             self.timings["wall_s"] += self.stepper.wall
             self.timings["cpu_s"] += self.stepper.cpu
         begin = time.perf_counter()
-        self.check_accuracy(told)
+        self.check_accuracy(reporter)
         if self.accuracy is not None:
             self.timings["check_s"] = time.perf_counter() - begin
-        if told is not None and told.error is not None:
-            raise told.error
+        if reporter is not None and reporter.error is not None:
+            raise reporter.error
 
     def interrupt(self) -> None:
         """Stop the run after the current stretch."""
@@ -341,7 +357,7 @@ class SimulatedRun:
     ) -> None:
         """Step until the end, a limit, a failure or an interrupt, and record the states."""
         limit, end = self.spec.limits.wall_time, self.spec.time.final
-        elapsed = time.perf_counter() - begin if self.continuation is not None else 0.0
+        elapsed = time.perf_counter() - begin if self.request.continuation is not None else 0.0
         recorded = self.recorder.last_time
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             with self._blaming_the_plugin():
@@ -388,11 +404,15 @@ class SimulatedRun:
                 self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress, self.memory
             )
         self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
-        expressions = tuple(dict.fromkeys((*self.expressions, *self.compared_loads()))) if self.spec.check else ()
-        if expressions and self.failure is None and self.measured_in is not None:
+        expressions = (
+            tuple(dict.fromkeys((*expressions_of(self.spec, self.request.measures), *self.compared_loads())))
+            if self.spec.check
+            else ()
+        )
+        if expressions and self.failure is None:
             compared = compared_measures(
                 self.spec, self.method, self.workspace, steps, expressions,
-                partial(self.measured_in, expressions), lambda: self.interrupted,
+                partial(self.request.measured_in, expressions), lambda: self.interrupted,
             )  # fmt: skip
             self.accuracy = replace(self.accuracy, compared_measures=compared)
 
@@ -403,17 +423,10 @@ class SimulatedRun:
             return ()
         return compared_loads(self.spec, self.integrals.totals(self.recorder.of_event), peaks)
 
-    def measured(self, file: h5py.File) -> str:
-        """Evaluate the measures of a run in a file, store their gradients, and return the attribute of the archive."""
-        values = measured_values(Run(file), self.spec)
-        if self.gradients:
-            set_text(file, GRADIENTS, self.gradients)
-        return values.to_json()
-
     def doubtful_gradients(self) -> Iterator[str]:
         """Yield a sentence about the measures whose gradients fail their checks, if any."""
         found = json.loads(self.gradients or "{}")
-        failed = [name for name, one in found.items() if not one.get("check", {"agrees": True})["agrees"]]
+        failed = [name for name, entry in found.items() if not entry.get("check", {"agrees": True})["agrees"]]
         if failed:
             yield f"The check of the gradients failed for {listed(failed, 'and')}; `doubts` of the gradients says why."
 
@@ -438,64 +451,45 @@ class SimulatedRun:
         misalignment_max = self.recorder.misalignment_max(
             stepper.worst_pairs if stepper is not None else np.zeros(pairs)
         )
-        ending = status, reason
         steps = None if stepper is None else stepper.evidence
         memory = self.memory
-        notes = () if memory is None else memory.remarks()
-        of_drivers = [] if steps is None else [one for one in steps.impacts if isinstance(one, DriverImpulse)]
+        of_drivers = [] if steps is None else [impact for impact in steps.impacts if isinstance(impact, DriverImpulse)]
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
         totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
         found = (*self.findings, *self.recorder.findings(totals))
-        if self.becomes_run and self.spec.gradients and status == "complete":
+        if self.request.becomes_run and self.spec.gradients and status == "complete":
             self.gradients = higher_layers.gradients_json(self.spec)
-        questions = (*open_doubts(found, self.spec.accept), *self.doubtful_gradients())
         evidence = evidence_of_run(
-            self.recorder,
-            steps,
-            ending,
-            misalignment_max,
-            self.size,
-            questions,
-            accepted_doubts(found, self.spec.accept),
-            open_doubts(found, self.spec.accept, "bad"),
-            finer=self.spec.finer,
-        )
+            self.spec, self.recorder, steps, (status, reason), misalignment_max, self.size, found,
+            self.doubtful_gradients(),
+        )  # fmt: skip
         errors = None
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
-            measures = {one.name: one.expression for one in self.spec.defined_measures() if one.item is None}
-            skips_steps = not steps_are_rows(self.spec) and "joints" in self.spec.recorded
-            errors = estimated_errors(
-                self.recorder, self.accuracy, position, missed,
-                integrals=totals, skips_steps=skips_steps, measures=measures, finer=self.spec.finer,
-            )  # fmt: skip
+            errors = estimated_errors(self.spec, self.recorder, self.accuracy, position, missed, totals)
         judgement = judge(evidence, errors)
         message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
         level = logging.WARNING if status == "failed" else logging.INFO
         if _LOG.isEnabledFor(level):
             _LOG.log(level, "run %s ends: %s, verdict %s", self.spec.run_id(), message, judgement.level)
         _LOG.debug("counters: %s; timings: %s", counters, self.timings)
-        ended = Ending(
+        notes = () if memory is None else memory.remarks()  # on the treatment of elements, which question no result
+        ending = Ending(
             status,
             reason,
             {**counters, **self.timings},
             misalignment_max,
             judgement,
-            (*map(str, found), *notes),  # notes about the treatment of elements do not question the result
+            (*map(str, found), *notes),
             self.accuracy,
             totals,
             self.cause,
+            self.request.tables,
         )
-        self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
-        if self.becomes_run and isinstance(self.writer, ArrayWriter):
-            assert self.writer.finished is not None
-            self.in_memory = run_in_memory(self.writer.finished, self.spec, self.created, self.gradients)
-
-    def run(self) -> Run:
-        """Return the run, once it is finished."""
-        if self.in_memory is not None:
-            return self.in_memory
-        assert isinstance(self.writer, ArchiveWriter)
-        return Run(ArchiveContents.just_written(self.writer))
+        if self.request.becomes_run:
+            self.run = finish(self.writer, self.spec, ending, gradients=self.gradients)
+        else:
+            assert isinstance(self.writer, ArrayWriter)
+            self.writer.finish(ending)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Unpack
 
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.part_file import check_target
+from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.run_writer import Origin, RunWriter
@@ -35,12 +35,12 @@ from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
-from mbdkit.runs.integrals import expressions_of, functionals_of, largest_loads_of
+from mbdkit.runs.integrals import functionals_of, largest_loads_of
 from mbdkit.runs.preparation import build, caution, check_disk_space, make_method, recorded_arrays, require_support
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import Continuation
-from mbdkit.runs.simulated_run import Progress, SimulatedRun
+from mbdkit.runs.simulated_run import Progress, Request, SimulatedRun
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.trust.finding import Finding
@@ -118,6 +118,7 @@ def simulate(
     progress: Progress | None = None,
     starts: Starts | None = None,
     measures: Sequence[str] = (),
+    tables: Mapping[str, ResultTable] | None = None,
 ) -> Run:
     """Run a validated spec; see `run`. Warnings are not printed.
 
@@ -134,12 +135,19 @@ def simulate(
     measures
         Expressions that will be evaluated for the run, in addition to the measures of the spec. The integrals over time
         and extrema that they contain are computed during the run; see `mbdkit.runs.integrals`.
+    tables
+        Tables of further results by name, which the archive stores.
     """
     begin = time.perf_counter()
     if path is not None:
         check_target(path, overwrite=overwrite)
-    begun = _begun_arrays if path is None else partial(_begun_archive, path=path, overwrite=overwrite)
-    return _ended(spec, _Preparation(begun, begin, path, starts, measures), progress).run()
+    in_arrays = path is None and not tables
+    begun = _begun_arrays if in_arrays else partial(_begun_archive, path=path, overwrite=overwrite)
+    request = Request(
+        begun=begun, begin=begin, measured_in=measured_in, path=path, starts=starts, measures=measures,
+        tables=tables or {},
+    )  # fmt: skip
+    return _finished(_ended(spec, request, progress))
 
 
 def simulate_on(
@@ -161,8 +169,10 @@ def simulate_on(
     progress, measures
         See `simulate`.
     """
-    preparation = _Preparation(begun, time.perf_counter(), measures=measures, continuation=continuation)
-    return _ended(spec, preparation, progress).run()
+    request = Request(
+        begun=begun, begin=time.perf_counter(), measured_in=measured_in, measures=measures, continuation=continuation
+    )
+    return _finished(_ended(spec, request, progress))
 
 
 def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Sequence[str] = ()) -> FinishedRun:
@@ -173,91 +183,70 @@ def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Se
     starts, measures
         See `simulate`.
     """
-    preparation = _Preparation(_begun_arrays, time.perf_counter(), None, starts, measures, becomes_run=False)
-    simulation = _ended(spec, preparation, None)
+    request = Request(
+        begun=_begun_arrays, begin=time.perf_counter(), measured_in=measured_in, starts=starts, measures=measures,
+        becomes_run=False,
+    )  # fmt: skip
+    simulation = _ended(spec, request, None)
     assert isinstance(simulation.writer, ArrayWriter)
     assert simulation.writer.finished is not None
     return simulation.writer.finished
 
 
-@dataclass(frozen=True)
-class _Preparation:
-    """The arguments of a simulation besides its spec.
+def _finished(simulation: SimulatedRun) -> Run:
+    assert simulation.run is not None
+    return simulation.run
 
-    Parameters
-    ----------
-    begun
-        Function that returns the writer of a run.
-    path, starts, measures
-        See `simulate`.
-    begin
-        Time at which the run was requested [s].
-    continuation
-        The state to continue from, if any.
-    becomes_run
-        Whether the caller gets a `Run`, which shows the rows of an interrupted run.
+
+def _begun(spec: RunSpec, request: Request, choice: Choice | None = None) -> SimulatedRun:
+    """Return the simulation of a spec; `choice` says how method and step were chosen, and is None if the user gave
+    them.
     """
-
-    begun: Callable[[RunSpec, Method, _Start], RunWriter]
-    begin: float
-    path: Path | None = None
-    starts: Starts | None = None
-    measures: Sequence[str] = ()
-    continuation: Continuation | None = None
-    becomes_run: bool = True
-
-    def simulation(self, spec: RunSpec, choice: Choice | None = None) -> SimulatedRun:
-        """Return the simulation of a spec; `choice` says how method and step were chosen, and is None if the user gave
-        them.
-        """
-        method = make_method(spec)
-        check_jumps(spec)
-        if spec.gradients:
-            higher_layers.check_gradients(spec, method)
-        cautions = caution(spec, method, self.measures)
-        _log(cautions)
-        workspace, start = build(spec, self.starts)
-        require_support(spec, method, workspace.mechanism)
-        moves = findings("start", spec, start)
-        _log(moves)
-        if _LOG.isEnabledFor(logging.DEBUG):
-            _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
-        check_disk_space(spec, workspace.mechanism, self.path)
-        loads = largest_loads_of(spec, peaks_of(archive_names(workspace.mechanism)))
-        functionals = functionals_of(spec, (*self.measures, *loads))
-        noted: list[bool] = []
-        noting = _not_noted if self.begun is _begun_arrays else interrupts_noted
-        with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed after Ctrl-C
-            writer = self.begun(spec, method, (workspace, start))
-            try:
-                simulation = SimulatedRun(
-                    spec, workspace, method, writer, self.begin, (*cautions, *moves), choice, functionals
-                )
-            except BaseException:
-                writer.abandon()
-                raise
-        simulation.becomes_run = self.becomes_run
-        simulation.interrupted, simulation.continuation = bool(noted), self.continuation
-        simulation.expressions = expressions_of(spec, self.measures)
-        simulation.measured_in = measured_in
-        return simulation
+    method = make_method(spec)
+    check_jumps(spec)
+    if spec.gradients:
+        higher_layers.check_gradients(spec, method)
+    cautions = caution(spec, method, request.measures)
+    _log(cautions)
+    workspace, start = build(spec, request.starts)
+    require_support(spec, method, workspace.mechanism)
+    moves = findings("start", spec, start)
+    _log(moves)
+    if _LOG.isEnabledFor(logging.DEBUG):
+        _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
+    check_disk_space(spec, workspace.mechanism, request.path)
+    loads = largest_loads_of(spec, peaks_of(archive_names(workspace.mechanism)))
+    functionals = functionals_of(spec, (*request.measures, *loads))
+    noted: list[bool] = []
+    noting = _not_noted if request.begun is _begun_arrays else interrupts_noted
+    with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed after Ctrl-C
+        writer = request.begun(spec, method, (workspace, start))
+        try:
+            simulation = SimulatedRun(
+                spec, workspace, method, writer, request, (*cautions, *moves), choice, functionals
+            )
+        except BaseException:
+            writer.abandon()
+            raise
+    if noted:
+        simulation.interrupt()
+    return simulation
 
 
-def _ended(spec: RunSpec, preparation: _Preparation, progress: Progress | None) -> SimulatedRun:
-    """Run a spec to its end, and return the simulation with its finished writer."""
+def _ended(spec: RunSpec, request: Request, progress: Progress | None) -> SimulatedRun:
     method = "the method is chosen during the run" if spec.choose == "method" else spec.integrator_item.id
     if _LOG.isEnabledFor(logging.INFO):
         _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
     with one_thread_of_linear_algebra():
         if spec.is_to_be_chosen:
-            return _with_accuracy(spec, preparation, progress)
-        with _finished_or_abandoned(preparation.simulation(spec)) as simulation:
+            return _with_accuracy(spec, request, progress)
+        with _finished_or_abandoned(_begun(spec, request)) as simulation:
             simulation.integrate(progress)
             simulation.finish()
             return simulation
 
 
-def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress | None) -> SimulatedRun:
+def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -> SimulatedRun:
     """Choose method and step for the requested accuracy of a spec, and repeat the run with smaller steps or tolerances
     until it reaches the accuracy.
 
@@ -268,7 +257,7 @@ def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress 
     choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
-        with _finished_or_abandoned(preparation.simulation(choice.applied_to(spec), choice)) as simulation:
+        with _finished_or_abandoned(_begun(choice.applied_to(spec), request, choice)) as simulation:
             simulation.integrate(progress)
             tried.append((simulation.merit(), choice))
             best = max(tried, key=lambda attempt: attempt[0])[1]
@@ -280,7 +269,7 @@ def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress 
         if following is None:
             # Only one archive is written at a time, so that the best attempt has to be repeated. Equal settings give
             # equal results.
-            with _finished_or_abandoned(preparation.simulation(best.applied_to(spec), best)) as simulation:
+            with _finished_or_abandoned(_begun(best.applied_to(spec), request, best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [one for _, one in tried]
                 simulation.finish()
@@ -289,7 +278,6 @@ def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress 
 
 
 def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, attempts: int) -> Choice | None:
-    """Return the choice for the next attempt after one that missed the accuracy; None for no further attempt."""
     choice = simulation.choice
     assert spec.accuracy is not None
     assert choice is not None
@@ -298,8 +286,7 @@ def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, at
     return None if attempts >= MOST_ATTEMPTS else choice.tightened(spec, spec.accuracy, simulation.reached)
 
 
-def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path, overwrite: bool) -> RunWriter:
-    """Begin the archive of a run."""
+def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path | None, overwrite: bool) -> RunWriter:
     workspace, assembled = start
     return ArchiveWriter(
         path,
@@ -312,7 +299,6 @@ def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path, 
 
 
 def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
-    """Return a writer that stores the rows of a run in memory."""
     workspace, assembled = start
     return ArrayWriter(
         archive_names(workspace.mechanism),
@@ -333,7 +319,6 @@ def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | 
 
 
 def _log(found: Iterable[Finding]) -> None:
-    """Log findings about a run."""
     for warning in found:
         _LOG.warning("%s", shown(warning))
 
@@ -350,7 +335,7 @@ def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
 def _finished_or_abandoned(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
     """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
     try:
-        noting = interrupts_noted if simulation.becomes_run else _not_noted
+        noting = interrupts_noted if simulation.request.becomes_run else _not_noted
         with noting(simulation.interrupt):
             yield simulation
     except BaseException as error:

@@ -101,7 +101,6 @@ def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
 
 
 def _stored_memory(stepper: StepHost, memory: Any) -> dict[str, Any]:
-    """Return the memory of a method as an entry of the state of its stepper."""
     try:
         if not hasattr(memory, "stored"):
             return {"memory": _plain(memory)}
@@ -114,7 +113,6 @@ def _stored_memory(stepper: StepHost, memory: Any) -> dict[str, Any]:
 
 
 def _memory_of(stepper: StepHost, state: Mapping[str, Any]) -> Any:
-    """Return the memory in the stored state of a stepper."""
     if "restored" in state:
         first = stepper.first_memory
         restored = first.restored(_unplain(state["restored"]))
@@ -170,7 +168,6 @@ def impulses_of(state: Mapping[str, Any], joints: int) -> list[DriverImpulse]:
 
 
 def _array(value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a stored array; raise ValueError if the value is not an array of this shape."""
     if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.shape != shape:
         raise ValueError("an array has another shape or type")
     return value

@@ -73,7 +73,6 @@ class Choice:
         return validator.validate_python(data, context=info.context)
 
     def _name(self, data: Any) -> str:
-        """Return the name in `data`; raise SpecError unless it is a mapping with a name."""
         if not isinstance(data, Mapping):
             example = data if isinstance(data, str) and data in self.registry.names(self.kind) else "NAME"
             problem, key = f"should be a mapping such as `{{name: {example}}}`, not {value_text(data)}", ""
@@ -93,7 +92,6 @@ def _validator(item: Registered) -> SchemaValidator:
 
 
 def _union(items: Iterable[Registered]) -> CoreSchema:
-    """Return the schema of the options of several items, of which a validator never has more than one."""
     choices = {item.id: _blaming(item, named_options(item).__pydantic_core_schema__) for item in items}
     return core_schema.tagged_union_schema(choices, lambda data: next(iter(choices)))
 

@@ -49,6 +49,5 @@ def _cell(number: int, kind: str, text: str) -> dict[str, Any]:
 
 
 def _notebooks() -> dict[str, Path]:
-    """Return the files of the packaged notebooks by name."""
     files = (cast(Example, item.plugin).file for item in registry().of_kind("example"))
     return {file.stem: file for file in files if file.suffix == ".py"}

@@ -26,7 +26,6 @@ class FormulationOptions(Section):
 
 
 def _plainly(options: FormulationOptions) -> FormulationOptions | str:
-    """Replace a formulation without options by its name."""
     if "loops" in options.model_fields_set and options.name != "joint-coordinates":
         raise SpecError("is an option of joint-coordinates only; omit it", key="loops")
     return options.name if options.loops == "index-1" else options

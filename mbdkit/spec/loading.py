@@ -110,7 +110,6 @@ def loaded(name: str, kind: type[S], source: Any, overrides: Iterable[str], sect
 
 
 def _read_files(document: Document) -> None:
-    """Replace what elements of plugins read from files."""
     model: Any = document.data.get("model")
     for key, kind in element_kinds().items() if isinstance(model, Mapping) else ():
         if kind.read_files is not None and isinstance(elements := model.get(key), Mapping):
@@ -128,7 +127,6 @@ def example_names(kind: str | None = None) -> list[str]:
 
 @functools.lru_cache(maxsize=1)
 def _kinds(known: Registry) -> dict[str, str]:
-    """Return the kind of each packaged spec by its name, in order of the names."""
     marked = [kind for kind in spec_kinds() if kind.marker]
     kinds = {}
     for name, path in _examples_of(known).items():
@@ -158,7 +156,6 @@ def example_table(name: str) -> str | None:
 
 
 def _examples() -> dict[str, Path]:
-    """Return the files of the packaged specs by name."""
     return _examples_of(registry())
 
 

@@ -28,9 +28,11 @@ from mbdkit.registry.items import ModelPlugin
 from mbdkit.spec.choices import Choice, RegistryLookup, registry_of
 from mbdkit.spec.reading import Document
 from mbdkit.spec.sections import QUANTITIES, Section
+from mbdkit.spec.spec_kinds import kind_of
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.registry.feature_items import SpecKind
     from mbdkit.spec.study_measures import DefinedMeasure
 
 
@@ -170,6 +172,23 @@ class ModelSpec(StrictSpec):
     def recorded(self) -> frozenset[str]:
         """Groups of quantities that the archive contains in addition to the trajectory."""
         return frozenset(QUANTITIES)
+
+    @property
+    def checks_measures(self) -> bool:
+        """Whether comparison runs estimate the errors of measures."""
+        return False
+
+    @property
+    def undecided(self) -> str:
+        """Clause on why errors of measures are unknown if the errors of the motion are not known to its end; empty if
+        they are known.
+        """
+        return ""
+
+    @property
+    def spec_kind(self) -> SpecKind:
+        """The kind of the spec, which says how its runs are computed and differentiated."""
+        return kind_of(self.sections())
 
     @property
     def event_names(self) -> tuple[str, ...]:

@@ -90,7 +90,6 @@ def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _first_method(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the method that is tried first."""
     stabilization = data.get("stabilization")
     if getattr(stabilization, "symmetric", False) or (
         isinstance(stabilization, Mapping) and stabilization.get("symmetric")
@@ -256,7 +255,6 @@ class RunSpec(ModelSpec):
         return self
 
     def _check_stabilization(self, item: Registered, claims: Claims) -> None:
-        """Raise SpecError if the stabilization is incompatible with the formulation or the integrator."""
         chosen = self.stabilized
         if chosen.kind == "baumgarte" and self.formulated.solves_multipliers:
             raise SpecError(
@@ -291,6 +289,16 @@ class RunSpec(ModelSpec):
         return self.mechanism().reacting
 
     @property
+    def checks_measures(self) -> bool:
+        """See `ModelSpec.checks_measures`."""
+        return self.check
+
+    @property
+    def undecided(self) -> str:
+        """See `ModelSpec.undecided`."""
+        return "" if self.reacting is None else self.reacting.item.undecided
+
+    @property
     def estimates_errors(self) -> bool:
         """Whether the errors of the recorded states are estimated."""
         return self.check or self.accuracy is not None
@@ -316,9 +324,6 @@ class RunSpec(ModelSpec):
         spec._document, spec._mechanism, spec._watched = self._document, self._mechanism, self._watched
         spec._settings, spec._files = self._settings, self._files
         return spec
-
-    settled: ClassVar[Any] = with_choice
-    """Earlier name of `with_choice`."""
 
     def with_model(self, model: BaseModel) -> RunSpec:
         """Return this spec with other valid parameters of its model.

@@ -288,7 +288,6 @@ def named(given: Any, names: Sequence[str], what: str) -> Any:
 
 
 def _plainly(chosen: Any) -> Any:
-    """Replace `NoStabilization` by the string ``none`` in the serialized form."""
     return "none" if isinstance(chosen, NoStabilization) else chosen
 
 

@@ -41,11 +41,6 @@ def kind_of(data: Mapping[str, Any]) -> SpecKind:
     return cast(SpecKind, marked[0].plugin)
 
 
-def kind_of_runs(name: str) -> SpecKind:
-    """Return the kind of the specs whose runs have the `Run.kind` `name`."""
-    return next(kind for kind in spec_kinds() if kind.run_kind == name)
-
-
 def refused(data: Mapping[str, Any], wanted: str) -> SpecError | None:
     """Return the error for a spec of another kind than the one with the name `wanted`; None if it may be of this
     kind.

@@ -133,7 +133,6 @@ def _defined_in(definitions: Mapping[str, Any], above: Path) -> Iterator[Defined
 
 
 def _unit(keys: Mapping[str, Any], place: Path) -> str:
-    """Return the unit among the keys of a definition by an expression; empty if there is none."""
     for key in keys:
         if key not in ("value", "unit"):
             hint = did_you_mean(key, ["value", "unit"])
@@ -151,7 +150,6 @@ def _unit(keys: Mapping[str, Any], place: Path) -> str:
 
 
 def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> DefinedMeasure:
-    """Return a measure of a plugin with validated options."""
     installed = registry()
     wanted = str(definition["name"])
     items = installed.of_kind("measure")
@@ -177,7 +175,6 @@ def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> Defined
 
 
 def _check(given: Any) -> Any:
-    """Check the value of `measures` and return it unchanged."""
     if given == "all":
         return given
     if not isinstance(given, list | Mapping):
@@ -197,7 +194,6 @@ def _check(given: Any) -> Any:
 
 
 def _check_definitions(given: Any) -> Any:
-    """Check the value of `measures` of a run and return it unchanged."""
     if not isinstance(given, Mapping):
         raise SpecError(f"should be a mapping of names and expressions, not {value_text(given)}")
     return _check(given)
@@ -229,8 +225,6 @@ RunMeasures = Annotated[dict[str, Any], BeforeValidator(_check_definitions), Wit
 
 
 class _MeasuresSchema:
-    """The JSON schema of `measures` of a study."""
-
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         named = {"anyOf": [{"enum": list(built_in_measures())}, {"type": "string"}, _DEFINITIONS]}

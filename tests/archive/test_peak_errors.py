@@ -10,7 +10,6 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.accuracy_summary import accuracy_sentence
 from mbdkit.archive.headlines import Headline, headlines, largest_loads, plus_minus
 from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps, peak_errors
 from mbdkit.archive.run_summary import summary, summary_lines
@@ -119,7 +118,7 @@ def test_peaks_that_all_rows_miss_make_a_run_bad(output: dict[str, float]) -> No
 def test_a_largest_force_that_is_a_measure_has_one_value_and_does_not_depend_on_rows() -> None:
     run = _turning({"peak": "max(abs(joints.pin.force))"}, every=200)
     assert run.measures["peak"] == pytest.approx(MASS * (ARM * SPEED**2 + 9.81), rel=1e-9)
-    assert accuracy_sentence(run).startswith("largest force in pin 59.098417")
+    assert run.errors.sentence().startswith("largest force in pin 59.098417")
     assert run.verdict == "good"
 
 
@@ -174,7 +173,7 @@ def test_errors_are_unknown_if_rows_skip_steps_of_an_archive_without_largest_val
     errors = peak_errors(run, "reaction_error", size, len(run.time))
     assert errors is not None
     assert np.all(np.isnan(errors))
-    assert accuracy_sentence(run).startswith("positions known to")
+    assert run.errors.sentence().startswith("positions known to")
     assert " N (error unknown) in the recorded rows\n" in summary(run)
 
 

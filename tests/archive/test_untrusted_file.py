@@ -14,7 +14,7 @@ import pytest
 
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.reader import load
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ArchiveError, SpecError
 
 Change = Callable[[h5py.File], None]
 
@@ -88,7 +88,7 @@ def test_it_is_refused_in_one_sentence(archive: Path, case: str) -> None:
     with h5py.File(archive, "r+") as file:
         change(file)
     start = time.perf_counter()
-    with pytest.raises(SpecError, match=words):
+    with pytest.raises(ArchiveError, match=words):
         load(archive)
     assert time.perf_counter() - start < 5
     (problem,) = check(archive)
@@ -105,7 +105,7 @@ def test_strings_that_share_their_characters_are_refused(archive: Path) -> None:
         one = stream.read(16)
         stream.seek(start)
         stream.write(1000 * one)
-    with pytest.raises(SpecError, match="its strings have 100,00"):
+    with pytest.raises(ArchiveError, match="its strings have 100,00"):
         load(archive)
 
 
@@ -139,6 +139,6 @@ def test_moderate_compression_is_read(archive: Path) -> None:
 def test_a_structure_that_contradicts_itself_is_damage(archive: Path, change: Change, words: str) -> None:
     with h5py.File(archive, "r+") as file:
         change(file)
-    with pytest.raises(SpecError, match=words):
+    with pytest.raises(ArchiveError, match=words):
         load(archive)
     assert check(archive)

@@ -25,7 +25,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine import consistent_start
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
-from mbdkit.runs import preparation, run_in_memory, simulated_run, simulation
+from mbdkit.runs import finish, preparation, simulated_run, simulation
 from mbdkit.runs.recorder import Recorder
 from mbdkit.spec.model_spec import ModelSpec
 
@@ -47,7 +47,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
     "steps": [(CompiledStepper, "advance")],
     "recording, with accelerations and reactions": [(simulated_run, "Recorder"), (Recorder, "record")],
     "evidence and verdict": [(simulated_run, "evidence_of_run"), (simulated_run, "judge")],
-    "provenance": [(run_in_memory, "provenance"), (simulation, "provenance")],
+    "provenance": [(finish, "provenance"), (simulation, "provenance")],
     "archive: begun": [(simulation, "ArchiveWriter")],
     "archive: finished": [(ArchiveWriter, "finish")],
     "archive: opened again": [(simulated_run.SimulatedRun, "run")],

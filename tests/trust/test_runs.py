@@ -219,7 +219,7 @@ def test_archives_without_verdict_are_unknown_and_valid(tmp_path: Path) -> None:
     assert check(path) == []
     with mbdkit.load(path) as run:
         assert (run.verdict, run.verdict_reasons, run.warnings, run.is_judged) == ("unknown", [], [], False)
-        assert "verdict       unknown: written by a version without verdicts" in run.summary()
+        assert "verdict       unknown: the archive has none" in run.summary()
 
 
 def test_the_verdict_is_no_part_of_the_data_hash(tmp_path: Path) -> None:

@@ -123,7 +123,6 @@ def _undamped(mechanism: Mechanism) -> str:
 
 
 def _clause(sentence: str) -> str:
-    """Return a sentence as the end of another one."""
     text = sentence.strip().rstrip(".")
     return text[:1].lower() + text[1:]
 
@@ -167,7 +166,6 @@ def _guard(
     progress: Callable[[float, float], None] | None,
     watch: Callable[[Workspace, Stepper], Watch] | None,
 ) -> tuple[Companion, CompanionRows]:
-    """Return the first guard (run of another method) that reaches the end, or else the guard that gets farthest."""
     best: tuple[Companion, CompanionRows] | None = None
     for companion in chosen.guards:
         states = run_companion(companion, workspace, times, budget.stopped, progress, watch)
@@ -180,13 +178,11 @@ def _guard(
 
 
 def _reached(found: CompanionRows) -> float:
-    """Return the time of the last row that a companion reached [s]."""
     rows = np.flatnonzero(np.all(np.isfinite(found.rows.position), axis=(1, 2)))
     return float(found.rows.time[rows[-1]]) if len(rows) else -math.inf
 
 
 def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> str:
-    """Return a description of the estimate and of the companions that ended early."""
     first, second = (companion.name for companion in chosen.finer)
     text = (
         f"Richardson extrapolation from comparison runs with {first} and {second}, confirmed by a run with "
@@ -200,7 +196,6 @@ def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> st
 
 
 def _no_errors(rows: ObservedRows) -> ErrorEstimate:
-    """Return the estimates of a run that recorded only its start, which has no error."""
     position, velocity, torque = (np.zeros_like(x) for x in (rows.position, rows.velocity, rows.torque))
     return ErrorEstimate(position, velocity, torque, torque.copy(), float(rows.time[0]), math.nan)
 

@@ -473,12 +473,10 @@ def _setting(candidate: Candidate, setting: float) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Return a tolerance with two digits."""
     return float(f"{value:.1e}")
 
 
 def _shorter(step: float, *, up: bool = False) -> float:
-    """Return a step rounded down to three digits; rounded up if `up`."""
     unit = 10.0 ** (math.floor(elementary.log10(step)) - 2)
     return float(f"{(math.ceil if up else math.floor)(step / unit * (1 + 1e-12)) * unit:.2e}")
 

@@ -134,8 +134,6 @@ def run_companion(
 
 
 class _States:
-    """States of a companion at the times of the main run."""
-
     def __init__(self, times: np.ndarray, workspace: Workspace, companion: Companion):
         self.times = times
         self.sides, self.at_stop = _beside_stops(times, companion)
@@ -185,7 +183,6 @@ def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, 
 
 
 def _equal(a: float, b: float, times: np.ndarray) -> bool:
-    """Return whether two times are equal up to rounding errors."""
     return bool(abs(a - b) <= 1e-13 * max(abs(times[0]), abs(times[-1]), times[-1] - times[0]))
 
 

@@ -175,7 +175,6 @@ def _guards_of_treatment(
 
 
 def _created(name: str, options: Mapping[str, Any]) -> Callable[[], Method]:
-    """Return a function that creates an integrator with some options."""
     plugin = cast(IntegratorPlugin, registry().get("integrator", name).plugin)
     return partial(plugin.create, plugin.options(**options))
 
@@ -208,7 +207,6 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
 
 
 def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
-    """Return the tolerances of an adaptive run; for a method of a plugin, its options with the usual names."""
     if method.traits.tolerances is not None:
         return replace(method.traits.tolerances, max_step=None)
     rtol = getattr(spec.integrator, "rtol", None) or 1e-6
@@ -217,7 +215,6 @@ def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
 
 
 def _has_tolerances(spec: RunSpec, method: Method) -> bool:
-    """Return whether the companions of an adaptive run can be runs of its own method."""
     return "rtol" in type(spec.integrator).model_fields and method.traits.tableau is not None
 
 

@@ -66,7 +66,6 @@ def compared_measures(
 
 
 def _finer(spec: RunSpec, method: Method) -> list[RunSpec]:
-    """Return the specs of two runs of increasing accuracy."""
     given = canonical(spec.integrator)
     if not spec.claims.adaptive:
         assert spec.time.step is not None

@@ -87,6 +87,10 @@ def mbdkit_items() -> Iterable[Item]:
             schema=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_schema:inverse_schema"),
             run_kind="inverse",
             model=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_spec:InverseSpec"),
+            compute=Target("mbdkit_biomech.inverse_dynamics.results.inverse_run:compute_run"),
+            differentiate=Target("mbdkit_biomech.inverse_dynamics.gradient.inverse_gradient:gradient_of_inverse"),
+            errors=Target("mbdkit_biomech.inverse_dynamics.results.frame_errors:FrameErrors"),
+            is_integrated=False,
             repeat=Target("mbdkit_biomech.commands:repeated_inverse"),
         ),
         ElementKind(
@@ -126,6 +130,12 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Print the workload of joints: peaks, impulses and work.",
             order=40,
             target=Target("mbdkit_biomech.commands:workload"),
+        ),
+        Accessor(
+            name="raw_misalignment",
+            summary="Misalignment of each joint if bodies are placed by the measured data alone.",
+            of="Run",
+            target=Target("mbdkit_biomech.inverse_dynamics.results.frame_errors:raw_misalignment"),
         ),
         Accessor(
             name="moment_arms",

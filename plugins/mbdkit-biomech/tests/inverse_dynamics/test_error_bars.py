@@ -114,7 +114,7 @@ def test_markers_with_noise_close_all_joints_and_have_the_residuals_and_misalign
     # a body between two markers: half the variance along it, all of it across, thus 1.5 variances at each end
     for place, name in enumerate(fitted.joint_names):
         ends = sum(body != "ground" for body in model["joints"][name]["bodies"])
-        mean = np.mean(fitted.raw_misalignment[:, place] ** 2) / DEVIATION**2
+        mean = np.mean(fitted.array("motion/raw_misalignment")[:, place] ** 2) / DEVIATION**2
         assert abs(mean - 1.5 * ends) < 4 * ends * np.sqrt(2.5 / rows)
     # the deviations that the residuals tell
     told = fitted.accuracy.method if fitted.accuracy else ""

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, RunSpec, counted, path_text
+from mbdkit.plugin import MbdkitError, counted, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.terminal import told_apart
-from mbdkit_biomech.inverse_dynamics.gradient.inverse_gradient import gradient_of_inverse
 from mbdkit_gradients.differentiated_expressions import definitions_of
-from mbdkit_gradients.gradient import Gradient, gradient_of_run_spec
+from mbdkit_gradients.gradient import Gradient
 from mbdkit_gradients.gradient_check import GradientCheck, inaccurate_entries
 from mbdkit_gradients.gradient_parameters import resolved
 
@@ -98,11 +97,9 @@ def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradi
         parameters = resolved(spec, [path_text(path) for path, _ in settings])
         definitions = definitions_of(spec, [measure.name for measure in spec.defined_measures()])
         with one_thread_of_linear_algebra():
-            found.append(
-                gradient_of_run_spec(spec, definitions, parameters, check=check)
-                if isinstance(spec, RunSpec)
-                else gradient_of_inverse(spec, definitions, parameters, check=check)
-            )
+            differentiate = spec.spec_kind.differentiate
+            assert differentiate is not None
+            found.append(differentiate()(spec, definitions, parameters, check=check))
     return found
 
 

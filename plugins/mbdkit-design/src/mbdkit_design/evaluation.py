@@ -167,7 +167,7 @@ class ScenarioRuns:
         """Settings that omit the error bars of inverse dynamics during a search, because error bars take ten times as
         long.
         """
-        return [] if isinstance(self.spec, RunSpec) else [(("motion", "errors"), "none")]
+        return [] if self.spec.spec_kind.is_integrated else [(("motion", "errors"), "none")]
 
     @cached_property
     def _measures(self) -> tuple[Any, ...]:

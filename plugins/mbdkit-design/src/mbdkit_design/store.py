@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit import InverseSpec
 from mbdkit.archive.part_file import remove_checkpoint
-from mbdkit.plugin import RunSpec, SpecError, load, simulate
+from mbdkit.plugin import RunSpec, SpecError, load
 from mbdkit.plugin.files import canonical_text, replacing
 from mbdkit.plugin.specs import read_file, variable_path
-from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 from mbdkit_design.design import Design
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import DesignSpec
@@ -110,12 +109,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         for name, scenario in design.spec.specs.items():
             spec = ScenarioRuns(scenario).at([*settings, *check_of(scenario)])
             path = self.archive(which, name)
-            run = (
-                simulate(spec, path=path, overwrite=True)
-                if isinstance(spec, RunSpec)
-                else compute_run(spec, path=path, overwrite=True)
-            )
-            with run:
+            with spec.spec_kind.compute()(spec, path=path, overwrite=True) as run:
                 interrupted = run.status == "interrupted"
             if interrupted:
                 path.unlink()

@@ -179,7 +179,7 @@ def check_of(spec: RunSpec | InverseSpec) -> Settings:
 
     There are none if the estimates are already enabled, and for inverse dynamics.
     """
-    return [(("check",), True)] if isinstance(spec, RunSpec) and not spec.check else []
+    return [(("check",), True)] if spec.spec_kind.is_integrated and not spec.checks_measures else []
 
 
 def _errors(

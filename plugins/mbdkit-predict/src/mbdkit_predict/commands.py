@@ -55,9 +55,9 @@ def predict(
     checked = load_predict_spec(spec, assignments or ())
     path = output if output is not None else Path(f"{stem(spec)}.h5")
     check_new(path, spec, overwrite)
-    from mbdkit_predict.prediction import computed
+    from mbdkit_predict.prediction import compute
 
-    run = computed(checked, path, overwrite=overwrite)
+    run = compute(checked, path=path, overwrite=overwrite)
     if report:
         from mbdkit_report.pages.report import report as write
 

@@ -48,6 +48,8 @@ def mbdkit_items() -> Iterable[Item]:
             validate=Target("mbdkit_predict.commands:validate_predict"),
             run_kind="predicted",
             model=Target("mbdkit_predict.predict_spec:PredictSpec"),
+            compute=Target("mbdkit_predict.prediction:compute"),
+            is_integrated=False,
             schema=Target("mbdkit_predict.predict_loading:predict_schema"),
             repeat=Target("mbdkit_predict.prediction:repeated"),
         ),

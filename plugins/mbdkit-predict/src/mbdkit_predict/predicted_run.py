@@ -8,14 +8,13 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 
-import h5py
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, Judgement, Run, RunError, SpecError, States, load
-from mbdkit.plugin.archives import ArchiveWriter, Ending, Origin, archive_names, check_target, layout
+from mbdkit.plugin import EquationsOfMotion, Judgement, Run, RunError, SpecError, States
+from mbdkit.plugin.archives import Ending, check_target, finish_states
 from mbdkit.plugin.equations import StateObserver, one_thread_of_linear_algebra, workspace_at_start
 from mbdkit.plugin.mechanisms import curve_of
-from mbdkit.plugin.runs import model_provenance, shared_forces
+from mbdkit.plugin.runs import model_provenance
 from mbdkit.plugin.terminal import interrupts_noted
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.forward_run import Difference, forward_difference
@@ -50,8 +49,7 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
         result = Optimum(transcription, stop)
         rival = None if other is None or stop.now else Optimum(other, stop)
     timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    held = _archive_of(result, rival, file, timings, overwrite=overwrite)
-    return load(str(file)) if held is None else Run(held)
+    return _run_of(result, rival, file, timings, overwrite=overwrite)
 
 
 def transcribed(spec: PredictSpec) -> Transcription:
@@ -103,10 +101,10 @@ def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     return time, q.T, v.T, np.reshape(states, (len(states), len(time))).T
 
 
-def _archive_of(
+def _run_of(
     result: Optimum, rival: Optimum | None, path: Path | None, timings: dict[str, float], *, overwrite: bool
-) -> h5py.File | None:
-    """Write the motion to an archive; return the file of the archive if it is in memory, else None."""
+) -> Run:
+    """Return the motion as a run, and write it to an archive."""
     spec, method = result.spec, result.transcription
     spec.adopt(spec.chosen.with_parameters(result.mesh.values["p"].tolist()))
     workspace, _ = workspace_at_start(spec.mechanism())
@@ -131,27 +129,17 @@ def _archive_of(
         mechanism, time, *whole, lambda: observed, work=work, dissipated=lost, start_energy=start,
         elapsed=np.zeros(len(time)), z=z,
     )  # fmt: skip
-    names = archive_names(mechanism)
-    optional = [*layout.of_elements(names), *(["constraints/singularity_distance"] if mechanism.solved_rows else [])]
-    optional += layout.FRICTION if mechanism.friction else ()
     forward = forward_difference(equations, method, result.mesh) if result.is_optimum else Difference()
-    results = _results(result, rival, forward)
-    arrays = layout.recorded_by(names, layout.QUANTITIES, frozenset(optional))
-    origin, shared = Origin.of(spec, model_provenance(spec) | results), shared_forces(mechanism)
-    writer = ArchiveWriter(path, names, origin, arrays=arrays, overwrite=overwrite, shared=shared)
-    try:
-        writer.append({key: array.take(states) for key, array in writer.recorded.items()})
-        none = np.zeros(len(time) - 1, dtype=np.int64)
-        counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
-        writer.append_steps({"time": time[1:], "size": np.diff(time), **counted})
-        counters = dict.fromkeys(layout.COUNTERS, 0) | {"newton_iterations": result.mesh.iterations}
-        status = result.reason.partition(":")[0] if result.reason.startswith("interrupted") else "failed"
-        misalignment = states.misalignment.max(axis=0, initial=0.0)
-        ending = Ending(status if result.reason else "complete", result.reason, {**counters, **timings}, misalignment,
-                        _judgement(result, rival, forward))  # fmt: skip
-        return writer.finish(ending)
-    finally:
-        writer.abandon()
+    status = result.reason.partition(":")[0] if result.reason.startswith("interrupted") else "failed"
+    ending = Ending(
+        status if result.reason else "complete",
+        result.reason,
+        {"newton_iterations": result.mesh.iterations, **timings},
+        states.misalignment.max(axis=0, initial=0.0),
+        _judgement(result, rival, forward),
+    )
+    provenance = model_provenance(spec) | _results(result, rival, forward)
+    return finish_states(spec, states, ending, provenance, path=path, overwrite=overwrite, sizes=np.diff(time))
 
 
 def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dict[str, str | int | float]:

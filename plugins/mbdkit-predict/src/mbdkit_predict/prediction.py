@@ -47,18 +47,20 @@ def predict(
     RunError
         If the last iterate is no motion.
     """
-    return computed(load_predict_spec(source, (), **sections), archive, overwrite=overwrite)
+    return compute(load_predict_spec(source, (), **sections), path=archive, overwrite=overwrite)
 
 
-def computed(spec: PredictSpec, path: str | Path | None, *, overwrite: bool) -> Run:
-    """Compute a validated spec; see `predict`."""
+def compute(
+    spec: PredictSpec, *, path: str | Path | None = None, overwrite: bool = False, progress: object = None
+) -> Run:
+    """Compute a validated spec; see `predict`. The progress of optimization is not known."""
     require_casadi("predictions need")
     from mbdkit_predict.predicted_run import predicted
 
     return predicted(spec, path=path, overwrite=overwrite)
 
 
-def repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: Any) -> Run:
+def repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: object) -> Run:
     """Compute the prediction of an archive again."""
     document = Document(dict(before.spec), folder=archive.parent)
-    return computed(load_predict_spec(document), output, overwrite=overwrite)
+    return compute(load_predict_spec(document), path=output, overwrite=overwrite)

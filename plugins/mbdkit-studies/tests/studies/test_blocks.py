@@ -23,7 +23,7 @@ from tests.studies.stored_studies import BASE, GRID, METHODS, index_hash
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.plugin.archives import COUNTERS
 from mbdkit.spec import RunSpec
 from mbdkit_studies.compute import batch, pool, run_blocks
@@ -430,7 +430,7 @@ def test_an_ensemble_goes_on_from_its_folder_alone(tmp_path: Path) -> None:
     copied = mbdkit.study(out / "study.yaml", out=tmp_path / "other", shard=Shard(9, 9))
     assert copied.status == "partial"
     (tmp_path / "other" / "members.h5").write_bytes(b"")
-    with pytest.raises(SpecError, match=r"members\.h5"):
+    with pytest.raises(ArchiveError, match=r"members\.h5"):
         mbdkit.load_study(tmp_path / "other")
 
 

@@ -13,7 +13,7 @@ from tests.studies.stored_studies import index_hash
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit_studies.compute import pool
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.folder.folder_lock import Shard
@@ -142,7 +142,7 @@ def test_a_lost_or_damaged_index_is_written_anew_from_the_runs(lost, copied, sma
 
 def test_who_opens_a_damaged_index_is_told_how_to_get_a_new_one(copied):
     (copied / "index.h5").write_bytes((copied / "index.h5").read_bytes()[:5000])
-    with pytest.raises(SpecError, match=r"this index is truncated.*; run `mbdkit study` to write it again"):
+    with pytest.raises(ArchiveError, match=r"this index is truncated.*; run `mbdkit study` to write it again"):
         mbdkit.load_study(copied)
 
 

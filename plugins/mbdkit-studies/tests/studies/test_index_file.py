@@ -8,7 +8,7 @@ import h5py
 import pytest
 
 from mbdkit.archive.fingerprint import data_sha256
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import ArchiveError, MbdkitError
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store import study_index
 from mbdkit_studies.store.study_index import Index, Row
@@ -27,7 +27,7 @@ def test_a_changed_value_is_found(tmp_path: Path) -> None:
     assert len(study_index.read(path)) == 3
     with h5py.File(path, "r+") as file:
         file["runs/status"][1] = "complete"
-    with pytest.raises(SpecError, match="data_sha256 does not match"):
+    with pytest.raises(ArchiveError, match="data_sha256 does not match"):
         study_index.read(path)
 
 
@@ -38,7 +38,7 @@ def test_columns_of_different_lengths_are_damage(tmp_path: Path) -> None:
         del file["runs/status"]
         file["runs"].create_dataset("status", data=["complete"], dtype=h5py.string_dtype())
         file.attrs["data_sha256"] = data_sha256(file)
-    with pytest.raises(SpecError, match="this file is damaged"):
+    with pytest.raises(ArchiveError, match="this file is damaged"):
         study_index.read(path)
 
 

@@ -5,18 +5,28 @@ from __future__ import annotations
 import signal
 import threading
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from pydantic import ValidationError
 
-from mbdkit.archive.layout import REASONS
-from mbdkit.plugin import EquationsOfMotion, MbdkitError, PluginError, Run, SpecError, StepError, StepMethod, StepState
+from mbdkit.plugin import (
+    EquationsOfMotion,
+    MbdkitError,
+    PluginError,
+    Run,
+    SpecError,
+    StepCode,
+    StepError,
+    StepMethod,
+    StepState,
+)
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.trial_models import CANNOT_MEET, FORCED_PENDULUM, NO_NUMBER, OUT_OF_REACH, SWINGING
 
-TYPED = tuple(code for code in REASONS if code not in ("event", "plugin-error"))
+TYPED = (*get_args(StepCode), "max-steps", "wall-time", "fell-apart", "energy-jump", "branch-left", "out-of-range")
 """Codes with which a method may end a run."""
 
 

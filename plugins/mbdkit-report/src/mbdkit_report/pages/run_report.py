@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.plugin import headline_texts
-from mbdkit.plugin.specs import kind_of_runs, write_yaml
+from mbdkit.plugin.specs import write_yaml
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.page_model import Cell, Table, columns_of
@@ -43,7 +43,7 @@ def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
     require_rows(run)
     head = caption(run)
     mechanism = mechanism_of(run)
-    command = kind_of_runs(run.kind).command
+    command = run.spec_kind.command
     return ReportPage(
         title=head.title,
         settings=head.settings,

@@ -9,7 +9,6 @@ import numpy as np
 
 from mbdkit.archive.run_summary import without_suspicion
 from mbdkit.plugin import Level
-from mbdkit.plugin.archives import accuracy_sentence
 from mbdkit.plugin.doubts import MISALIGNMENT, ROUND_OFF, gravity_level, rounding
 from mbdkit.trust.criteria import ENERGY
 from mbdkit_report.analysis.growth import Growth, growth_law
@@ -92,9 +91,7 @@ def _trust(run: Run) -> Claim:
     if run.verdict_reasons:
         sentence += " " + " ".join(run.verdict_reasons)
     elif not run.is_judged:
-        sentence += (
-            " The archive contains no verdict: it was written by a version without verdicts, or the run crashed."
-        )
+        sentence += " The archive contains no verdict, as after a crash of the run."
     elif run.verdict == "unknown":
         sentence = f"The verdict is unknown: {without_suspicion(run)}."
     return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
@@ -103,7 +100,7 @@ def _trust(run: Run) -> Claim:
 def _accuracy(run: Run) -> list[Claim]:
     """Return the claim on the estimated errors; empty if errors were not estimated."""
     accuracy = run.accuracy
-    told = accuracy_sentence(run, with_force=bool(run.measures))
+    told = run.errors.sentence(with_force=bool(run.measures))
     if accuracy is None or not told:
         return []
     answer = Answer.YES if accuracy.is_complete else Answer.PARTLY if accuracy.rows_known else Answer.NO

@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from mbdkit.archive.peak_errors import whole_peak_errors
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit.plugin import plus_minus
-from mbdkit.plugin.archives import errors_of_frames
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
@@ -122,7 +121,7 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
         errors, own = None, np.zeros(0)
         if acting:
             bars, largest = run.array("actuators/value_error"), np.abs(run.array("actuators/value"))
-            own = errors_of_frames(run, "actuators.value", list(run.actuators), largest, bars)
+            own = run.errors.of_largest("actuators.value", list(run.actuators), largest, bars)
             every = np.column_stack([np.full((len(time), len(forces)), np.nan), bars])
             errors = errors_at(run.accuracy, every, quantity.data.time)
         peaks = np.concatenate([np.full(len(forces), np.nan), own])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 
+from mbdkit import ArchiveError
 from mbdkit.base.text import joined_lines
 from mbdkit.kernels import WIDTH
 from mbdkit.plugin import MbdkitError, PluginError, ResourceError, RunSpec, SpecError, one_line
@@ -95,7 +96,7 @@ def refusal(error: BaseException) -> Outcome:
     may succeed.
     """
     match error:
-        case SpecError():
+        case SpecError() | ArchiveError():
             return Outcome("failed", f"wrong-input: {joined_lines(str(error))}")
         case ResourceError() | OSError():
             return Outcome("missing", f"no-resources: {error}")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit import ArchiveError
 from mbdkit.plugin import MbdkitError, ResourceError, SpecError
 from mbdkit.plugin.archives import COUNTERS, TIMINGS
 from mbdkit.plugin.measures import Description
@@ -153,7 +154,7 @@ class RunBlocks(RunStore[int]):
                 return _ended(block.runs["status"], block.runs["status_reason"])
         except AnotherStudyError:
             raise
-        except (SpecError, ResourceError):
+        except (SpecError, ArchiveError, ResourceError):
             return MISSING
 
     def _rows(self, block: int) -> Index | None:

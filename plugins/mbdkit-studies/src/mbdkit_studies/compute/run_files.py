@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from mbdkit import ArchiveError
 from mbdkit.archive.untrusted_file import is_sparse
 from mbdkit.measures.take import with_error
 from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, counted, load
@@ -140,7 +141,7 @@ class RunFiles(RunStore[str]):
             try:
                 reference = self.folder.archive(reference_id) if is_compared else None
                 row = replace(self._row_of(path, reference, self.plan.runs[run_id]), file_sha256=sha256)
-            except (SpecError, ResourceError) as error:  # the archive was damaged after it was computed
+            except (SpecError, ArchiveError, ResourceError) as error:  # the archive was damaged after it was computed
                 outcome = Outcome("missing", f"error: {error}")
         row = row or Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(self._columns, math.nan))
         row = self._with_second_run(row, self._second.get(run_id), self._run_twice(run_id))
@@ -244,7 +245,7 @@ class RunFiles(RunStore[str]):
         path = self.folder.archive(key)
         try:
             run = load(path)
-        except (SpecError, ResourceError):
+        except (SpecError, ArchiveError, ResourceError):
             return MISSING
         with run:
             if run.run_id != key or run.spec_sha256 != self.plan.runs[key].sha256():

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import mbdkit
+from mbdkit import ArchiveError
 from mbdkit.plugin import ResourceError, SpecError
 from mbdkit_studies.compute.study_plan import StudyPlan
 from mbdkit_studies.compute.tasks import Outcome, Task
@@ -112,7 +113,7 @@ class RunStore(ABC, Generic[Key]):
 
     def index_before(self) -> Index | None:
         """Return the index of an earlier call; None if this version of mbdkit has not written one for this study."""
-        with suppress(SpecError, ResourceError):  # without a valid index, the files are read instead
+        with suppress(SpecError, ArchiveError, ResourceError):  # without a valid index, the files are read instead
             before = study_index.read(self.folder.index)
             if before.study_sha256 == self.spec.sha256() and before.version == mbdkit.__version__:
                 return before

@@ -18,7 +18,7 @@ import numpy as np
 from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.engine.consistent_start import CompiledForStarts
 from mbdkit.kernels import WIDTH, Observed, StagePivots
-from mbdkit.plugin import Finding, Method, Recorded, RunSpec, States, accepted_doubts, findings, judge, open_doubts
+from mbdkit.plugin import Finding, Method, Recorded, RunSpec, States, findings, judge
 from mbdkit.plugin.archives import FLOAT, ArchiveNames, FinishedRun, archive_names
 from mbdkit.plugin.doubts import EnergyRecord, LawRanges, StateWatchers, evidence_of_run, has_ranges, steps_are_rows
 from mbdkit.plugin.equations import CompiledMechanism, MechanismAtStart, Starts, Workspace, joint_sums
@@ -478,10 +478,7 @@ class _Group:
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        accept = member.spec.accept
-        questions = open_doubts(told, accept), accepted_doubts(told, accept), open_doubts(told, accept, "bad")
-        finer = member.spec.finer
-        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, *questions, finer=finer))
+        judgement = judge(evidence_of_run(member.spec, extremes, steps, ending, worst, member.size, told))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
         data_sha256 = self.hash.of(arrays, digests)

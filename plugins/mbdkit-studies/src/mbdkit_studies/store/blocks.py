@@ -393,6 +393,6 @@ def block_problems(path: Path) -> list[str] | None:
     try:
         with Block(path) as block:
             sound = block.is_sound()
-    except (SpecError, FileNotFoundError):
+    except (SpecError, ArchiveError, FileNotFoundError):
         return None
     return [] if sound else ["its arrays, attributes or dimension scales have changed since they were written"]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import Run, RunError, load
+from mbdkit.plugin import Run, RunError
 from mbdkit.plugin.archives import check_target
 from mbdkit.plugin.doubts import angles_in_degrees
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
@@ -27,7 +27,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.exchanged_markers import exchanged
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitError
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import errors_of_measures
-from mbdkit_biomech.inverse_dynamics.results.record import archive_of
+from mbdkit_biomech.inverse_dynamics.results.record import run_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
@@ -112,8 +112,10 @@ def _cause_in_markers(problem: InverseProblem, time: float) -> str | None:
     return exchanged or changed_axes(problem)
 
 
-def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False) -> Run:
-    """Compute a validated spec; see `inverse`.
+def compute_run(
+    spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False, progress: object = None
+) -> Run:
+    """Compute a validated spec; see `inverse`. The computation has no steps whose progress could be told.
 
     Parameters
     ----------
@@ -137,8 +139,4 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
         errors = {} if bars is None else errors_of_measures(result)
     for warning in (*result.warnings, *doubts.remarks, *doubts.open):
         _LOG.warning("%s", warning)
-    file = archive_of(result, bars, doubts, path, overwrite=overwrite, timings=timings, errors=errors)
-    if file is not None:
-        return Run(file)
-    assert path is not None
-    return load(path)
+    return run_of(result, bars, doubts, path, overwrite=overwrite, timings=timings, errors=errors)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.run_summary import known_rows
 from mbdkit.plugin import Headline, counted, plus_minus
-from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, errors_of_frames, few, largest_of, ranked
+from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, few, largest_of, ranked
+from mbdkit_biomech.inverse_dynamics.results.frame_errors import known_rows
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ def inverse_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary that only inverse dynamics has, each with its label; texts may be empty."""
     return [
         *((label, str(run.provenance.get(label, ""))) for label in PERSON),
+        ("smoothing", _smoothing(run.spec)),
         ("fit", _fit(run)),
         *((label, str(run.provenance.get(key, ""))) for key, label in UNUSED_DATA.items()),
         ("gaps", _gaps(run)),
@@ -45,11 +47,18 @@ def largest_actuators(run: Run) -> list[Headline]:
     errors = None
     if run.records("actuators/value_error"):
         bars = run.array("actuators/value_error")
-        errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
+        errors = run.errors.of_largest("actuators.value", list(run.actuators), size, bars)
     units = {name: actuator.units for name, actuator in run.actuators.items()}
     headlines = largest_of("", run, list(run.actuators), size, "", errors)
     own = [one for one in headlines if run.actuators[one.label].kind != "residual"]
     return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in own[:2]]
+
+
+def _smoothing(spec: Mapping[str, Any]) -> str:
+    """Return the smoothing of the measured motion and its options."""
+    chosen = spec.get("motion", {}).get("smooth", {})
+    options = [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
+    return ", ".join([*([str(chosen["name"])] if chosen else []), *options])
 
 
 def _fit(run: Run) -> str:
@@ -88,7 +97,7 @@ def _raw_misalignment(run: Run) -> str:
     """
     if not run.records("motion/raw_misalignment"):
         return ""
-    gaps = run.raw_misalignment
+    gaps = run.array("motion/raw_misalignment")
     largest = np.max(np.where(np.isfinite(gaps), gaps, -1.0), axis=0, initial=-1.0)
     order = [int(k) for k in np.argsort(-largest, kind="stable")[:JOINTS_NAMED] if largest[k] >= 0]
     text = ", ".join(f"{run.joint_names[k]} {largest[k]:.2g} m" for k in order)
@@ -105,7 +114,7 @@ def _actuators(run: Run, *, residual: bool = False) -> str:
     values, peaks, known = run.array("actuators/value"), [], run.accuracy is not None
     names = list(run.actuators)
     bars = run.array("actuators/value_error") if known else np.zeros_like(values)
-    errors = errors_of_frames(run, "actuators.value", names, np.abs(values), bars)
+    errors = run.errors.of_largest("actuators.value", names, np.abs(values), bars)
     for (name, actuator), error in zip(run.actuators.items(), errors.tolist(), strict=True):
         if (actuator.kind == "residual") != residual:
             continue

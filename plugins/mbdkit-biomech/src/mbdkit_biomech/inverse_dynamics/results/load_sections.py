@@ -62,7 +62,7 @@ def inverse_charts(run: Run) -> list[Figure]:
             axis = Axis("residual", unit)
             found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, lines))
     found += _contact_chart(run)
-    raw = run.raw_misalignment
+    raw = run.array("motion/raw_misalignment")
     known = [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]
     if known:
         curves = bands(time, raw[:, known], points=_POINTS)
@@ -219,7 +219,7 @@ def _disagreement(run: Run) -> Section:
         tuple(rows),
         "Measured minus fitted value; gaps are left out.",
     )
-    raw = run.raw_misalignment
+    raw = run.array("motion/raw_misalignment")
     gaps: list[tuple[Cell, ...]] = []
     for index, joint in enumerate(run.joint_names):
         known = np.isfinite(raw[:, index])

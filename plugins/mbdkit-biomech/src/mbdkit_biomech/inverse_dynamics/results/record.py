@@ -7,24 +7,21 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from mbdkit.plugin import Run
 from mbdkit.plugin.archives import (
     ArchiveNames,
-    ArchiveWriter,
     Ending,
     MeasuredValues,
-    Origin,
     archive_names,
+    finish_states,
     kind_of_group,
-    layout,
     with_members,
 )
 from mbdkit.plugin.files import json_text
 from mbdkit.plugin.measures import take_all
-from mbdkit.plugin.runs import model_provenance, shared_forces
+from mbdkit.plugin.runs import model_provenance
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import DataDoubts, verdict_on_data
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import long_gaps
@@ -36,31 +33,26 @@ from mbdkit_biomech.quantities import INVERSE_GROUPS, MUSCLES_OF_RUNS
 TIMINGS = ("setup_s", "wall_s", "cpu_s")
 
 
-def run_of(result: Inverse) -> Run:
-    """Return a result without error bars as a run in memory."""
-    file = archive_of(result, None, DataDoubts(), None, overwrite=False, timings=dict.fromkeys(TIMINGS, 0.0))
-    assert file is not None
-    return Run(file)
-
-
-def archive_of(
+def run_of(
     result: Inverse,
-    bars: ResultBars | None,
-    doubts: DataDoubts,
-    path: Path | None,
+    bars: ResultBars | None = None,
+    doubts: DataDoubts | None = None,
+    path: Path | None = None,
     *,
-    overwrite: bool,
-    timings: Mapping[str, float],
+    overwrite: bool = False,
+    timings: Mapping[str, float] | None = None,
     errors: Mapping[str, float] | None = None,
-) -> h5py.File | None:
-    """Write the result to an archive. Return the file of the archive if it is in memory (`path` is None), else None.
+) -> Run:
+    """Return a result as a run, and write it to an archive.
 
     Parameters
     ----------
     bars
         Error bars of the result, if they are known.
     doubts
-        Doubts about the data.
+        Doubts about the data, if they were examined.
+    path, overwrite
+        Final name of the archive, None for a run in memory, and whether an existing file may be replaced.
     timings
         Durations, named as in `TIMINGS` [s].
     errors
@@ -73,38 +65,30 @@ def archive_of(
     ResourceError
         If the archive cannot be written.
     """
-    spec, mechanism = result.problem.source, result.problem.prepared.workspace.mechanism
-    states, names = recorded_states(result), _names(result)
+    states, names, doubts = recorded_states(result), _names(result), doubts or DataDoubts()
     groups = [group for group in INVERSE_GROUPS if names.names_of(group)]
-    extra = [path for group in groups for path in kind_of_group(group).by_path if path not in MUSCLES_OF_RUNS]
-    if mechanism.solved_rows:
-        extra.append("constraints/singularity_distance")
-    writer = ArchiveWriter(
-        path,
-        names,
-        Origin.of(spec, _provenance(result)),
-        arrays=layout.recorded_by(names, layout.QUANTITIES, frozenset(extra)),
-        overwrite=overwrite,
-        shared=shared_forces(mechanism),
+    misalignment = states.misalignment.max(axis=0, initial=0.0)
+    ending = Ending(
+        "complete",
+        "",
+        timings or dict.fromkeys(TIMINGS, 0.0),
+        misalignment,
+        judgement=verdict_on_data(result, misalignment, doubts),
+        warnings=(*result.warnings, *doubts.remarks, *doubts.open),
+        accuracy=None if bars is None else bars.accuracy,
     )
-    try:
-        rows = {key: values for key, values in _rows(result, bars).items() if key in writer.row_keys}
-        writer.append(rows | {key: array.take(states) for key, array in writer.recorded.items()})
-        writer.append_steps(_intervals(result.motion.time))
-        counters = dict.fromkeys(layout.COUNTERS, 0)
-        misalignment = states.misalignment.max(axis=0, initial=0.0)
-        ending = Ending(
-            "complete",
-            "",
-            {**counters, **timings},
-            misalignment,
-            judgement=verdict_on_data(result, misalignment, doubts),
-            warnings=(*result.warnings, *doubts.remarks, *doubts.open),
-            accuracy=None if bars is None else bars.accuracy,
-        )
-        return writer.finish(ending, measured=partial(_measured, result, errors or {}) if spec.measures else None)
-    finally:
-        writer.abandon()
+    return finish_states(
+        result.problem.source,
+        states,
+        ending,
+        _provenance(result),
+        path=path,
+        overwrite=overwrite,
+        names=names,
+        rows=_rows(result, bars),
+        optional=[path for group in groups for path in kind_of_group(group).by_path if path not in MUSCLES_OF_RUNS],
+        measured=partial(_measured, result, errors or {}),
+    )
 
 
 def _provenance(result: Inverse) -> dict[str, str | int | float]:
@@ -116,15 +100,8 @@ def _provenance(result: Inverse) -> dict[str, str | int | float]:
     return model_provenance(result.problem.spec) | result.problem.unused.notes | gaps | own
 
 
-def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the arrays of the group ``/steps``. All but the times are zero, because nothing is integrated."""
-    none = np.zeros(len(time) - 1, dtype=np.int64)
-    counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
-    return {"time": time[1:], "size": np.zeros(len(time) - 1), **counted}
-
-
-def _measured(result: Inverse, errors: Mapping[str, float], file: h5py.File) -> str:
-    values = take_all(Run(file), result.problem.spec)
+def _measured(result: Inverse, errors: Mapping[str, float], run: Run) -> MeasuredValues:
+    values = take_all(run, result.problem.spec)
     cause = (
         "it depends on a gap that is longer than the smoothing can bridge"
         if long_gaps(result)
@@ -132,7 +109,7 @@ def _measured(result: Inverse, errors: Mapping[str, float], file: h5py.File) -> 
     )
     unknown = {name: f"its error is unknown: {cause}" for name, error in errors.items() if math.isnan(error)}
     remarks = {**unknown, **values.remarks}
-    return MeasuredValues(values, values.units, values.reasons, errors, remarks).to_json()
+    return MeasuredValues(values, values.units, values.reasons, errors, remarks)
 
 
 def _names(result: Inverse) -> ArchiveNames:

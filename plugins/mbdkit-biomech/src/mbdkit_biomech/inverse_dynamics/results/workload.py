@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.accuracy_summary import exact_loads
 from mbdkit.plugin import SpecError, UnknownNameError, plus_minus, table
-from mbdkit.plugin.archives import ROUND_OFF, errors_of_frames, peak_errors
+from mbdkit.plugin.archives import ROUND_OFF, peak_errors
 from mbdkit.plugin.terminal import HtmlView
+from mbdkit_biomech.inverse_dynamics.results.frame_errors import exact_loads
 from mbdkit_biomech.inverse_dynamics.signals.cycles import Normalized, contacts, normalized
 
 if TYPE_CHECKING:
@@ -316,7 +316,7 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
             found |= {(joint, unit): error for joint, error in zip(run.joint_names, errors.tolist(), strict=True)}
     if run.actuators:
         size, bars = np.abs(run.array("actuators/value")), run.array("actuators/value_error")
-        errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
+        errors = run.errors.of_largest("actuators.value", list(run.actuators), size, bars)
         found |= {(name, "value"): error for name, error in zip(run.actuators, errors.tolist(), strict=True)}
 
     def known(name: str, load: ElementLoad, what: str) -> ElementLoad:

@@ -1,0 +1,158 @@
+"""The end of every run: its archive or its arrays in memory are finished, and its measures are evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from mbdkit.archive import layout
+from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
+from mbdkit.archive.hdf5 import set_text
+from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArchiveContents, ArrayContents
+from mbdkit.archive.run_writer import Ending, Origin, RunWriter
+from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base.logs import logger_of
+from mbdkit.measures.take import take_all
+from mbdkit.quantities.names import ArchiveNames, archive_names
+from mbdkit.quantities.states import States
+from mbdkit.runs.provenance import provenance
+from mbdkit.runs.recorder import shared_forces
+from mbdkit.spec import RunSpec
+from mbdkit.spec.model_spec import ModelSpec
+
+_LOG = logger_of("mbdkit.runs.simulation")
+
+Measured = Callable[[Run], MeasuredValues]
+"""Function that evaluates the measures of a run, which is otherwise complete."""
+
+
+def finish(
+    writer: RunWriter, spec: ModelSpec, ending: Ending, *, measured: Measured | None = None, gradients: str = ""
+) -> Run:
+    """Finish what a writer has recorded, and return the run with its measures.
+
+    Parameters
+    ----------
+    writer
+        The writer, which has all rows.
+    spec
+        Spec of the run.
+    ending
+        How the run has ended.
+    measured
+        Evaluates the measures; by default, `mbdkit.plugin.measures.take_all`.
+    gradients
+        Gradients of the measures as JSON; empty if there are none.
+    """
+    if isinstance(writer, ArrayWriter):
+        assert isinstance(spec, RunSpec)
+        return run_in_memory(writer.finish(ending), spec, writer.created_utc, gradients)
+    evaluate = measured or partial(_taken, spec)
+
+    def stored(file: h5py.File) -> str:
+        values = evaluate(Run(file))
+        if gradients:
+            set_text(file, layout.GRADIENTS, gradients)
+        return values.to_json()
+
+    assert isinstance(writer, ArchiveWriter)
+    file = writer.finish(ending, measured=stored if spec.defined_measures() else None)
+    return Run(ArchiveContents.just_written(writer) if file is None else file)
+
+
+def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str, gradients: str = "") -> Run:
+    """Return a finished run with its measures.
+
+    Parameters
+    ----------
+    spec
+        Spec of the run.
+    created_utc
+        Time at which the run began, ISO 8601.
+    gradients
+        Gradients of the measures as JSON; empty if there are none.
+    """
+    contents = partial(
+        ArrayContents, finished, spec, run_id=spec.run_id(), created_utc=created_utc, provenance=provenance(spec)
+    )
+    if not spec.measures:
+        return Run(contents())
+    return Run(contents(measured=_taken(spec, Run(contents())), gradients=gradients))
+
+
+def _taken(spec: ModelSpec, run: Run) -> MeasuredValues:
+    values = take_all(run, spec)
+    for name, reason in values.reasons.items():
+        _LOG.warning("measure %s: %s", name, reason)
+    return values
+
+
+def finish_states(
+    spec: ModelSpec,
+    states: States,
+    ending: Ending,
+    provenance: Mapping[str, str | int | float],
+    *,
+    path: Path | None = None,
+    overwrite: bool = False,
+    names: ArchiveNames | None = None,
+    rows: Mapping[str, np.ndarray] | None = None,
+    optional: Iterable[str] | None = None,
+    sizes: np.ndarray | None = None,
+    measured: Measured | None = None,
+) -> Run:
+    """Write a motion that is known as a whole, such as a measured or an optimized one, and return the run.
+
+    Parameters
+    ----------
+    spec
+        Spec of the run.
+    states
+        The states at the recorded times, with accelerations and reactions.
+    ending
+        How the computation has ended. Counters that `Ending.stats` lacks are 0.
+    provenance
+        Attributes of ``/provenance``; see `mbdkit.plugin.runs.model_provenance`.
+    path, overwrite
+        Final name of the archive, None for an archive in memory, and whether an existing file may be replaced.
+    names
+        Names of elements; by default, those of the mechanism.
+    rows
+        Values of arrays that are not computed from states, by path; those of groups without elements are left out.
+    optional
+        Paths of the optional arrays; by default, those of `rows` and of the elements of the mechanism.
+    sizes
+        (T - 1,) steps between the rows [s]; by default 0, for a motion that was not integrated.
+    measured
+        See `finish`.
+    """
+    mechanism, given, time = states.mechanism, rows or {}, states.time
+    names = names or archive_names(mechanism)
+    if optional is None:
+        optional = (*given, *layout.of_elements(names), *(layout.FRICTION if mechanism.friction else ()))
+    extra = {*optional, *(["constraints/singularity_distance"] if mechanism.solved_rows else [])}
+    writer = ArchiveWriter(
+        path,
+        names,
+        Origin.of(spec, provenance),
+        arrays=layout.recorded_by(names, layout.QUANTITIES, frozenset(extra)),
+        overwrite=overwrite,
+        shared=shared_forces(mechanism),
+    )
+    try:
+        of_run = {key: values for key, values in given.items() if key in writer.row_keys}
+        writer.append(of_run | {key: array.take(states) for key, array in writer.recorded.items()})
+        none = np.zeros(len(time) - 1, dtype=np.int64)
+        counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
+        writer.append_steps({"time": time[1:], "size": np.zeros(len(none)) if sizes is None else sizes, **counted})
+        stats = {**dict.fromkeys(layout.COUNTERS, 0), **ending.stats}
+        return finish(writer, spec, replace(ending, stats=stats), measured=measured)
+    finally:
+        writer.abandon()

@@ -1,0 +1,135 @@
+"""Error bars of inverse dynamics: those of largest values, and sentences on them.
+
+Unlike the errors of simulated runs, those of different frames are independent: each is a bound that holds at its time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbdkit.plugin import Run, listed, plus_minus
+from mbdkit.plugin.archives import JOINTS_NAMED, RunErrors, errors_of_measures, peak_errors
+
+
+class FrameErrors(RunErrors):
+    """What is known of the errors of a run of inverse dynamics."""
+
+    @property
+    def are_estimated(self) -> bool:
+        """Whether there are error bars."""
+        return self.run.verdict == "good" or self.run.accuracy is not None
+
+    @property
+    def unknown_times(self) -> str:
+        """Phrase with the times at which error bars are unknown; empty if all are known."""
+        run = self.run
+        borders = np.flatnonzero(np.diff(np.concatenate([[True], known_rows(run), [True]])))
+        spans = [
+            f"from t = {run.time[i]:.6g} to {run.time[end - 1]:.6g} s" for i, end in borders.reshape(-1, 2).tolist()
+        ]
+        more = f" and in {len(spans) - JOINTS_NAMED} more intervals" if len(spans) > JOINTS_NAMED else ""
+        return ", ".join(spans[:JOINTS_NAMED]) + more
+
+    def of_largest(self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
+        """Return the errors (E,) of the largest values of joints or actuators; see `RunErrors.of_largest`.
+
+        If the run has a measure such as ``max(abs(joints.NAME.force))`` for the value, the error of the measure is
+        returned, so that a number has the same error wherever it is printed. Otherwise the result is the error of the
+        frame with the largest value. These two errors can differ: that of the measure is sampled for the maximum
+        itself, while that of a frame is a bound for a vector, or belongs to a single frame.
+        """
+        run, rows = self.run, np.argmax(np.nan_to_num(size), axis=0)
+        bars = np.take_along_axis(errors, rows[None], axis=0)[0].copy()
+        parts = {} if run.accuracy is None or quantity != "joints.force" else run.accuracy.parts
+        if "reaction_peak_error" in parts:  # contains that another frame may have the largest force
+            of_data = np.take_along_axis(parts["reaction_error_data"], rows[None], axis=0)[0]
+            bars = np.where(np.isfinite(bars), np.sqrt(of_data**2 + parts["reaction_peak_error"] ** 2), np.nan)
+        for index, value, error in errors_of_measures(run, quantity, names):
+            if np.isclose(value, size[rows[index], index], rtol=1e-9, atol=0.0):
+                bars[index] = error
+        return np.asarray(bars)
+
+    def sentence(self, *, with_force: bool = True) -> str:
+        """Return a sentence on the error bar of the largest reaction force, or on why it is unknown.
+
+        It is empty if no error bars were requested, or if there are no joints.
+        """
+        run, accuracy = self.run, self.run.accuracy
+        if accuracy is None:
+            why = _why_no_error_bars(run.spec)
+            return f"errors unknown: {why}" if why else ""
+        size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
+        if not size.size:
+            return ""
+        row, joint = map(int, np.unravel_index(np.argmax(size), size.shape))
+        errors = peak_errors(run, "reaction_error", size, len(run.time))
+        assert errors is not None
+        error = float(errors[joint])
+        loads = f"; {exact}" if (exact := exact_loads(run)) else ""
+        if not math.isfinite(error):
+            known = f"{size[row, joint]:.4g} N at {run.time[row]:.4g} s, error unknown"
+            return f"largest force in {run.joint_names[joint]} {known}{loads}"
+        value = plus_minus(float(size[row, joint]), error)
+        return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4g} s{loads}"
+
+
+def _why_no_error_bars(spec: Mapping[str, Any]) -> str:
+    """Return the reason why a run of inverse dynamics has no error bars; empty if none were requested."""
+    motion = spec.get("motion", {})
+    if motion.get("errors") == "none":
+        return ""
+    of_run = str(motion.get("file", "")).lower().endswith(".h5") and motion.get("smooth", {}).get("name") == "none"
+    if of_run or any(one.get("rate") is not None for one in (motion.get("columns") or {}).values()):
+        where = "the archive" if of_run else "columns"
+        return (
+            f"velocities and accelerations are those of {where}, whose errors are not known; without them, mbdkit "
+            "differentiates the positions and estimates errors"
+        )
+    if (spec.get("recruitment") or {}).get("dynamics") == "activation":
+        return "they are not estimated with `dynamics: activation`, which couples the frames"
+    return (
+        "the noise cannot be estimated from residuals of a smoothed motion; state the `deviation` of each column, or "
+        "smooth the motion"
+    )
+
+
+def exact_loads(run: Run) -> str:
+    """Return a clause on the measured loads that error bars of inverse dynamics count as exact; empty if there are none
+    or no error bars.
+    """
+    uncertain = run.spec.get("uncertainty") or {}
+    names = (
+        []
+        if run.accuracy is None or {"pressure", "plate_gain"} & set(uncertain)
+        else [name for name, load in (run.spec.get("loads") or {}).items() if any(map(_is_exact, _measured(load)))]
+    )
+    return f"loads count as exact where columns have no `deviation`: {listed(names, 'and')}" if names else ""
+
+
+def _measured(load: Mapping[str, Any]) -> list[Any]:
+    """Return the columns of data that a measured load refers to, without components that are constant numbers."""
+    every = [*(load.get("force") or ()), *(load.get("point") or ()), load.get("torque")]
+    return [one for one in every if one is not None and not isinstance(one, int | float)]
+
+
+def _is_exact(column: Any) -> bool:
+    return not (isinstance(column, Mapping) and column.get("deviation"))
+
+
+def known_rows(run: Run) -> np.ndarray:
+    """Return the rows (T,) in which all errors are known, or not estimated."""
+    errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
+    errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
+    known = np.ones(len(run.time), dtype=bool)
+    return np.asarray(np.all([known, *(~np.any(np.isnan(one), axis=1) for one in errors)], axis=0))
+
+
+def raw_misalignment(run: Run) -> np.ndarray:
+    """Return the misalignment of each joint if bodies are placed by the measured data alone, (T, J) [m]; nan where
+    undetermined. Raises MbdkitError if the run is not of inverse dynamics.
+    """
+    return run.array("motion/raw_misalignment")
