@@ -12,8 +12,8 @@ from scipy.integrate import quad
 import mbdkit
 from mbdkit import Mechanism, SpecError
 from mbdkit.spec import load_spec
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
-from mbdkit_report.figures.mechanism_drawing import NamedPose, mechanism_svg
+from mbdkit_report import NamedPose, draw_mechanism
+from mbdkit_report.figures.mechanism_drawing import mechanism_svg
 
 T = np.linspace(0.0, 1.0, 101)
 SWEEP = {"end": 1.0, "step": 0.01}

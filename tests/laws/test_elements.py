@@ -14,7 +14,7 @@ import mbdkit
 from mbdkit import Mechanism
 from mbdkit.spec import load_spec
 from mbdkit.spec.schema import run_schema
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
+from mbdkit_report import draw_mechanism
 
 TIME = {"end": 0.1, "step": 0.01}
 

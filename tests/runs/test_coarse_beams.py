@@ -11,7 +11,7 @@ import mbdkit
 from mbdkit.cli.common_options import Printing
 from mbdkit.cli.outcome import tell
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_report.pages.run_report import run_report
+from mbdkit_report import run_report
 
 
 def rotating_rod(elements: int, *, axial: float = 1e5, rate: float = 6.0) -> Mechanism:

@@ -18,8 +18,7 @@ from mbdkit.archive.info import describe
 from mbdkit.methods.step_methods import StepMethod, StepState
 from mbdkit.runs.preparation import guards, size_at_start
 from mbdkit.spec import load_spec
-from mbdkit_report.analysis.verdict import Answer
-from mbdkit_report.pages.run_report import run_report
+from mbdkit_report import Answer, run_report
 from mbdkit_report.pages.run_verdict import run_verdict
 
 from .mechanisms import cranks, guided_tip, spec, two_cranks

@@ -12,7 +12,7 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit_report.analysis.energy import trend
+from mbdkit_report import trend
 
 from . import constrained as dense
 from .parallelogram import Parallelogram

@@ -101,7 +101,6 @@ def _trust(run: Run) -> Claim:
 
 
 def _accuracy(run: Run) -> list[Claim]:
-    """Return the claim on the estimated errors; empty if errors were not estimated."""
     accuracy = run.accuracy
     told = accuracy_sentence(run, with_force=bool(run.measures))
     if accuracy is None or not told:
