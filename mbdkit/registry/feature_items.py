@@ -306,9 +306,9 @@ class ReportSection(Feature):
     ----------
     make
         Function that takes the run and its mechanism, or None if it cannot be built, and returns the sections, of class
-        `mbdkit_report.figures.page_model.Section`; none if the run has no such section.
+        `mbdkit_report.Section`; none if the run has no such section.
     charts
-        Function that takes the run and returns charts, of class `mbdkit_report.figures.page_model.Figure`.
+        Function that takes the run and returns charts, of class `mbdkit_report.Figure`.
     film
         Function that takes the run and the data of the player, and returns these data with its additions.
     """
@@ -354,7 +354,7 @@ class ViewItem(Feature):
     of
         Full name of the class, ``module:name``.
     make
-        Function that takes the object and returns its `mbdkit_report.notebook.view.View`.
+        Function that takes the object and returns its `mbdkit_report.View`.
     """
 
     kind: ClassVar[str] = "view"

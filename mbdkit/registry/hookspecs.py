@@ -85,7 +85,7 @@ def mbdkit_studies() -> list[StudyPlugin]:  # type: ignore[empty-body]
     The study spec is a file of the package, and a function of the study returns the verdict::
 
         def verdict(study):
-            from mbdkit_report.analysis.verdict import Verdict
+            from mbdkit_report import Verdict
 
             worst = max(point.values["misalignment_max"] for point in study.points)
             return Verdict("swings", "Swings", f"The joints come apart by {worst:.1e} m at most.")

@@ -309,7 +309,7 @@ class StudyPlugin(Plugin):
         File of the study spec (YAML, TOML or JSON). Paths in it are relative to the folder of this file.
     verdict
         Function that takes the `mbdkit.Study`, complete or not, and returns the verdict of the report, a
-        `mbdkit_report.analysis.verdict.Verdict`; None for the general verdict of a study. It should import large
+        `mbdkit_report.Verdict`; None for the general verdict of a study. It should import large
         packages inside the function, because plugins are loaded whenever mbdkit starts.
     references
         BibTeX entries of the sources.

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_suffix
-from mbdkit_report.plot.style import FORMATS
+from mbdkit_report import FORMATS
 
 from . import (
     beams,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import mbdkit
 from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
-from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
+from mbdkit_report import Answer, Claim, Verdict
 from mbdkit_studies.results.judge import judge
 from tests.first_party import PARTS
 

@@ -21,9 +21,9 @@ from rich.table import Table
 import mbdkit
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.spec import RunSpec, load_spec
+from mbdkit_report import Caption, dress, new_figure, save
 from mbdkit_report.figures.palette import FAINT, PALETTE
-from mbdkit_report.plot.caption import Caption
-from mbdkit_report.plot.style import dress, legend, new_figure, save
+from mbdkit_report.plot.style import legend
 
 from . import frames
 from .exudyn_model import by_exudyn

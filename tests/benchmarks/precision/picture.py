@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit_report import Caption, dress, new_figure, save
 from mbdkit_report.figures.palette import PALETTE
-from mbdkit_report.plot.caption import Caption
-from mbdkit_report.plot.style import dress, legend, new_figure, save
+from mbdkit_report.plot.style import legend
 from tests.benchmarks.timing import duration
 
 from .contender import OURS

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbdkit import Mechanism
 from mbdkit_biomech.muscles.muscle_lines import muscle_lines
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
+from mbdkit_report import draw_mechanism
 
 
 def test_a_muscle_is_drawn_through_its_points_and_beside_its_circles():

@@ -11,7 +11,7 @@ from tests.muscles.recruited import leg_spec
 
 import mbdkit
 from mbdkit import RunError, SpecError
-from mbdkit_report.pages.report import report
+from mbdkit_report import report
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["recruitment"]
 INSIDE = slice(2, -2)

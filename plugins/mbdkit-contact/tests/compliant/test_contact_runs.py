@@ -17,7 +17,7 @@ import mbdkit_contact
 from mbdkit.archive.run import Run
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
+from mbdkit_report import draw_mechanism
 from mbdkit_report.pages.run_tables import run_tables
 
 G = 9.81

@@ -95,7 +95,7 @@ def design(
                 deviations = robustness(evaluator, evaluator.point(result.best.variables))
     page = None
     if with_report:
-        from mbdkit_report.pages.report import write_report
+        from mbdkit_report import write_report
 
         page, _ = write_report(folder, overwrite=True, workers=workers or cores())
     if printing.as_json:
@@ -163,7 +163,7 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
     from mbdkit_design.gains import measure_units, variable_unit
     from mbdkit_design.limits_in_degrees import limits_in_degrees
     from mbdkit_design.search import check_installed
-    from mbdkit_report.figures.quantity_text import heading
+    from mbdkit_report import heading
 
     spec = load_design_spec(source, assignments)
     check_installed(spec)

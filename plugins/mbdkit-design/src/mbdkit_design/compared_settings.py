@@ -16,7 +16,7 @@ from mbdkit_design.point import DesignPoint, point_of
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import searches
 from mbdkit_design.stages import Stages
-from mbdkit_report.figures.quantity_text import heading, with_unit
+from mbdkit_report import heading, with_unit
 
 
 @dataclass(frozen=True)

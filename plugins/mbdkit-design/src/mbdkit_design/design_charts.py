@@ -16,9 +16,7 @@ from mbdkit.plugin.archives import Quantity
 from mbdkit.plugin.measures import MeasureExpression, recorded, unit_of
 from mbdkit_design.gains import goal_words, variable_unit
 from mbdkit_design.landscape import Cut
-from mbdkit_report.figures.curves import band_over_time, bands, errors_at
-from mbdkit_report.figures.page_model import Axis, Figure, Line, Mark
-from mbdkit_report.key_words import key_words
+from mbdkit_report import Axis, Figure, Line, Mark, band_over_time, bands, errors_at, key_words
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

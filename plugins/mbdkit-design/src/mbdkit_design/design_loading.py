@@ -13,7 +13,7 @@ from mbdkit.plugin.specs import Document, example_names, parse_key, put, read_so
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import is_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
-from mbdkit_report.key_words import stated_units
+from mbdkit_report import stated_units
 from mbdkit_studies.spec.study_loading import base_source, document_of
 
 

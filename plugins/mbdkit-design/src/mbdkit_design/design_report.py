@@ -26,15 +26,20 @@ from mbdkit_design.solve_design import WORKER, evaluating
 from mbdkit_design.stages import Stages
 from mbdkit_design.store import WHICH, DesignFolder, runs_of
 from mbdkit_design.trust import QUESTIONED
-from mbdkit_report.figures.drawing_geometry import mechanism_of
-from mbdkit_report.figures.mechanism_drawing import NamedPose
-from mbdkit_report.figures.page_model import Section, Table
-from mbdkit_report.figures.quantity_text import with_unit
-from mbdkit_report.key_words import key_words
-from mbdkit_report.pages.methods_used import methods
-from mbdkit_report.pages.model_section import drawing
-from mbdkit_report.pages.report_page import ReportPage
-from mbdkit_report.pages.run_report import TONES, environment, film_of
+from mbdkit_report import (
+    TONES,
+    NamedPose,
+    ReportPage,
+    Section,
+    Table,
+    drawing,
+    environment,
+    film_of,
+    key_words,
+    mechanism_of,
+    methods,
+    with_unit,
+)
 from mbdkit_studies.compute.executor_pool import Engine
 
 if TYPE_CHECKING:

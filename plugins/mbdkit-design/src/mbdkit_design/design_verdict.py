@@ -12,10 +12,7 @@ from mbdkit.plugin.specs import write_yaml
 from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.robustness import Deviation
 from mbdkit_design.trust import QUESTIONED
-from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
-from mbdkit_report.figures.page_model import Cell, Column, Table
-from mbdkit_report.figures.quantity_text import with_unit
-from mbdkit_report.key_words import key_words
+from mbdkit_report import Answer, Cell, Claim, Column, Table, Verdict, key_words, with_unit
 
 if TYPE_CHECKING:
     from mbdkit_design.compared_settings import Comparison

@@ -14,7 +14,7 @@ from mbdkit_design.gains import goal_units, variable_unit
 from mbdkit_design.point import DesignPoint, Notify
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, searches
-from mbdkit_report.figures.quantity_text import heading
+from mbdkit_report import heading
 
 ROWS = 20
 """Largest number of points in the table of a front."""

@@ -13,8 +13,7 @@ from mbdkit.plugin.measures import describe
 from mbdkit.plugin.specs import variable_path
 from mbdkit_design.design_spec import GOAL
 from mbdkit_design.problem import FEASIBLE
-from mbdkit_report.figures.quantity_text import with_unit
-from mbdkit_report.key_words import key_unit
+from mbdkit_report import key_unit, with_unit
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

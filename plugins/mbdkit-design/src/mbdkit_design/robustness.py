@@ -14,7 +14,7 @@ from mbdkit.plugin.specs import ModelSpec, variable_path
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator, Job, Settings
 from mbdkit_design.gains import goal_words
-from mbdkit_report.key_words import key_unit, key_words
+from mbdkit_report import key_unit, key_words
 
 OFF = 0.05
 """Relative deviation of variables and masses."""

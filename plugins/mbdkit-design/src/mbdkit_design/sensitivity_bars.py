@@ -5,14 +5,13 @@ sign.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from markupsafe import Markup
 
 from mbdkit_design.landscape import SHARE, Sensitivity
-from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, short_name
-from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section, Table
-from mbdkit_report.figures.svg_canvas import svg_of
+from mbdkit_report import Cell, Column, Illustration, Section, Table, short_name, svg_of
 
 _STEP = 22.0
 _TEXT = '<text x="{:.0f}" y="{:.0f}"{}>{}</text>'
@@ -37,10 +36,9 @@ def sensitivity_section(
         "whose slope is discontinuous at the best value has two changes, for an increase and for a decrease, and no "
         "bar."
     )
-    wide, narrow = (_svg(found, words, units, width) for width in (WIDE, NARROW))
     text = "Changes to the right are increases. Each goal or limit has its own scale."
-    return Section("sensitivities", "Sensitivities", (sentence,), Illustration(wide, narrow, text, text),
-                   (_table(found, words, units),))  # fmt: skip
+    drawing = Illustration.of(partial(_svg, found, words, units), text, text)
+    return Section("sensitivities", "Sensitivities", (sentence,), drawing, (_table(found, words, units),))
 
 
 def _name(one: Sensitivity) -> str:
@@ -79,13 +77,13 @@ def _svg(
         parts.append(title.format(y + 12, _name(one) + (f" [{unit}]" if unit else "")))
         y += _STEP
         parts += _bars(one, words, width, y)
-        y += _STEP * len(one.changes) * (1 if width > NARROW else 2) + 10.0
+        y += _STEP * len(one.changes) * (1 if width > Illustration.NARROW else 2) + 10.0
     return svg_of(parts, width, y)
 
 
 def _bars(one: Sensitivity, words: Mapping[str, str], width: float, y: float) -> Iterator[Markup]:
     """Yield a bar for each variable, to the left or right by its sign, with name and value, starting at `y` [px]."""
-    is_wide = width > NARROW
+    is_wide = width > Illustration.NARROW
     left, side = (300.0, 80.0) if is_wide else (0.0, 70.0)  # space for the names, and for the numbers on each side
     middle, half = (left + width) / 2, (width - left) / 2 - side
     top = y

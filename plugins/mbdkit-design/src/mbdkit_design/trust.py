@@ -13,7 +13,7 @@ from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
-from mbdkit_report.figures.quantity_text import with_unit
+from mbdkit_report import with_unit
 
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
 """Verdicts from the worst to the best."""

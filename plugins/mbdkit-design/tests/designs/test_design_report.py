@@ -11,8 +11,7 @@ from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, swi
 
 import mbdkit
 from mbdkit_design.design_report import design_report
-from mbdkit_report.analysis.verdict import Answer
-from mbdkit_report.pages.report_page import ReportPage
+from mbdkit_report import Answer, ReportPage
 
 
 def page_of(given: dict[str, object], folder: Path) -> ReportPage:

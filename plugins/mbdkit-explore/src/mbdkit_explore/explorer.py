@@ -14,7 +14,8 @@ from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import is_inverse, load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_explore.sliders import sliders
-from mbdkit_report.pages.run_report import TONES, film_of, yaml_text
+from mbdkit_report import TONES, film_of
+from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_studies.lanes.prepared_run import PreparedRun
 
 if TYPE_CHECKING:

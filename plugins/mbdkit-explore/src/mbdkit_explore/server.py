@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.plugin import MbdkitError
 from mbdkit_explore.explorer import Explorer, explorer_of
-from mbdkit_report.pages.templating import render
+from mbdkit_report import render
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette

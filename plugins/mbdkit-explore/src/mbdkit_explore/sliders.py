@@ -11,7 +11,7 @@ from typing import Any
 from mbdkit.plugin import SpecError, did_you_mean, listed, parse_path, path_text
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.specs import ModelSpec
-from mbdkit_report.key_words import key_unit, key_words, keys_ending_in
+from mbdkit_report import key_unit, key_words, keys_ending_in
 
 MOST = 12
 """Largest number of sliders that are chosen by default."""

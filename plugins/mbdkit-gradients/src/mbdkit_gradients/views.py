@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from mbdkit_gradients.gradient import Gradient
-from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
-from mbdkit_report.notebook.result_views import View
+from mbdkit_report import Cell, Column, Table, View, columns_of
 
 
 def gradient_view(found: Gradient) -> View:

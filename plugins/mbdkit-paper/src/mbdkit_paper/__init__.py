@@ -9,7 +9,6 @@ from mbdkit.plugin import StudyPlugin, Target
 
 
 def _packaged(name: str, summary: str, references: Any = ()) -> StudyPlugin:
-    """Return the study in the folder of this name, with hyphens as underscores."""
     folder = Path(__file__).parent / name.replace("-", "_")
     has_verdict = (folder / "verdict.py").is_file()
     verdict = Target[Any](f"{__name__}.{folder.name}.verdict:verdict") if has_verdict else None

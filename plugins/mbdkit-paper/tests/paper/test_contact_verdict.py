@@ -13,7 +13,7 @@ import pytest
 import mbdkit
 from mbdkit_paper.contact import verdict as of
 from mbdkit_paper.contact.verdict import CLOSED, FINEST, Touched
-from mbdkit_report.analysis.verdict import Answer
+from mbdkit_report import Answer
 from mbdkit_studies.spec.study_loading import load_study_spec
 
 RIGID = [

@@ -15,8 +15,8 @@ import mbdkit
 from mbdkit_paper.drift.combination import combinations
 from mbdkit_paper.drift.verdict import COLUMNS, order_meets
 from mbdkit_paper.drift.verdict import verdict as judge_drift
-from mbdkit_report.analysis.verdict import UNDECIDED, Answer
-from mbdkit_report.pages.verdict_text import json_values, terminal_text
+from mbdkit_paper.wording import UNDECIDED
+from mbdkit_report import Answer, json_values, terminal_text
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.first_party import PARTS

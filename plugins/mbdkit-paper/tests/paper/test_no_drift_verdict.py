@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from mbdkit_paper.no_drift.verdict import verdict as judge_no_drift
-from mbdkit_report.analysis.verdict import UNDECIDED, Answer
+from mbdkit_paper.wording import UNDECIDED
+from mbdkit_report import Answer
 
 
 def study(*runs: tuple[float, float, str]) -> Any:

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import mbdkit
 from mbdkit_paper.textbook_four_bar.textbook_equations import GRAVITY, LENGTHS, gap, integrate, rates, start
 from mbdkit_paper.textbook_four_bar.verdict import loop_residual
-from mbdkit_report.analysis.verdict import Answer
+from mbdkit_report import Answer
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
 

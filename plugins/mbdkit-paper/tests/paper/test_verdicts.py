@@ -21,7 +21,8 @@ from mbdkit_paper.paper import substitution_timing
 from mbdkit_paper.paper.computation_time import SPEED_UP
 from mbdkit_paper.paper.paper_predictions import joints, knee, steps_within
 from mbdkit_paper.paper.published_results import magnitudes, ranking
-from mbdkit_report.analysis.verdict import UNDECIDED, Answer, Range, exceeds
+from mbdkit_paper.wording import UNDECIDED
+from mbdkit_report import Answer, Range, exceeds
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
 
@@ -241,14 +242,13 @@ def test_a_damaged_file_of_times_is_measured_anew(tmp_path: Path) -> None:
     (tmp_path / "measured").mkdir()
     (tmp_path / "measured" / "substitution.json").write_text('{"a": {"bodies": ')
     (found,) = substitution_timing.measured(tmp_path, [spec])
-    assert (found.bodies, found.evaluations) == (1, substitution_timing.EVALUATIONS)
-    assert 0 < found.least_s <= found.median_s
-    assert substitution_timing.measured(tmp_path, [spec]) == (found,)
+    assert found > 0.0
+    assert substitution_timing.measured(tmp_path, [spec]) == [found]
 
 
 def test_a_folder_that_cannot_be_written_costs_nothing_but_time(tmp_path: Path) -> None:
     (tmp_path / "measured").write_text("in the way")
-    assert substitution_timing.measured(tmp_path, [load_spec("pendulum")])[0].bodies == 1
+    assert substitution_timing.measured(tmp_path, [load_spec("pendulum")])[0] > 0.0
 
 
 def test_any_study_has_a_general_verdict(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def predict(
 
     run = compute(checked, path=path, overwrite=overwrite)
     if report:
-        from mbdkit_report.pages.report import report as write
+        from mbdkit_report import report as write
 
         target = write(path, overwrite=overwrite)
         if not (printing.quiet or printing.as_json):

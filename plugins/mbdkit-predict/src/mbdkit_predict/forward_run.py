@@ -85,7 +85,6 @@ def _integrated(rates: Rates, stops: Sequence[float], state: np.ndarray, scale: 
 
 
 def _between_stops(rates: Rates, span: tuple[float, float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return the state at the end of a span without discontinuities of functions of time."""
     absolute = PRECISION * np.where(np.isfinite(scale), scale, 1.0)
     evaluations = count(1)
 

@@ -44,7 +44,6 @@ def _cases(x: Any) -> dict[int, Any]:
 
 
 def _chosen(pairs: Iterator[tuple[Any, Any]]) -> Any:
-    """Return the integer, or the condition, with given values and their conditions."""
     cases = dict[Any, Any]()
     for value, holds in pairs:
         cases[value] = either(cases.get(value, False), holds)
@@ -208,8 +207,6 @@ class Run:
 
 
 class _Rewriter(ast.NodeTransformer):
-    """Rewrites statements and conditions, innermost first."""
-
     def visit(self, node: ast.AST) -> Any:
         self.generic_visit(node)
         rewrite = getattr(self, f"visit_{type(node).__name__}", None)

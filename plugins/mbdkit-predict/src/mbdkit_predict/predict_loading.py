@@ -41,7 +41,6 @@ def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: An
 
 
 def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a spec with model and named parameters of its base."""
     sections = dict(data)
     for key in sections:
         if key not in PredictSpec.model_fields and key not in OF_BASE:

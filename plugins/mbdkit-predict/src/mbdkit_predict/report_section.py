@@ -7,7 +7,7 @@ from typing import Any
 
 from mbdkit.plugin import Run
 from mbdkit_predict.run_results import lines, mesh, sensitivities
-from mbdkit_report.figures.page_model import Section, Table, columns_of
+from mbdkit_report import Section, Table, columns_of
 
 _METHOD = (
     "The motion minimizes {minimize}. It was found by direct collocation with the stages of {method} with {points} "

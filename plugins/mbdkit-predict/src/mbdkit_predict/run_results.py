@@ -27,7 +27,6 @@ class Gain(NamedTuple):
 
 
 def _recorded(run: Run, name: str) -> Any:
-    """Return what a prediction recorded: a number, or plain data."""
     if name not in run.provenance:
         raise RunError(f"the run has no {name}: it is no prediction")
     value = run.provenance[name]

@@ -118,7 +118,6 @@ def _say_what_is_not_drawn(*runs: Run) -> None:
 
 
 def _check_options(kind: str, options: Mapping[str, object]) -> None:
-    """Raise SpecError for an option that a kind of plot does not support."""
     from mbdkit.plugin import SpecError, listed
     from mbdkit_report.plot.comparison import options_of
 

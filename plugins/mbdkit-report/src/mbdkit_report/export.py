@@ -39,16 +39,12 @@ def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[
     MbdkitError
         If the format needs a package that is not installed.
     """
-    suffix = suffix_of(to)
+    suffix_of(to)
     if not len(run.time):
         raise SpecError("this run recorded no rows, so there is nothing to export", file=run.path)
-    tables: dict[Path, ExportedTable] = {
-        folder / f"{group}{suffix}": group_table(run, group)
-        for group in group_names(run)
-        if not (to == "sto" and group == "events")
-    }
-    write_tables(tables, folder, to, overwrite=overwrite, source=run.path)
-    return list(tables)
+    shown = [group for group in group_names(run) if not (to == "sto" and group == "events")]
+    tables = {group: group_table(run, group) for group in shown}
+    return write_tables(tables, folder, to, overwrite=overwrite, source=run.path)
 
 
 def suffix_of(to: str) -> str:
@@ -61,12 +57,14 @@ def suffix_of(to: str) -> str:
 
 
 def write_tables(
-    tables: Mapping[Path, ExportedTable], folder: Path, to: str, *, overwrite: bool, source: Path | None
-) -> None:
-    """Write tables to files in a folder; if one file cannot be written, none is.
+    tables: Mapping[str, ExportedTable], folder: Path, to: str, *, overwrite: bool, source: Path | None = None
+) -> list[Path]:
+    """Write tables to files ``NAME.FORMAT`` in a folder, and return the files; if one cannot be written, none is.
 
     Parameters
     ----------
+    tables
+        Tables by name.
     folder
         Folder of the files; it is created if its parent exists.
     to
@@ -79,28 +77,29 @@ def write_tables(
     Raises
     ------
     SpecError
-        If a file exists or cannot be written.
+        If the format is unknown, or a file exists or cannot be written.
     ResourceError
         If the disk is full or writing is not permitted.
     MbdkitError
         If the format needs a package that is not installed.
     """
+    files = {folder / f"{name}{suffix_of(to)}": table for name, table in tables.items()}
     item = registry().get("table-format", to)
     write = cast(TableFormat, item.plugin).write
-    is_new = _prepare(folder, list(tables), overwrite)
+    is_new = _prepare(folder, list(files), overwrite)
     try:
         with ExitStack() as stack:
-            for path, table in tables.items():
+            for path, table in files.items():
                 temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=source))
                 use(item, lambda table=table, file=temporary: write()(table, file))  # type: ignore[misc]
     except BaseException:
         if is_new:
             folder.rmdir()
         raise
+    return list(files)
 
 
 def _prepare(folder: Path, files: list[Path], overwrite: bool) -> bool:
-    """Create the folder if needed, check that the files may be written, and return whether the folder is new."""
     if folder.is_dir():
         for file in files:
             check_output(file, overwrite=overwrite)

@@ -137,7 +137,6 @@ def _arrays(run: Run, group: str) -> list[Array]:
 
 
 def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
-    """Yield the columns of an array, (T, ...)."""
     dims = array.dims[1:]
     names = [[str(name) for name in run.array(f"{array.group}/{dim}")] for dim in dims]
     units = [str(unit) for unit in run.array(f"{array.group}/{array.row_units}")] if array.row_units else []
@@ -161,7 +160,6 @@ def _element(column: TableColumn) -> tuple[tuple[str, int], ...]:
 
 
 def _values(dataset: h5py.Dataset | np.ndarray, rows: slice) -> np.ndarray:
-    """Return a slice of the rows of a dataset; text as Python strings."""
     source = dataset.asstr() if isinstance(dataset, h5py.Dataset) and is_text(dataset) else dataset
     return np.asarray(source[rows])
 

@@ -125,13 +125,12 @@ def _parameter_unit(spec: ModelSpec, name: str) -> str:
 
 
 def _field(holder: BaseModel, key: str) -> tuple[str, str]:
-    """Return the name of the field that a key sets, and its description."""
     fields = type(holder).model_fields
     name = {field.alias: name for name, field in fields.items()}.get(key, key)
     return name, description(type(holder), name)
 
 
-def keys_ending_in(name: str, holder: Any, path: Path = ("model",)) -> Iterator[str]:
+def keys_ending_in(name: str, holder: object, path: Path = ("model",)) -> Iterator[str]:
     """Yield the dotted keys in plain data, which is at `path`, whose last part is `name`."""
     items = holder.items() if isinstance(holder, dict) else enumerate(holder) if isinstance(holder, list) else ()
     for part, value in items:

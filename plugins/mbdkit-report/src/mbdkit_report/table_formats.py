@@ -161,13 +161,11 @@ def _heading(name: str, units: str) -> str:
 
 
 def _rows(table: ExportedTable) -> Iterator[list[Any]]:
-    """Yield the rows of a table as lists of Python numbers and texts; the first column comes first."""
     for time, values in table.blocks():
         yield from map(list, zip(time.tolist(), *(column.tolist() for column in values), strict=True))
 
 
 def _matlab_names(names: Iterable[str]) -> list[str]:
-    """Return names that MATLAB accepts for variables, all different."""
     found = []
     for name in names:
         word = re.sub(r"[^A-Za-z0-9_]", "_", name)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_report.analysis.growth import Law, growth_law, worst_history
+from mbdkit_report import growth_law, worst_history
+from mbdkit_report.analysis.growth import Law
 
 TIME = np.linspace(0.0, 100.0, 2001)
 ENVELOPES: dict[Law, np.ndarray] = {
@@ -37,7 +38,7 @@ def test_law_is_found_under_a_fast_oscillation_and_noise(law: Law, seed: int) ->
 @pytest.mark.parametrize(("law", "exponent"), [("linear", 1.0), ("quadratic", 2.0)])
 def test_exponent_is_that_of_the_power_law(law: Law, exponent: float) -> None:
     growth = growth_law(TIME, oscillating(ENVELOPES[law], 3.1))
-    assert growth.exponent == pytest.approx(exponent, abs=4 * growth.exponent_error + 0.02)
+    assert growth.exponent == pytest.approx(exponent, abs=0.05)
 
 
 @pytest.mark.parametrize("law", ENVELOPES)
@@ -62,7 +63,7 @@ def test_two_laws_that_noise_hides_are_both_named() -> None:
     # Over less than one e-fold, an exponential cannot be distinguished from a straight line with an offset.
     noise = np.exp(0.3 * np.random.default_rng(2).standard_normal(len(TIME)))
     growth = growth_law(TIME, np.exp(TIME / 120) * noise)
-    assert not growth.certain
+    assert len(growth.candidates) > 1
     assert {"linear", "exponential"} <= set(growth.candidates)
 
 
@@ -72,8 +73,7 @@ def test_noise_without_any_law_is_called_unclear() -> None:
 
 
 def test_zeros_are_no_misalignment() -> None:
-    growth = growth_law(TIME, np.zeros_like(TIME))
-    assert (growth.law, growth.describe()) == ("none", "no misalignment at all")
+    assert growth_law(TIME, np.zeros_like(TIME)).candidates == ("none",)
 
 
 @pytest.mark.parametrize("value", [np.full(30, math.nan), -np.ones(30), np.ones(10)])

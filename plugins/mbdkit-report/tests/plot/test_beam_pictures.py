@@ -9,9 +9,9 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError, UnknownNameError
+from mbdkit_report import Illustration, NamedPose, draw_mechanism
 from mbdkit_report.figures.beam_curves import bending_moments, bezier_polylines
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
-from mbdkit_report.figures.mechanism_drawing import NARROW, NamedPose, mechanism_svg
+from mbdkit_report.figures.mechanism_drawing import mechanism_svg
 from mbdkit_report.figures.palette import body_colors
 from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.pages.answer_section import beam_section
@@ -65,7 +65,7 @@ def test_a_report_names_a_beam_once_and_never_its_nodes(run):
     mechanism = mechanism_of(run)
     pose = run.array("trajectory/position")[0]
     shown = NamedPose.of(mechanism, list(run.bodies), pose, np.array([0.0]))
-    names = re.findall(r"<text[^>]*>([^<]*)</text>", mechanism_svg(shown, NARROW))
+    names = re.findall(r"<text[^>]*>([^<]*)</text>", mechanism_svg(shown, Illustration.NARROW))
     assert names.count("leaf") == 1
     assert not [name for name in names if "leaf." in name]
     tables = {table.name: table for table in element_tables(shown)}
@@ -98,11 +98,6 @@ def test_the_player_gets_the_curve_and_its_moments_in_percent(run):
     moments = bending_moments(run, draw_mechanism(bent_mechanism()).beams)
     assert film["bending"]["largest"] == np.max(np.abs(moments))
     assert film["bending"]["percent"][:8] == np.round(100 * moments[0] / np.max(np.abs(moments))).tolist()
-
-
-def test_the_load_of_a_beam_does_not_appear_among_force_elements(run):
-    with pytest.raises(SpecError, match="no force element"):
-        run.plot.forces()
 
 
 @pytest.mark.parametrize(

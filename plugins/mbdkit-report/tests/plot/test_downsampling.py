@@ -4,8 +4,9 @@ import h5py
 import numpy as np
 import pytest
 
+from mbdkit_report import bands
 from mbdkit_report.figures import curves
-from mbdkit_report.figures.curves import bands, evenly, take
+from mbdkit_report.figures.curves import evenly, take
 
 
 def test_bands_of_a_short_recording_are_its_rows():

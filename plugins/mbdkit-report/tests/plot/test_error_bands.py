@@ -11,9 +11,9 @@ from matplotlib.path import Path as Outline
 
 import mbdkit
 from mbdkit.archive.headlines import largest_loads
-from mbdkit_report.figures.curves import band_along_path, band_over_time
+from mbdkit_report import band_over_time, run_report
+from mbdkit_report.figures.curves import band_along_path
 from mbdkit_report.pages.report_page import chart_data
-from mbdkit_report.pages.run_report import run_report
 from mbdkit_report.plot.save_plot import figure
 
 CHAOTIC = {"name": "double-pendulum", "angles": [1.2, 0.3]}

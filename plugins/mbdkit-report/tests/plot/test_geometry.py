@@ -5,8 +5,9 @@ import pytest
 
 from mbdkit.archive.stored_mechanism import built_mechanism
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_report.figures.drawing_geometry import GROUND, choose_traces, draw_centres, draw_mechanism, trace_points
-from mbdkit_report.figures.plane_geometry import convex_hull, view_box, zigzag
+from mbdkit_report import draw_mechanism, view_box
+from mbdkit_report.figures.drawing_geometry import GROUND, choose_traces, draw_centres, trace_points
+from mbdkit_report.figures.plane_geometry import convex_hull, zigzag
 
 
 def rods(count: int) -> Mechanism:

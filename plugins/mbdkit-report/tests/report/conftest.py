@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import mbdkit
 from mbdkit.cli import app
-from mbdkit_report.pages.report import report
+from mbdkit_report import report
 from mbdkit_studies.compute.carry_out import study as run_study
 from tests.browser import executable, launched, opened
 from tests.registry.conftest import beside_ours as beside_ours

@@ -9,8 +9,7 @@ import pytest
 from scipy.special import ellipk
 
 import mbdkit
-from mbdkit_report.pages.answer_section import Peaks
-from mbdkit_report.pages.run_report import run_report
+from mbdkit_report import bands, run_report
 from mbdkit_report.pages.verdict_text import markdown_text
 from tests.linkages import driven_wheel
 
@@ -75,6 +74,6 @@ def test_force_elements_have_their_largest_values():
 def test_largest_values_are_found_beyond_what_is_not_finite():
     time = np.arange(5.0)
     data = np.array([[1.0, np.nan], [-3.0, np.nan], [np.nan, np.nan], [np.inf, np.nan], [2.0, np.nan]])
-    peaks = Peaks.of(time, data)
-    assert (peaks.value[0], peaks.time[0]) == (3.0, 1.0)
-    assert np.isnan([peaks.value[1], peaks.time[1]]).all()
+    curves = bands(time, data)
+    assert (curves.peaks[0], curves.peak_times[0]) == (3.0, 1.0)
+    assert np.isnan([curves.peaks[1], curves.peak_times[1]]).all()

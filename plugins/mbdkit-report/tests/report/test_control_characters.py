@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 
 import mbdkit
-from mbdkit_report.pages.report import report
+from mbdkit_report import report
 from mbdkit_report.plot.plot_kinds import plot_kinds
 from mbdkit_report.plot.save_plot import plot
 

@@ -10,8 +10,8 @@ import pytest
 
 import mbdkit
 from mbdkit_biomech.inverse_dynamics.results.load_sections import inverse_sections
-from mbdkit_report.figures.page_model import Section, Table
-from mbdkit_report.pages.run_report import mechanism_of, run_report
+from mbdkit_report import Section, Table, run_report
+from mbdkit_report.pages.run_report import mechanism_of
 
 T = np.linspace(0.0, 1.0, 51)
 
@@ -104,8 +104,3 @@ def test_the_page_has_the_sections_and_charts(run: mbdkit.Run) -> None:
     assert "mbdkit inverse run.yaml" in page.commands
     assert [one.anchor for one in page.sections][:4] == ["model", "loads", "workload", "data"]
     assert "Differences between model and data" in page.html()
-
-
-def test_a_forward_run_has_no_such_sections() -> None:
-    run = mbdkit.run("double-pendulum", time={"end": 0.02, "step": 0.01})
-    assert inverse_sections(run, None) == ()

@@ -11,9 +11,9 @@ import pytest
 import mbdkit
 from mbdkit.mechanism.beams import parts_of
 from mbdkit.spec import example_names, load_spec
+from mbdkit_report import Illustration, NamedPose, run_report
 from mbdkit_report.figures.label_placement import LINE, Name, place_names
-from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
-from mbdkit_report.pages.run_report import run_report
+from mbdkit_report.figures.mechanism_drawing import mechanism_svg, names_shown
 from tests.linkages import driven_wheel
 
 
@@ -31,7 +31,7 @@ def texts(svg):
 def test_a_drawing_of_many_links_has_no_names_and_says_so(rods: int, are_shown: bool) -> None:
     shown = start(load_spec("double-pendulum", model={"name": "n-pendulum", "n": rods}).mechanism())
     assert names_shown(shown) == are_shown
-    assert ("J1" in texts(mechanism_svg(shown, WIDE))) == are_shown
+    assert ("J1" in texts(mechanism_svg(shown, Illustration.WIDE))) == are_shown
 
 
 @pytest.mark.parametrize("name", sorted(example_names("run")))
@@ -43,7 +43,7 @@ def test_every_element_of_an_example_is_named_once(name):
     parts = parts_of(mechanism.beams)
     named = [*mechanism.bodies, *mechanism.joints, *mechanism.forces, *mechanism.markers]
     named = [name for name in named if name not in parts] + list(mechanism.beams)
-    for found in (texts(mechanism_svg(shown, width)) for width in (WIDE, NARROW)):
+    for found in (texts(mechanism_svg(shown, width)) for width in (Illustration.WIDE, Illustration.NARROW)):
         assert all(found.count(word) >= 1 for word in named)
         assert len(found) == len(named) + 1 + bool(any(mechanism.gravity))  # the scale and g
 
@@ -65,7 +65,7 @@ def test_names_keep_clear_of_each_other_of_lines_and_of_the_edge():
 def test_long_and_hostile_names_are_cut_and_escaped():
     m = mbdkit.Mechanism()
     m.body("<script>" + 240 * "x", mass=1.0, inertia=1.0)
-    svg = mechanism_svg(start(m), WIDE)
+    svg = mechanism_svg(start(m), Illustration.WIDE)
     assert "<script" not in svg
     assert max(map(len, texts(svg))) < 40
 
@@ -76,7 +76,7 @@ def test_the_arrow_of_a_load_points_where_the_force_does():
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
     m.body("block", mass=1.0, inertia=1.0)
     m.force("push", "block", value=("3*t", "4*t"))
-    svg = mechanism_svg(start(m), WIDE)
+    svg = mechanism_svg(start(m), Illustration.WIDE)
     x0, y0, x1, y1 = map(float, re.search(r'class="load" d="M([\d.]+) ([\d.]+)L([\d.]+) ([\d.]+)"', svg).groups())
     length = math.dist((x0, y0), (x1, y1))
     assert ((x1 - x0) / length, (y0 - y1) / length) == pytest.approx((0.6, 0.8), abs=0.01)
@@ -90,7 +90,7 @@ def test_a_motor_is_drawn_at_its_own_joint_where_ends_of_other_bars_meet():
     m.distance("crank bar", crank, foot, from_=(1.0, 0.0), to=(-2.0, -1.0))
     m.revolute("axle", m.ground, crank, at=(0.0, 0.0))
     m.driver("motor", m.ground, crank, coordinate="angle", motion="t")
-    svg = mechanism_svg(start(m), WIDE)
+    svg = mechanism_svg(start(m), Illustration.WIDE)
     axle = [float(number) for number in re.search(r'<circle class="joint" cx="([\d.]+)" cy="([\d.]+)"', svg).groups()]
     turn = re.search(r'class="load" d="M([\d.]+) ([\d.]+)', svg).groups()
     assert math.dist(axle, [float(number) for number in turn]) == pytest.approx(15.0, abs=0.2)  # px, its radius

@@ -12,11 +12,9 @@ import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
-from mbdkit_report.analysis.verdict import Answer
+from mbdkit_report import Answer, methods, report, run_report
 from mbdkit_report.pages import run_verdict as module
-from mbdkit_report.pages.methods_used import methods
-from mbdkit_report.pages.report import report
-from mbdkit_report.pages.run_report import run_report, yaml_text
+from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_report.pages.run_verdict import run_verdict
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
@@ -86,17 +84,6 @@ def test_the_references_are_those_of_the_methods_used_and_of_no_others():
     keys = {re.match(r"@\w+\{([^,]+),", entry)[1] for entry in gauss.bibtex}
     assert keys == {"mbdkit", "butcher1964", "group3exoskeleton", "winter2009", "gaitanalysistoolkit", "gait2d"}
     assert any("order 6, symmetric and symplectic" in paragraph for paragraph in gauss.paragraphs)
-
-
-def test_several_specs_give_each_method_once():
-    specs = [
-        {"model": {"name": "double-pendulum"}, "integrator": {"name": "gauss", "stages": stages}}
-        for stages in (2, 3, 2)
-    ]
-    found = methods(specs)
-    (gauss,) = [paragraph for paragraph in found.paragraphs if "Gauss" in paragraph]
-    assert "Settings: stages 2 and 3." in gauss
-    assert sum("butcher1964" in entry for entry in found.bibtex) == 1
 
 
 def test_a_method_that_is_not_installed_is_named_as_missing():
@@ -185,11 +172,6 @@ def test_a_run_that_flew_apart_can_be_reported(make_run):
 
     text = run_report(make_run(change=spoil, status="failed", reason="not-finite: the state is not finite")).html()
     assert "NaN" not in text.split('id="figure-data">')[1].split("</script>")[0]
-
-
-def test_a_run_without_rows_is_refused(make_run):
-    with pytest.raises(SpecError, match="no rows"):
-        run_report(make_run(rows=0, status="interrupted"))
 
 
 @pytest.fixture

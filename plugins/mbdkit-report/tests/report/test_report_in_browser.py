@@ -12,12 +12,11 @@ from axe_playwright_python.sync_playwright import Axe
 import mbdkit
 from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
-from mbdkit_report.figures.mechanism_drawing import WIDE, NamedPose, mechanism_svg, names_shown
+from mbdkit_report import Illustration, NamedPose, render, report, run_report
+from mbdkit_report.figures.mechanism_drawing import mechanism_svg, names_shown
 from mbdkit_report.figures.palette import PALETTE
 from mbdkit_report.figures.player_data import film_data
-from mbdkit_report.pages.report import report
-from mbdkit_report.pages.run_report import run_report
-from mbdkit_report.pages.templating import inline, render
+from mbdkit_report.pages.templating import inline
 from mbdkit_report.plot.caption import caption
 from mbdkit_report.plot.energy_plot import COLORS
 from tests.browser import opened, until
@@ -401,7 +400,9 @@ def test_names_in_drawings_of_examples_do_not_overlap(browser, tmp_path):
         mechanism = load_spec(name).mechanism()
         pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
         shown = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0]))
-        drawings += [f'<div class="wide" title="{name}">{mechanism_svg(shown, WIDE)}</div>'] * names_shown(shown)
+        drawings += [f'<div class="wide" title="{name}">{mechanism_svg(shown, Illustration.WIDE)}</div>'] * names_shown(
+            shown
+        )
     path = tmp_path / "drawings.html"
     style = f"<style>:root {{ {inline('light.css')} }} {inline('style.css')}{inline('drawing.css')}</style>"
     path.write_text(f'<!DOCTYPE html>{style}<figure class="drawing">{"".join(drawings)}</figure>', encoding="utf-8")

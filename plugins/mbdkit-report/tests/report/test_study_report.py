@@ -10,9 +10,7 @@ import scipy.stats
 from tests.report.conftest import STUDY
 
 import mbdkit
-from mbdkit_report.figures.page_model import Axis, Figure, Line
-from mbdkit_report.key_words import key_words
-from mbdkit_report.pages.report import report
+from mbdkit_report import Axis, Figure, Line, key_words, report
 from mbdkit_report.pages.report_page import cell_text
 from mbdkit_studies.compute.carry_out import load_study
 from mbdkit_studies.compute.carry_out import study as run_study

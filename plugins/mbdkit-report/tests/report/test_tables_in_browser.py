@@ -6,7 +6,7 @@ import csv
 
 import mbdkit
 from mbdkit.base.text import csv_cell
-from mbdkit_report.pages.run_report import run_report
+from mbdkit_report import run_report
 from tests.browser import opened
 
 

@@ -159,7 +159,6 @@ def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> di
 
 
 def _rate(name: str, joint: Driver) -> float:
-    """Return the constant rate of a driver [rad/s]."""
     probe = Mechanism()
     probe.body("body", mass=1.0, inertia=1.0)
     probe.revolute("pin", GROUND, "body", at=(0.0, 0.0))

@@ -44,8 +44,6 @@ def read_mjcf(file: str) -> SpatialModel:
 
 
 class _Reader:
-    """Reads the bodies of a file recursively, starting with the world."""
-
     def __init__(self, root: Element):
         self.root, self.model = root, SpatialModel(root.get("model", "mujoco"))
         if next(root.iter("include"), None) is not None:
@@ -86,7 +84,6 @@ class _Reader:
         return Element(path.rpartition("/")[2], values)
 
     def _check_globals(self) -> None:
-        """Refuse settings that change masses or switch off forces, and note those that are not understood."""
         for name in REFUSED:
             if self.compiler.get(name) not in (None, "false", "0", "-1"):
                 raise refused(f"{name} of <compiler> is not read")
@@ -103,7 +100,6 @@ class _Reader:
             leave_out_attributes(self.model, element, "the file")
 
     def _leave_out(self) -> None:
-        """Note the elements that are ignored, and those of them that change the motion."""
         known = (*MODEL_SECTIONS, *IDLE_SECTIONS, *NOTED_SECTIONS, *LACKING_SECTIONS)
         for section in self.root:
             if section.tag not in known:
@@ -180,7 +176,6 @@ class _Reader:
             self._read_defaults(inner, inner.get("class", ""), own)
 
     def _with_defaults(self, element: Element, childclass: str) -> Element:
-        """Return an element with the attributes of its default class."""
         name = element.get("class", childclass)
         if name not in self.defaults:
             raise refused(f"<{element.tag}> has the class '{name}', for which there is no <default>")
@@ -190,7 +185,6 @@ class _Reader:
         return math.radians(value) if self.is_degree else value
 
     def _rotation(self, element: Element) -> np.ndarray:
-        """Return the matrix (3, 3) of the orientation of an element."""
         if len(given := [name for name in ORIENTATIONS if element.get(name)]) > 1:
             raise refused(f"<{element.tag}> has several orientations: {listed(given)}")
         if element.get("quat"):
@@ -311,7 +305,6 @@ class _Reader:
         return Part(name, mass, center, tensor)
 
     def _solid(self, geom: Element, body: str, here: np.ndarray, turned: np.ndarray) -> Part:
-        """Return the mass of a geom at the zero position."""
         kind, size = geom.get("type", "sphere"), numbers(geom, "size", "0")
         key = "mass" if geom.get("mass") else "density"
         amount = number(geom, key, 1000.0)
@@ -394,7 +387,6 @@ def _has_zero(element: Element, name: str) -> bool:
 
 
 def _body(element: Element, key: str) -> str:
-    """Return the name of a body to which an element refers; MuJoCo calls the ground `world`."""
     name = element.get(key, "world")
     return GROUND if name == "world" else name
 

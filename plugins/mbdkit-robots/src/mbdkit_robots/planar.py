@@ -163,7 +163,6 @@ class PlanarMechanism:
         return [float(self.u @ vector), float(self.w @ vector)]
 
     def _local(self, body: str, point: np.ndarray) -> list[float]:
-        """Return a point in the frame of a body."""
         return self._flat(point if body == GROUND else point - self.parts[body].center)
 
     def _sign(self, link: Link) -> float:
@@ -178,7 +177,6 @@ class PlanarMechanism:
         return math.copysign(1.0, float(link.axis @ self.normal))
 
     def _direction(self, link: Link) -> np.ndarray:
-        """Return the direction (2,) of a sliding joint."""
         if abs(link.axis @ self.normal) > PARALLEL:
             raise refused(f"joint '{link.name}' slides along ({_text(link.axis)}), out of the plane {self.across}")
         return np.array(self._flat(link.axis))
@@ -234,7 +232,6 @@ class PlanarMechanism:
         return {"mass": part.mass, "position": position.tolist(), "velocity": moving.tolist(), **rigid}
 
     def _add(self, link: Link, data: dict[str, Any]) -> None:
-        """Add a joint, its coordinate and its spring to `data`."""
         first, second = self.owner[link.parent], self.owner[link.child]
         if link.kind == "free" or first == second:
             return
@@ -291,7 +288,6 @@ class PlanarMechanism:
 
 
 def _sentences(what: str, components: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Return a sentence for each kind of components, which names some of them."""
     return tuple(
         f"{kind} {what}: {listed(names[:MOST_NAMED])}{', ...' if len(names) > MOST_NAMED else ''}"
         for kind, names in components.items()

@@ -56,7 +56,7 @@ def equilibrium(
         if left_out := [name for name in prepared.spec.parameters if name not in written["parameters"]]:
             notes.append(f"{write.name} has numbers in place of the parameters {listed(left_out, 'and')}")
     if output is not None:
-        from mbdkit_report.plot.style import save
+        from mbdkit_report import save
         from mbdkit_statics.equilibrium_plot import equilibrium_figure
 
         mechanism = prepared.spec.mechanism()
@@ -97,7 +97,7 @@ def modes(
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = modes_of(prepared, at, count)
     if output is not None:
-        from mbdkit_report.plot.style import save
+        from mbdkit_report import save
         from mbdkit_statics.mode_shapes import modes_figure
 
         mechanism = prepared.spec.mechanism()
@@ -139,7 +139,6 @@ def kinematics(
 
 
 def _show(text: str, prepared: PreparedMechanism, found: Sequence[str] = (), notes: Sequence[str] = ()) -> None:
-    """Print a result, the warnings about its spec and the `found` ones, and notes."""
     warnings = (f"warning      {warning}" for warning in (*_warnings(prepared), *found))
     show("\n".join([text, *warnings, *(f"note         {note}" for note in notes)]))
 
@@ -151,7 +150,6 @@ def _warnings(prepared: PreparedMechanism) -> list[str]:
 
 
 def _check_picture(output: Path, spec: str, *, overwrite: bool) -> None:
-    """Raise SpecError if a picture cannot be written."""
-    from mbdkit_report.plot.style import FORMATS
+    from mbdkit_report import FORMATS
 
     check_output(check_suffix(output, FORMATS, "a plot"), overwrite=overwrite, source=spec)

@@ -258,7 +258,6 @@ class _Follower:
         return self._point(y, here.tangent), corrections
 
     def _at_end(self, here: _Point, there: _Point) -> _Point:
-        """Return the point of the path at the end time, which lies between two points."""
         share = (self.end - here.t) / (there.t - here.t)
         y = (1 - share) * _unknowns(here) + share * _unknowns(there)
         y[-1] = self.end
@@ -292,7 +291,6 @@ class _Follower:
     # ---- equations -------------------------------------------------------------------------------------------------
 
     def _parts(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return position, multipliers and time."""
         n = self.p.n
         return y[:n], y[n:-1], float(y[-1])
 
@@ -330,7 +328,6 @@ class _Follower:
     # ---- critical points -------------------------------------------------------------------------------------------
 
     def _critical(self, here: _Point, there: _Point, step: float) -> list[CriticalPoint]:
-        """Return the critical points between two points of the path, in order."""
         if here.tangent[-1] * there.tangent[-1] >= 0:
             return self._between(here, 0.0, step)
         turn = self._root(here, 0.0, step, lambda point: float(point.tangent[-1]))
@@ -341,7 +338,6 @@ class _Follower:
 
     @staticmethod
     def _beside(distance: float, step: float) -> tuple[float, float]:
-        """Return the distances just before and just after a critical point within a step."""
         return max(distance - APART * step, 0.0), min(distance + APART * step, step)
 
     def _between(self, here: _Point, low: float, high: float) -> list[CriticalPoint]:
@@ -418,7 +414,6 @@ class _Follower:
         return float(brentq(at, low, high, xtol=LOCATED * (high - low), maxiter=10_000))
 
     def _described(self, kind: Kind, found: _Point, way: np.ndarray, frequency: float = 0.0) -> CriticalPoint:
-        """Return a critical point at which the mechanism leaves the path along `way` (n or more,)."""
         parts = way[: self.p.n].reshape(-1, 3)[:, :2]
         most = int(np.argmax(np.einsum("bx,bx->b", parts, parts)))
         return CriticalPoint(kind, found.t, found.q.reshape(-1, 3), self.p.bodies[most], frequency)
@@ -427,7 +422,6 @@ class _Follower:
         return State(point.t, point.q, self.none, self.none, point.lam)
 
     def _stiffness(self, point: _Point) -> float:
-        """Return the lowest stiffness at a point; nan without degrees of freedom."""
         return least_stiffness(self.prepared, self._state_of(point)) if self.prepared.freedoms else np.nan
 
     def _result(self, points: list[_Point], critical: list[CriticalPoint]) -> EquilibriumPath:
@@ -447,5 +441,4 @@ class _Follower:
 
 
 def _unknowns(point: _Point) -> np.ndarray:
-    """Return position, multipliers and time as one vector."""
     return np.concatenate([point.q, point.lam, [point.t]])

@@ -5,15 +5,8 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from mbdkit.plugin import Mechanism
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
-from mbdkit_report.figures.page_model import Axis, Line
-from mbdkit_report.figures.page_model import Figure as Chart
-from mbdkit_report.figures.palette import body_colors
-from mbdkit_report.figures.plane_geometry import view_box
-from mbdkit_report.figures.pose import Pose
-from mbdkit_report.plot.caption import Caption
-from mbdkit_report.plot.charts import draw_chart
-from mbdkit_report.plot.style import dress, new_figure
+from mbdkit_report import Axis, Caption, Line, draw_chart, draw_mechanism, draw_pose, dress, new_figure, view_box
+from mbdkit_report import Figure as Chart
 from mbdkit_statics.equilibrium import Equilibrium
 
 FORCES = (("Bending moment", "N m", 3), ("Shear force", "N", 2), ("Axial force", "N", 1))
@@ -34,7 +27,7 @@ def equilibrium_figure(found: Equilibrium, mechanism: Mechanism, title: str) -> 
     edge = 0.03 * (x1 - x0)
     axes.set(xlim=(x0 - edge, x1 + edge), ylim=(y0, y1), xlabel="x / m", ylabel="y / m")
     size = max(float(x1 - x0), float(y1 - y0), 1e-300)
-    Pose(axes, drawing, body_colors(drawing), size, alpha=0.85).move(points)
+    draw_pose(axes, drawing, points, size, alpha=0.85)
     for k, chart in enumerate(charts):
         draw_chart(figure.add_subplot(grid[k + 1]), chart, chart.title)
     return figure

@@ -122,8 +122,6 @@ def _descent(prepared: PreparedMechanism, found: Rest) -> np.ndarray | None:
 
 
 class _Search:
-    """A damped Newton search on the constraint manifold."""
-
     def __init__(self, prepared: PreparedMechanism):
         self.p: EquationsOfMotion = prepared.equations
         self.extent = prepared.extent

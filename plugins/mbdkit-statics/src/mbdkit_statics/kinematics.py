@@ -141,8 +141,6 @@ def kinematics_of(prepared: PreparedMechanism) -> Kinematics:
 
 
 class _Path:
-    """State of a fully driven mechanism, advanced in time."""
-
     def __init__(self, prepared: PreparedMechanism):
         self.placed, self.p = prepared, prepared.equations
         self.size = np.tile([prepared.extent, prepared.extent, 1.0], len(self.p.bodies))
@@ -197,7 +195,6 @@ class _Path:
 
 
 def _require_driven(prepared: PreparedMechanism) -> None:
-    """Raise SpecError, with the names of the free coordinates, if the mechanism is not fully driven."""
     if prepared.freedoms == 0:
         return
     p = prepared.equations

@@ -6,12 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mbdkit.plugin import Mechanism
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
-from mbdkit_report.figures.palette import FAINT, body_colors
-from mbdkit_report.figures.plane_geometry import view_box
-from mbdkit_report.figures.pose import Pose
-from mbdkit_report.plot.caption import Caption
-from mbdkit_report.plot.style import dress, new_figure
+from mbdkit_report import Caption, draw_mechanism, draw_pose, dress, new_figure, view_box
 from mbdkit_statics.modes import Modes
 
 MOST = 6
@@ -49,9 +44,9 @@ def modes_figure(found: Modes, mechanism: Mechanism, title: str) -> Figure:
         axes = dress(figure.add_subplot(lines, columns, k + 1))
         axes.set_aspect("equal", adjustable="box")
         axes.set(xlim=(x0, x1), ylim=(y0, y1))
-        Pose(axes, drawing, [FAINT] * len(drawing.bodies), size, alpha=0.3).move(rest)
+        draw_pose(axes, drawing, rest, size, alpha=0.3, is_faint=True)
         for side, alpha in zip(sides[k], (0.3, 0.85), strict=True):
-            Pose(axes, drawing, body_colors(drawing), size, alpha=alpha).move(side)
+            draw_pose(axes, drawing, side, size, alpha=alpha)
         axes.set_title(_heading(k, found), size=8.5, loc="left")
     return figure
 

@@ -296,7 +296,6 @@ def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int 
 
 
 def _reduced(prepared: PreparedMechanism, state: State, z: np.ndarray) -> tuple[Reduced, CoupledStates | None]:
-    """Return the equations linearised about a state, and those of its first-order states `z` (Z,)."""
     if not len(z):
         return reduce(prepared, state), None
     small = reduce(prepared, state, z)
@@ -398,7 +397,6 @@ def _with_small_ones(
 
 
 def _few(prepared: PreparedMechanism, state: State, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the `count` lowest modes of a large mechanism at rest."""
     if np.any(state.v):
         raise prepared.error(
             f"a mechanism of {len(prepared.equations.bodies)} bodies is too large to be linearised while it moves "
@@ -435,5 +433,4 @@ def _require_freedoms(prepared: PreparedMechanism) -> None:
 
 
 def _seen(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return position, velocity and acceleration of a state, each (B, 3)."""
     return state.q.reshape(-1, 3), state.v.reshape(-1, 3), state.a.reshape(-1, 3)

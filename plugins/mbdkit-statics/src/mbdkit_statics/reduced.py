@@ -164,7 +164,6 @@ def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
 
 
 def _eigenvalues(stiffness: np.ndarray) -> np.ndarray:
-    """Return the real parts of the eigenvalues of a stiffness (f, f), which is symmetric without follower forces."""
     if np.array_equal(stiffness, stiffness.T):
         return np.asarray(np.linalg.eigvalsh(stiffness))
     return np.asarray(np.linalg.eigvals(stiffness).real)

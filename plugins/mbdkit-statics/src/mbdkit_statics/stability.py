@@ -169,7 +169,6 @@ def small_motions(prepared: PreparedMechanism, at: State, z: np.ndarray, zeros: 
 
 
 def _small_motions(values: np.ndarray, error: np.ndarray, *, is_complete: bool) -> SmallMotions:
-    """Return the motions with the given eigenvalues, which have these rounding errors."""
     growing = values[values.real > error]
     fastest = np.lexsort((-growing.imag, -growing.real))
     return SmallMotions(growing[fastest], is_complete, bool(np.any(values.real < -error)))

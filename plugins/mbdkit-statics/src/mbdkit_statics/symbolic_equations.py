@@ -78,8 +78,6 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
 
 
 class _Builder:
-    """Creates the symbols of one mechanism and sums the terms of its elements."""
-
     def __init__(self, mechanism: Mechanism, numbers: bool):
         self.mechanism, self.numbers = mechanism, numbers
         self.names: dict[sp.Symbol, str] = {TIME: "t"}
@@ -411,7 +409,6 @@ def _section_terms() -> sp.Matrix:
 def _section_state(
     whole: Sequence[sp.Expr], nodes: Sequence[int], shape: Sequence[sp.Expr], slope: Sequence[sp.Expr]
 ) -> tuple[sp.Expr, ...]:
-    """Return the state of a cross-section from the coordinates of all bodies, or its rates from the velocities."""
     x, y, angle = ([whole[3 * node + axis] for node in nodes] for axis in range(3))
     return tuple(
         sum((w * value for w, value in zip(weights, values, strict=True)), sp.Integer(0))
@@ -429,7 +426,6 @@ def _column(entries: Sequence[sp.Expr]) -> sp.ImmutableMatrix:
 
 
 def _number(value: float) -> sp.Expr:
-    """Return a number as an integer, or as the shortest decimal that rounds to the same float."""
     value = float(value)
     return sp.Integer(int(value)) if value.is_integer() else sp.Float(repr(value), 17)
 

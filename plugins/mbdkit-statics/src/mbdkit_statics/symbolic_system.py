@@ -89,7 +89,6 @@ class SymbolicSystem:
         return rf"$\displaystyle {self.latex()}$"
 
     def _array(self, matrix: sp.ImmutableMatrix) -> str:
-        """Return LaTeX of a matrix with n + m rows: a line below row n, and after column n if the matrix is square."""
         n, (rows, columns) = len(self.q), matrix.shape
         split = 0 < n < rows
         layout = "c" * n + "|" + "c" * (columns - n) if split and columns == rows else "c" * columns

@@ -6,11 +6,7 @@ import numpy as np
 
 from mbdkit.plugin import Mechanism
 from mbdkit.plugin.mechanisms import beam_of
-from mbdkit_report.figures.mechanism_drawing import NamedPose
-from mbdkit_report.figures.page_model import Cell, Illustration, Table, columns_of
-from mbdkit_report.figures.plane_geometry import Array
-from mbdkit_report.notebook.result_views import Picture, View
-from mbdkit_report.pages.model_section import drawing
+from mbdkit_report import Cell, Illustration, NamedPose, Picture, Table, View, columns_of, drawing
 from mbdkit_statics.equilibrium import Equilibrium
 from mbdkit_statics.mechanics_summary import (
     beam_ends,
@@ -55,8 +51,7 @@ def equilibrium_view(found: Equilibrium) -> View:
     return View("Equilibrium", (stability[:1].upper() + stability[1:],), tone, tuple(facts), picture, tables=filled)
 
 
-def _posed(mechanism: Mechanism | None, position: Array, time: float) -> Illustration | None:
-    """Return the drawing of a mechanism in a position (B, 3) at a time [s]; None without a mechanism."""
+def _posed(mechanism: Mechanism | None, position: np.ndarray, time: float) -> Illustration | None:
     if mechanism is None:
         return None
     return drawing(NamedPose.of(mechanism, list(mechanism.bodies), position, np.array([time])))

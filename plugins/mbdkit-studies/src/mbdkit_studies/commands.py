@@ -155,8 +155,7 @@ def study(
         )
     page, told, values = None, "", {}
     if with_report:
-        from mbdkit_report.pages.report import write_report
-        from mbdkit_report.pages.verdict_text import json_values, terminal_text
+        from mbdkit_report import json_values, terminal_text, write_report
 
         page, verdict = write_report(path, overwrite=True)
         told, values = terminal_text(verdict), json_values(verdict)

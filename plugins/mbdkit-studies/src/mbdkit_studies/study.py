@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.plugin import MbdkitError, SpecError
 from mbdkit.plugin.terminal import HtmlView
-from mbdkit_report.group_table import data_frame
+from mbdkit_report import data_frame
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Grid, Label, PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from tests.studies.pool_in_this_process import PoolInThisProcess
 
-from mbdkit_report.figures.page_model import Figure
+from mbdkit_report import Figure
 from mbdkit_report.pages import report
 from mbdkit_report.plot.charts import image_files, write_chart_images
 from mbdkit_studies.compute import executor_pool, pool

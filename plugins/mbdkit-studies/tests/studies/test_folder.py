@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 import mbdkit
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
-from mbdkit_report.pages.report import report
+from mbdkit_report import report
 from mbdkit_studies.folder import folder_lock
 from mbdkit_studies.folder.folder_lock import WHOLE, Owner, Shard
 from mbdkit_studies.folder.study_folder import StudyFolder

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_report.analysis.reference import interpolated
 from mbdkit_studies.spec.measures import MEASURES
+from mbdkit_studies.spec.reference_errors import interpolated
 from tests.linkages import driven_wheel
 
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from mbdkit.plugin import EquationsOfMotion, Run
 from mbdkit.plugin.equations import FORMULATIONS
-from mbdkit_report.analysis.growth import growth_law, worst_history
-from mbdkit_report.analysis.order import observed_order
+from mbdkit_report import growth_law, observed_order, worst_history
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, require_complete

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.plugin import EquationsOfMotion, ExplicitRungeKutta, ExternalMethod, StepMethod
 from mbdkit.plugin.methods import Moment
-from mbdkit_report.analysis.order import observed_order
+from mbdkit_report import observed_order
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbdkit.plugin.equations import Workspace
-from mbdkit_report.analysis.energy import Trend, trend
+from mbdkit_report import Trend, trend
 from mbdkit_testing.check import Check, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, require_complete

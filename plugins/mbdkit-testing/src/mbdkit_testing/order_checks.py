@@ -16,7 +16,7 @@ import numpy as np
 
 from mbdkit.plugin import StepError, StepMethod
 from mbdkit.plugin.specs import choice_of, load_spec
-from mbdkit_report.analysis.order import ObservedOrder, observed_order
+from mbdkit_report import ObservedOrder, observed_order
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state, require_complete

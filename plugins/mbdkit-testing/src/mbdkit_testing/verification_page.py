@@ -9,7 +9,7 @@ from typing import Any
 import mbdkit
 from mbdkit.plugin.files import check_output, check_suffix, replacing
 from mbdkit.plugin.specs import write_yaml
-from mbdkit_report.pages.templating import render
+from mbdkit_report import render
 from mbdkit_testing.check_result import Report, figures_text
 
 _TONES = {"pass": "yes", "fail": "no", "warn": "partly", "not claimed": "open", "skip": "open"}

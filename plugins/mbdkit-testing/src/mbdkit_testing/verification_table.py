@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mbdkit_report.analysis.energy import SURE
+from mbdkit_report import Trend
 from mbdkit_testing.check_result import Figure, Report
 from mbdkit_testing.kit import verify
 
@@ -94,7 +94,7 @@ def _trend(report: Report, check: str) -> str:
         return "-"
     largest = figures["largest_J"]
     rounding = isinstance(largest, float) and largest < ROUNDING
-    return "none" if abs(slope) < SURE * error or rounding else f"{slope:.0e}"
+    return "none" if abs(slope) < Trend.SURE * error or rounding else f"{slope:.0e}"
 
 
 def _shown(value: Figure) -> str:

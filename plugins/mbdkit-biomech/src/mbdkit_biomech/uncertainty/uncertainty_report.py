@@ -14,7 +14,7 @@ from mbdkit_biomech.uncertainty.contributions import (
     has_contributions,
     largest_joints,
 )
-from mbdkit_report.figures.page_model import Axis, Cell, Figure, Line, Section, Table, columns_of
+from mbdkit_report import Axis, Cell, Figure, Line, Section, Table, columns_of
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

@@ -14,19 +14,8 @@ import numpy as np
 
 from mbdkit_contact.modes import STICK
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
-from mbdkit_report.analysis.verdict import (
-    Answer,
-    Axis,
-    Claim,
-    Figure,
-    Line,
-    Table,
-    Verdict,
-    columns_of,
-    exceeds,
-    together,
-    told,
-)
+from mbdkit_paper.wording import reported
+from mbdkit_report import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of, exceeds, together
 from mbdkit_studies.results.point_selection import STEP, family, value
 
 if TYPE_CHECKING:
@@ -132,7 +121,7 @@ def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `contact`."""
     found = [_of(study, point) for point in study.points if point.family != "painleve"]
     own = [one for one in found if one.method not in study.spec.added]
-    claims = told((_exact(own), _first_order(own), _closed(own), _softer(own), _painleve(study)))
+    claims = reported((_exact(own), _first_order(own), _closed(own), _softer(own), _painleve(study)))
     rows = [
         (
             one.case, one.method, one.step or "adaptive", one.state or two(one.error),
@@ -194,7 +183,6 @@ def _overlap(run: Run) -> tuple[float, float]:
 
 
 def _worst(found: Sequence[Touched], of: Callable[[Touched], float]) -> tuple[float, str]:
-    """Return the largest value and the name of its run; nan if a value is unknown."""
     values = [of(one) for one in found]
     if not values or not all(math.isfinite(each) for each in values):
         return math.nan, "a run that is not complete"

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.energy import SURE
-from mbdkit_report.analysis.order import observed_order
-from mbdkit_report.analysis.verdict import Cell
+from mbdkit_report import Cell, Trend, observed_order
 from mbdkit_studies.results.point_selection import STEP, Points, family
 
 if TYPE_CHECKING:
@@ -189,13 +187,11 @@ def state_of(points: Iterable[StudyPoint]) -> Undetermined:
 
 
 def _largest(points: Points, column: str) -> float:
-    """Return the largest finite value of a column over the complete points; nan if there is none."""
     numbers = [point.values.get(column, math.nan) for point in points if point.status == "complete"]
     return max((number for number in numbers if math.isfinite(number)), default=math.nan)
 
 
 def _number(points: Points, column: str) -> float | Undetermined:
-    """Return the value of the only point, or the reason why there is none."""
     if state := state_of(points):
         return state
     found = points.value(column)
@@ -203,7 +199,6 @@ def _number(points: Points, column: str) -> float | Undetermined:
 
 
 def _order(points: Points, column: str, scale: float) -> float | Undetermined:
-    """Return the observed order of the errors, or the reason why there is none."""
     if state := state_of(points):
         return state
     steps, errors = points.along(STEP, column)
@@ -245,7 +240,7 @@ def _trend(
         return str(slope)
     if not scale > 0:
         return "no scale"
-    if abs(slope) <= SURE * error or abs(slope) * duration <= SPENT * scale:
+    if abs(slope) <= Trend.SURE * error or abs(slope) * duration <= SPENT * scale:
         return "none"
     return slope / scale
 

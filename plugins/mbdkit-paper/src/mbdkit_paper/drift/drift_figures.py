@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.drift.combination import COMBINATION, LONG, Combination
-from mbdkit_report.analysis.verdict import Axis, Figure, Line
+from mbdkit_report import Axis, Figure, Line
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study

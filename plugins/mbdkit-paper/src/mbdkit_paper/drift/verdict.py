@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from mbdkit_paper.drift.combination import Combination, Undetermined, combinations
 from mbdkit_paper.drift.drift_figures import energies, errors
-from mbdkit_report.analysis.verdict import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together, told
+from mbdkit_paper.wording import reported
+from mbdkit_report import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
@@ -64,7 +65,7 @@ def verdict(study: Study) -> Verdict:
     claims = [_orders(own, *expected) for expected in EXPECTED]
     claims += [_projection_keeps_the_order(own), _projection_cuts_the_error(own)]
     claims += [_reversibility(own), _energy(own)]
-    decided = told(claims)
+    decided = reported(claims)
     return Verdict(
         "drift",
         "Formulations and stabilizations against drift",
@@ -88,7 +89,6 @@ def _notes(found: Sequence[Combination]) -> tuple[str, ...]:
 
 
 def _by(found: Sequence[Combination], method: str) -> dict[str, Combination]:
-    """Return the results of one method by mechanism."""
     return {one.mechanism: one for one in found if one.method == method}
 
 
@@ -122,7 +122,6 @@ def _known(answers: Mapping[str, Answer]) -> Answer:
 
 
 def _told_of(answers: Mapping[str, Answer]) -> str:
-    """Return text that says for how many mechanisms a claim holds."""
     holding = [name for name, answer in answers.items() if answer is Answer.YES]
     undecided = [name for name, answer in answers.items() if answer is Answer.OPEN]
     text = f"on {len(holding)} of {len(answers) - len(undecided)} mechanisms"

@@ -14,19 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.drift.combination import state_of, two
-from mbdkit_report.analysis.verdict import (
-    Answer,
-    Axis,
-    Claim,
-    Column,
-    Figure,
-    Line,
-    Table,
-    Verdict,
-    columns_of,
-    exceeds,
-    told,
-)
+from mbdkit_paper.wording import reported
+from mbdkit_report import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict, columns_of, exceeds
 from mbdkit_studies.results.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
@@ -78,7 +67,7 @@ def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `flexible-slider-crank`."""
     joints, found = _runs(study)
     own = [one for one in found if one.method not in study.spec.added]
-    claims = told((_held(own), _stable(own), _agree(own), _hidden(own)))
+    claims = reported((_held(own), _stable(own), _agree(own), _hidden(own)))
     return Verdict(
         "flexible-slider-crank",
         study.spec.title,

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
-from mbdkit_report.analysis.verdict import Answer, Claim, Table, Verdict, columns_of, exceeds, told
+from mbdkit_paper.wording import reported
+from mbdkit_report import Answer, Claim, Table, Verdict, columns_of, exceeds
 from mbdkit_studies.results.point_selection import value
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def verdict(study: Study) -> Verdict:
         for one, point in zip(found, study.points, strict=True)
     ]
     own = [one for one in found if one.method not in study.spec.added]
-    claims = told(
+    claims = reported(
         (
             _holds(own, "positions", [one.position for one in own], "misalignment over all steps"),
             _holds(own, "velocities", [one.velocity for one in own], "velocity misalignment per second over all steps"),

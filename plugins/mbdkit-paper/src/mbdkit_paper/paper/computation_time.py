@@ -9,9 +9,9 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from mbdkit_paper.paper.published_results import GILL, METHODS, methods_of
-from mbdkit_paper.paper.substitution_timing import Substitution, measured
-from mbdkit_report.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, columns_of, exceeds
-from mbdkit_report.figures.quantity_text import two_digits
+from mbdkit_paper.paper.substitution_timing import measured
+from mbdkit_paper.wording import two_digits
+from mbdkit_report import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, columns_of, exceeds
 from mbdkit_studies.results.point_selection import METHOD, family, value
 
 if TYPE_CHECKING:
@@ -94,10 +94,9 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
     ]
     rows: list[tuple[Cell, ...]] = []
     gains: dict[int, float] = {}
-    for entry, seconds in zip(symbolic, compiled, strict=True):
-        gains[entry.bodies] = entry.least_s / seconds
-        steps = 1500 * 4 * entry.least_s
-        rows.append((entry.bodies, 1e3 * entry.least_s, 1e6 * seconds, gains[entry.bodies], steps))
+    for number, substituted, seconds in zip(chosen, symbolic, compiled, strict=True):
+        gains[number] = substituted / seconds
+        rows.append((number, 1e3 * substituted, 1e6 * seconds, gains[number], 1500 * 4 * substituted))
     gain = gains.get(2, math.nan)
     enough = exceeds(gain, SPEED_UP)
     claim = Claim(
@@ -126,7 +125,7 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
     return claim, table, _figure(symbolic, chosen, compiled)
 
 
-def _figure(symbolic: tuple[Substitution, ...], bodies: list[int], compiled: list[float]) -> Figure:
+def _figure(symbolic: list[float], bodies: list[int], compiled: list[float]) -> Figure:
     x = np.array(bodies, dtype=float)
     return Figure(
         "substitution",
@@ -135,7 +134,7 @@ def _figure(symbolic: tuple[Substitution, ...], bodies: list[int], compiled: lis
         Axis("bodies"),
         Axis("time", "s", log=True),
         (
-            Line("substitution (SymPy)", x, np.array([entry.least_s for entry in symbolic]), "both", "substitution"),
+            Line("substitution (SymPy)", x, np.array(symbolic), "both", "substitution"),
             Line("compiled (mbdkit)", x, np.array(compiled), "both", GILL),
         ),
     )

@@ -8,10 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, GILL
-from mbdkit_report.analysis.growth import growth_law, worst_history
-from mbdkit_report.analysis.order import observed_order
-from mbdkit_report.analysis.verdict import MARGIN, Answer, Axis, Cell, Claim, Figure, Line, Table, columns_of, together
-from mbdkit_report.figures.quantity_text import least_most
+from mbdkit_paper.wording import least_most
+from mbdkit_report import (
+    Answer,
+    Axis,
+    Cell,
+    Claim,
+    Figure,
+    Line,
+    Range,
+    Table,
+    columns_of,
+    growth_law,
+    observed_order,
+    together,
+    worst_history,
+)
 from mbdkit_studies.results.cost import at_equal_work, work_for
 from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, Points, family, value
 
@@ -166,7 +178,7 @@ def _saves_work(ratio: float) -> Answer:
     """Return whether a ratio of the work of two methods is a clear saving: well below 1; open if it is unknown."""
     if not math.isfinite(ratio):
         return Answer.OPEN
-    return Answer.YES if ratio < 1 / MARGIN else Answer.NO
+    return Answer.YES if ratio < 1 / Range.MARGIN else Answer.NO
 
 
 def _adaptive_claim(lines: dict[str, Points]) -> Claim:

@@ -8,21 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP, methods_of
-from mbdkit_report.analysis.verdict import (
-    Answer,
-    Axis,
-    Band,
-    Cell,
-    Claim,
-    Column,
-    Figure,
-    Line,
-    Range,
-    Table,
-    columns_of,
-    together,
-)
-from mbdkit_report.figures.quantity_text import least_most
+from mbdkit_paper.wording import least_most
+from mbdkit_report import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, together
 from mbdkit_studies.results.point_selection import METHOD, STEP, family
 
 if TYPE_CHECKING:

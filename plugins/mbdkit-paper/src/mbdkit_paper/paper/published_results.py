@@ -7,20 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report.analysis.verdict import (
-    Answer,
-    Axis,
-    Cell,
-    Claim,
-    Column,
-    Figure,
-    Line,
-    Range,
-    Table,
-    columns_of,
-    exceeds,
-    together,
-)
+from mbdkit_report import Answer, Axis, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, exceeds, together
 from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
@@ -139,7 +126,6 @@ def method_overflowed(point: StudyPoint | None) -> bool:
 
 
 def _model(point: StudyPoint) -> str:
-    """Return the name of the model of a point, as used in the table."""
     if "model.n" in point.axes:
         rods = int(point.axes["model.n"])
         return f"{rods} rods of 20 m" if rods > 1 else "1 rod of 20 m"
@@ -253,5 +239,4 @@ def _drift_figure(model: str, histories: dict[str, dict[str, np.ndarray]]) -> Fi
 
 
 def _positive(values: np.ndarray) -> np.ndarray:
-    """Return values for a logarithmic axis, with nan for zeros."""
     return np.where(values > 0, values, np.nan)

@@ -10,7 +10,7 @@ import json
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -23,35 +23,9 @@ EVALUATIONS = 24
 FILE = "substitution.json"
 
 
-@dataclass(frozen=True)
-class Substitution:
-    """Time of one evaluation by substitution.
-
-    Attributes
-    ----------
-    bodies
-        Number of bodies.
-    least_s, median_s
-        Minimum and median processor time of an evaluation [s]; unlike wall time, it does not include waiting.
-    evaluations
-        Number of timed evaluations.
-    """
-
-    bodies: int
-    least_s: float
-    median_s: float
-    evaluations: int
-
-
-def measure(spec: RunSpec, evaluations: int = EVALUATIONS) -> Substitution:
-    """Time the evaluation of a spec's equations by substitution.
-
-    Parameters
-    ----------
-    spec
-        The run; its mechanism is evaluated at states near its start.
-    evaluations
-        Number of timed evaluations, after one warm-up evaluation.
+def measure(spec: RunSpec) -> float:
+    """Return the shortest processor time [s] of an evaluation of a spec's equations by substitution, at states near its
+    start; unlike wall time, it does not include waiting.
     """
     mechanism = spec.mechanism()
     system = mechanism.to_sympy()
@@ -60,7 +34,7 @@ def measure(spec: RunSpec, evaluations: int = EVALUATIONS) -> Substitution:
     start = np.array([[*body.position, body.angle, *body.velocity, body.angular_velocity] for body in bodies])
     symbols = [*system.q, *system.v]
     taken = []
-    for k in range(evaluations + 1):
+    for k in range(EVALUATIONS + 1):
         state = start + 0.1 * math.sin(k + 1)  # no zeros, because SymPy would drop the terms that they multiply
         numbers = [*state[:, :3].ravel().tolist(), *state[:, 3:].ravel().tolist()]
         begin = time.process_time()
@@ -68,42 +42,31 @@ def measure(spec: RunSpec, evaluations: int = EVALUATIONS) -> Substitution:
         left = np.array(matrix.subs(values).tolist(), dtype=float)
         np.linalg.solve(left, np.array(right.subs(values).tolist(), dtype=float))
         taken.append(time.process_time() - begin)
-    taken = sorted(taken[1:])
-    return Substitution(len(start), taken[0], taken[len(taken) // 2], len(taken))
+    return min(taken[1:])  # the first one warms up
 
 
-def measured(folder: Path, specs: Sequence[RunSpec]) -> tuple[Substitution, ...]:
-    """Return the times of evaluation by substitution, measured now or read from an earlier call.
+def measured(folder: Path, specs: Sequence[RunSpec]) -> list[float]:
+    """Return the times of evaluation by substitution [s], measured now or read from an earlier call.
 
     Parameters
     ----------
     folder
         The folder of the study; the times are stored in its ``measured/substitution.json``.
-    specs
-        Runs with different numbers of bodies.
     """
     path = folder / "measured" / FILE
-    names = [spec.sha256() for spec in specs]
+    by_name = {spec.sha256(): spec for spec in specs}
     known = _read(path)
-    if any(name not in known for name in names):
-        known = {name: known.get(name) or measure(spec) for name, spec in zip(names, specs, strict=True)}
-        _write(path, known)
-    return tuple(known[name] for name in names)
+    if not by_name.keys() <= known.keys():
+        known = {name: known.get(name) or measure(spec) for name, spec in by_name.items()}
+        with suppress(OSError, SpecError):  # the folder is read-only: measure again next time
+            path.parent.mkdir(exist_ok=True)
+            with replacing(path) as temporary:
+                temporary.write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8", newline="\n")
+    return [known[name] for name in by_name]
 
 
-def _read(path: Path) -> dict[str, Substitution]:
+def _read(path: Path) -> dict[str, float]:
     try:
-        found = json.loads(path.read_text("utf-8"))
-        return {str(name): Substitution(**entry) for name, entry in found.items()}
-    except (OSError, ValueError, TypeError, AttributeError):  # not measured yet, or written by another version
+        return {str(name): float(seconds) for name, seconds in json.loads(path.read_text("utf-8")).items()}
+    except (OSError, ValueError, TypeError, AttributeError):  # not measured yet, or damaged
         return {}
-
-
-def _write(path: Path, times: dict[str, Substitution]) -> None:
-    text = json.dumps({name: asdict(entry) for name, entry in times.items()}, indent=2)
-    try:
-        path.parent.mkdir(exist_ok=True)
-        with replacing(path) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8", newline="\n")
-    except (OSError, SpecError):  # the folder is read-only: measure again next time
-        return

@@ -10,12 +10,9 @@ from mbdkit_paper.paper.method_comparison import growth, orders, work
 from mbdkit_paper.paper.paper_predictions import joints, knee
 from mbdkit_paper.paper.published_results import METHODS, magnitudes, ranking, trajectories
 from mbdkit_paper.paper.source_paper import TITLE
-from mbdkit_report.analysis.verdict import UNDECIDED, Answer, Cell, Claim, Table, Verdict, columns_of, told
-from mbdkit_report.figures.quantity_text import least_most
+from mbdkit_paper.wording import UNDECIDED, least_most, reported
+from mbdkit_report import Answer, Cell, Claim, Table, Verdict, columns_of
 from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, family, value
-
-if TYPE_CHECKING:
-    from mbdkit_studies.study import Study
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
@@ -55,7 +52,7 @@ def verdict(study: Study) -> Verdict:
     law, law_table = growth(study)
     choice, choice_table = coordinates(study)
     work_claims, work_table, work_figures = work(study)
-    claims = told((size, gill, gauss, path, law, order, time, speed, *knee_claims, joint, choice, *work_claims))
+    claims = reported((size, gill, gauss, path, law, order, time, speed, *knee_claims, joint, choice, *work_claims))
     tables = (
         size_table,
         rank_table,
@@ -69,7 +66,7 @@ def verdict(study: Study) -> Verdict:
         speed_table,
     )
     figures = (*path_figures, *drift_figures, knee_figure, joint_figure, *work_figures, time_figure, speed_figure)
-    top = told((size, gill, knee_claims[-1], joint, speed))
+    top = reported((size, gill, knee_claims[-1], joint, speed))
     sentence = " ".join(claim.sentence for claim in top if claim.answer is not Answer.OPEN)
     return Verdict("paper", "The paper, re-run", sentence or UNDECIDED, claims, tables, figures, NOTES)
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.textbook_four_bar.textbook_equations import GROUND, LENGTHS, LoopRun, integrate
-from mbdkit_report.analysis.verdict import (
+from mbdkit_paper.wording import least_most, reported, two_digits
+from mbdkit_report import (
     Answer,
     Axis,
     Band,
@@ -29,9 +30,7 @@ from mbdkit_report.analysis.verdict import (
     columns_of,
     exceeds,
     together,
-    told,
 )
-from mbdkit_report.figures.quantity_text import least_most, two_digits
 from mbdkit_studies.results.cost import at_equal_work, work_for
 from mbdkit_studies.results.point_selection import METHOD, STEP, family, value
 
@@ -94,7 +93,7 @@ def verdict(study: Study) -> Verdict:
                     gaps = np.linalg.norm(opening, axis=1)
                     drifts.append(Line(method, instants, np.where(gaps > 0, gaps, np.nan), "line", method))
     own = {method: curve for method, curve in curves.items() if method not in study.spec.added}
-    claims = told(
+    claims = reported(
         (
             _repeated(book, fine, shifted),
             _same_cost(book, own),
@@ -139,7 +138,6 @@ def _repeated(book: LoopRun, fine: LoopRun, shifted: list[LoopRun]) -> Claim:
 
 
 def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]]) -> Claim:
-    """Compare the residuals at 1, 2.5 and 10 times the number of evaluations of the textbook's solver."""
     told = []
     best: dict[int, float] = {}
     for times in (1, 2.5, 10):

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from mbdkit.plugin import Run
 from mbdkit_report.analysis.growth import block_means, independent
-
-SURE = 3.0
-"""A slope counts as a drift if its magnitude is larger than this multiple of its standard error."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +26,9 @@ class Trend:
         Largest distance of the series from the line.
     """
 
+    SURE: ClassVar[float] = 3.0
+    """A slope counts as a drift if its magnitude is larger than this multiple of its standard error."""
+
     slope: float
     error: float
     largest: float
@@ -37,7 +37,7 @@ class Trend:
     @property
     def drifts(self) -> bool:
         """Whether the slope differs from zero by more than `SURE` standard errors."""
-        return abs(self.slope) > SURE * self.error
+        return abs(self.slope) > self.SURE * self.error
 
 
 def trend(time: np.ndarray, value: np.ndarray) -> Trend:
@@ -82,8 +82,3 @@ def trends(time: np.ndarray, values: np.ndarray) -> list[Trend]:
     away = np.max(np.abs(values - (line[0] + line[1] * time)), axis=-1)
     largest = np.max(np.abs(values), axis=-1)
     return [Trend(*one) for one in np.stack([slope, error, largest, away], axis=-1).tolist()]
-
-
-def energy_trend(run: Run) -> Trend:
-    """Return the trend of the energy balance of a run, with the slope in W; for exact solutions, it is zero."""
-    return trend(run.time, run.energy.balance)

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -30,21 +30,15 @@ STEADY = 1.5
 """A law counts as growth if it rises over the series by at least this factor; otherwise, it counts as bounded."""
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """One law fitted to the logarithms of the block maxima of a time series.
 
     Attributes
     ----------
     law
         Name of the law.
-    scale
-        Value of the law at the end of the series [unit of the series].
-    offset
-        Constant part c of a power law c + a s^p as a fraction of `scale`; 0 for the other laws. s is the time since the
-        start, divided by the duration.
-    rate
-        Growth rate of the exponential law [1/s]; 0 for the other laws.
+    rise
+        Factor by which the law rises over the series, at most `BLOCKS` for the power laws.
     scatter
         Root mean square of log(maxima / law); a value of 0.1 means that the maxima differ from the law by about 10 %.
     aicc
@@ -53,19 +47,9 @@ class Fit:
     """
 
     law: Law
-    scale: float
-    offset: float
-    rate: float
+    rise: float
     scatter: float
     aicc: float
-
-    def rise(self, duration: float) -> float:
-        """Return the factor by which the law rises over `duration` [s], at most `BLOCKS` for the power laws."""
-        if self.law == "exponential":
-            return math.exp(self.rate * duration)
-        if self.law == "bounded":
-            return 1.0
-        return 1.0 / max(self.offset, 1.0 / BLOCKS)
 
 
 @dataclass(frozen=True)
@@ -80,37 +64,13 @@ class Growth:
     candidates
         All laws that the data do not distinguish from the best one, beginning with the best; only one law if it is
         certain.
-    exponent, exponent_error
-        Exponent p of the power law s^p fitted to the maxima, and its standard error; nan if fewer than six block maxima
-        are positive.
-    independent
-        Effective number of independent maxima.
-    fits
-        The four fits, best first; empty if fewer than six block maxima are positive.
+    exponent
+        Exponent p of the power law s^p fitted to the maxima; nan if fewer than six block maxima are positive.
     """
 
     law: Law
     candidates: tuple[Law, ...]
     exponent: float
-    exponent_error: float
-    independent: float
-    fits: tuple[Fit, ...]
-
-    @property
-    def certain(self) -> bool:
-        """Whether the data single out one law."""
-        return len(self.candidates) == 1
-
-    def describe(self) -> str:
-        """Return the finding in words."""
-        if self.law == "none":
-            return "no misalignment at all"
-        if self.law == "unclear":
-            return "no clear law: growth cannot be distinguished from oscillation"
-        best = self.fits[0]
-        return (
-            f"{' or '.join(self.candidates)}, with a scatter about this law by a factor of {math.exp(best.scatter):.2g}"
-        )
 
 
 def growth_law(time: np.ndarray, value: np.ndarray) -> Growth:
@@ -133,7 +93,7 @@ def growth_law(time: np.ndarray, value: np.ndarray) -> Growth:
     Returns
     -------
     Growth
-        The best law, all candidates, and the four fits.
+        The best law, and all candidates.
 
     Raises
     ------
@@ -156,33 +116,29 @@ def growth_law(time: np.ndarray, value: np.ndarray) -> Growth:
     at, largest = block_maxima(time, value)
     keep = largest > 0
     if not np.any(keep):
-        return Growth("none", ("none",), math.nan, math.nan, 0.0, ())
+        return Growth("none", ("none",), math.nan)
     if keep.sum() < FEWEST:
-        return Growth("unclear", ("unclear",), math.nan, math.nan, float(keep.sum()), ())
+        return Growth("unclear", ("unclear",), math.nan)
     s, y = (at[keep] - time[0]) / (time[-1] - time[0]), np.log(largest[keep])
     residuals = {law: fit(s, y) for law, fit in _FITS.items()}
     nearest = min(residuals.values(), key=lambda one: float(one[0] @ one[0]))
     count = max(float(independent(nearest[0])), float(FEWEST))
-    duration = float(time[-1] - time[0])
-    found = (_fit(law, residual, count, len(y), duration) for law, residual in residuals.items())
-    fits = tuple(sorted(found, key=lambda fit: fit.aicc))
-    exponent, error = _exponent(s, y)
+    fits = sorted((_fit(law, found, count, len(y)) for law, found in residuals.items()), key=lambda fit: fit.aicc)
+    exponent = float(np.polyfit(np.log(np.maximum(s, 1e-12)), y, 1)[0])
     if fits[0].scatter > LOOSE:
-        return Growth("unclear", ("unclear",), exponent, error, count, fits)
+        return Growth("unclear", ("unclear",), exponent)
     likely = [fit for fit in fits if fit.aicc - fits[0].aicc < CLEAR]
-    laws: list[Law] = ["bounded" if fit.rise(duration) < STEADY else fit.law for fit in likely]
+    laws: list[Law] = ["bounded" if fit.rise < STEADY else fit.law for fit in likely]
     candidates = tuple(dict.fromkeys(laws))
-    return Growth(candidates[0], candidates, exponent, error, count, fits)
+    return Growth(candidates[0], candidates, exponent)
 
 
-# A fit: residuals, logarithm of the law's value at the end of the series, shape parameter (offset of a power law, rate
-# times duration of the exponential law, 0 of the bounded law), and number of parameters.
-_Found = tuple[np.ndarray, float, float, int]
+_Found = tuple[np.ndarray, float, int]
+"""A fit: residuals, factor by which the law rises over the series, and number of parameters."""
 
 
 def _bounded(s: np.ndarray, y: np.ndarray) -> _Found:
-    mean = float(y.mean())
-    return y - mean, mean, 0.0, 1
+    return y - y.mean(), 1.0, 1
 
 
 def _power(p: int) -> Callable[[np.ndarray, np.ndarray], _Found]:
@@ -200,10 +156,8 @@ def _power(p: int) -> Callable[[np.ndarray, np.ndarray], _Found]:
         grid = np.linspace(-18.0, 6.0, 49)
         start = float(grid[int(np.argmin([spread(x) for x in grid]))])
         best = float(minimize_scalar(spread, bounds=(start - 0.5, start + 0.5), method="bounded").x)
-        difference = y - shape(best)
-        mean = float(difference.mean())
-        offset = math.exp(best)
-        return difference - mean, mean + math.log1p(offset), offset / (1 + offset), 2
+        difference, offset = y - shape(best), math.exp(best)
+        return difference - difference.mean(), 1.0 / max(offset / (1 + offset), 1.0 / BLOCKS), 2
 
     return fit
 
@@ -211,9 +165,8 @@ def _power(p: int) -> Callable[[np.ndarray, np.ndarray], _Found]:
 def _exponential(s: np.ndarray, y: np.ndarray) -> _Found:
     slope, start = np.polyfit(s, y, 1)
     if slope <= 0:
-        residual, mean, _, _ = _bounded(s, y)
-        return residual, mean, 0.0, 2
-    return y - (start + slope * s), float(start + slope), float(slope), 2
+        return y - y.mean(), 1.0, 2
+    return y - (start + slope * s), math.exp(slope), 2
 
 
 _FITS: dict[Law, Callable[[np.ndarray, np.ndarray], _Found]] = {
@@ -224,30 +177,12 @@ _FITS: dict[Law, Callable[[np.ndarray, np.ndarray], _Found]] = {
 }
 
 
-def _fit(law: Law, found: _Found, count: float, maxima: int, duration: float) -> Fit:
-    residual, log_end, shape, parameters = found
+def _fit(law: Law, found: _Found, count: float, maxima: int) -> Fit:
+    residual, rise, parameters = found
     variance = max(float(residual @ residual) / maxima, 1e-12)  # laws with a scatter below 1e-6 count as equal
     k = parameters + 1  # the variance is a parameter too
     correction = 2 * k * (k + 1) / max(count - k - 1, 0.5)
-    power = law in ("linear", "quadratic")
-    return Fit(
-        law=law,
-        scale=math.exp(log_end),
-        offset=shape if power else 0.0,
-        rate=shape / duration if law == "exponential" else 0.0,
-        scatter=math.sqrt(variance),
-        aicc=count * math.log(variance) + 2 * k + correction,
-    )
-
-
-def _exponent(s: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return the least-squares slope of log value over log time, and its standard error."""
-    x = np.log(np.maximum(s, 1e-12))
-    (slope, start), x = np.polyfit(x, y, 1), x
-    residual = y - (start + slope * x)
-    count = max(float(independent(residual)), 2.5)
-    variance = float(residual @ residual) / len(y) * count / (count - 2)
-    return float(slope), math.sqrt(variance / count / float(np.var(x)))
+    return Fit(law, rise, math.sqrt(variance), count * math.log(variance) + 2 * k + correction)
 
 
 def edges(time: np.ndarray) -> np.ndarray:

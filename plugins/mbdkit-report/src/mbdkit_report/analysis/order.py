@@ -48,12 +48,6 @@ class ObservedOrder:
         """Whether an asymptotic window was found."""
         return len(self.steps) > 0
 
-    def describe(self) -> str:
-        """Return the finding in words."""
-        if not self.found:
-            return "no asymptotic window"
-        return f"{self.order:.2f} over steps of {self.steps[0]:.3g} to {self.steps[-1]:.3g} s"
-
 
 def observed_order(
     steps: np.ndarray, errors: np.ndarray, *, floor: float | None = None, fewest: int = 3, agree: float = AGREE

@@ -8,38 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
-from mbdkit_report.figures.page_model import Axis, Band, Cell, Column, Figure, Guide, Line, Mark, Table, columns_of
-
-# The names from page_model are exported again, so that a study imports all parts of its verdict from this file.
-__all__ = [
-    "MARGIN",
-    "UNDECIDED",
-    "Answer",
-    "Axis",
-    "Band",
-    "Cell",
-    "Claim",
-    "Column",
-    "Figure",
-    "Guide",
-    "Line",
-    "Mark",
-    "Range",
-    "Table",
-    "Verdict",
-    "columns_of",
-    "exceeds",
-    "together",
-    "told",
-]
-MARGIN = 1.05
-"""The answer is open for values within this factor of a limit. Values from different machines differ by less."""
+from mbdkit_report.figures.page_model import Figure, Table
 
 
 class Answer(StrEnum):
@@ -64,17 +39,20 @@ class Range:
         Unit, for example ``mm``; empty if the values have no unit.
     """
 
+    MARGIN: ClassVar[float] = 1.05
+    """Within this factor of a limit the answer is open. Values from different machines differ by less."""
+
     low: float
     high: float
     unit: str = ""
 
-    def holds(self, value: float, *, margin: float = MARGIN) -> Answer:
+    def holds(self, value: float) -> Answer:
         """Return whether a value lies inside: yes, no, or open if it is not finite or close to a limit."""
         if not math.isfinite(value):
             return Answer.OPEN
-        if self.low * margin <= value <= self.high / margin:
+        if self.low * self.MARGIN <= value <= self.high / self.MARGIN:
             return Answer.YES
-        return Answer.NO if value < self.low / margin or value > self.high * margin else Answer.OPEN
+        return Answer.NO if value < self.low / self.MARGIN or value > self.high * self.MARGIN else Answer.OPEN
 
     @classmethod
     def around(cls, value: float, factor: float, unit: str = "") -> Range:
@@ -85,13 +63,13 @@ class Range:
         return f"{self.low:.2g} to {self.high:.2g} {self.unit}".rstrip()
 
 
-def exceeds(value: float, other: float, *, margin: float = MARGIN) -> Answer:
+def exceeds(value: float, other: float) -> Answer:
     """Return whether `value` is larger than `other`; open if either is not finite, or if they are nearly equal."""
     if not (math.isfinite(value) and math.isfinite(other)):
         return Answer.OPEN
-    if value > other * margin:
+    if value > other * Range.MARGIN:
         return Answer.YES
-    return Answer.NO if value < other / margin else Answer.OPEN
+    return Answer.NO if value < other / Range.MARGIN else Answer.OPEN
 
 
 def together(answers: Sequence[Answer]) -> Answer:
@@ -132,13 +110,6 @@ class Claim:
 
 Named = TypeVar("Named", "Claim", "Table", "Figure")
 
-UNDECIDED = "Not decided: the required runs are missing or failed."
-
-
-def told(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return the claims for a report, in which the sentences of open claims are replaced by `UNDECIDED`."""
-    return tuple(replace(claim, sentence=UNDECIDED) if claim.answer is Answer.OPEN else claim for claim in claims)
-
 
 @dataclass(frozen=True)
 class Verdict:
@@ -162,7 +133,7 @@ class Verdict:
     claims: tuple[Claim, ...] = ()
     tables: tuple[Table, ...] = ()
     figures: tuple[Figure, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     def claim(self, name: str) -> Claim:
         """Return the claim with this name; raise KeyError if there is none."""
@@ -176,10 +147,9 @@ class Verdict:
         """Return the figure with this name; raise KeyError if there is none."""
         return _named(self.figures, name)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the verdict as values for JSON: arrays become lists, numbers that are not finite become None."""
-        plain: dict[str, Any] = _plain(asdict(self))
-        return plain
+        return {key: _plain(value) for key, value in asdict(self).items()}
 
 
 def _named(items: Sequence[Named], name: str) -> Named:
@@ -189,7 +159,7 @@ def _named(items: Sequence[Named], name: str) -> Named:
     raise KeyError(f"there is no {name!r}; there are {', '.join(item.name for item in items) or 'none'}")
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

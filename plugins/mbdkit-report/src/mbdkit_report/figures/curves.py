@@ -33,8 +33,8 @@ class Bands:
         Time of each band [s], shape (K,).
     low, high
         Smallest and largest finite value of each curve in each band, shape (K, J); nan if there is none.
-    peaks
-        Largest finite magnitude of each curve over all rows, shape (J,); nan if there is none.
+    peaks, peak_times
+        Largest finite magnitude of each curve over all rows, and its time [s], shape (J,); nan if there is none.
     exact
         Whether every band is a single row.
     """
@@ -43,7 +43,13 @@ class Bands:
     low: Array
     high: Array
     peaks: Array
+    peak_times: Array
     exact: bool
+
+    def only(self, columns: list[int]) -> Bands:
+        """Return some of the curves."""
+        low, high, peaks, times = (x[..., columns] for x in (self.low, self.high, self.peaks, self.peak_times))
+        return Bands(self.time, low, high, peaks, times, self.exact)
 
     def curve(self, column: int) -> tuple[Array, Array]:
         """Return times and values of one curve; unless exact, it passes through both extremes of each band."""
@@ -85,10 +91,16 @@ def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray,
     count = min(rows, points, max(200, BLOCK // max(1, curves)))
     edges = np.linspace(0, rows, count + 1).astype(np.intp)
     low, high = np.full((count, curves), np.inf), np.full((count, curves), -np.inf)
+    peaks, peak_times = np.full(curves, -1.0), np.full(curves, np.nan)
     for block in blocks(rows, int(np.prod(data.shape[1:]))):
         part = values(np.asarray(data[block], dtype=np.float64))
         finite = np.abs(part) < BEYOND  # also false for nan
         first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
+        size = np.where(finite, np.abs(part), -1.0)
+        row = np.argmax(size, axis=0)
+        largest = size[row, np.arange(curves)]
+        is_larger = largest > peaks
+        peaks[is_larger], peak_times[is_larger] = largest[is_larger], time[block][row[is_larger]]
         starts = np.maximum(edges[first : last + 1], block.start) - block.start
         here = slice(first, last + 1)
         low[here] = np.minimum(low[here], np.minimum.reduceat(np.where(finite, part, np.inf), starts))
@@ -96,10 +108,8 @@ def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray,
     empty = high < low
     low[empty] = high[empty] = np.nan
     middle = time[edges[:-1]] if count == rows else (time[edges[:-1]] + time[edges[1:] - 1]) / 2
-    magnitude = np.where(empty, -1.0, np.maximum(np.abs(low), np.abs(high)))
-    peaks = np.max(magnitude, axis=0, initial=-1.0)
     peaks[peaks < 0] = np.nan
-    return Bands(middle, low, high, peaks, exact=count == rows)
+    return Bands(middle, low, high, peaks, peak_times, exact=count == rows)
 
 
 def evenly(rows: int, limit: int) -> NDArray[np.intp]:

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,9 @@ class Drawing:
         Points whose paths can be drawn: markers first, then free ends and moving joints.
     """
 
+    CROWD: ClassVar[int] = 40
+    """Number of links above which joints, centres of mass, loads and names are not drawn."""
+
     bodies: tuple[str, ...]
     owner: NDArray[np.intp]
     local: Array
@@ -109,6 +112,11 @@ class Drawing:
             *(name for body, name in enumerate(self.bodies) if body not in nodes),
             *(beam.name for beam in self.beams),
         )
+
+    @property
+    def is_crowd(self) -> bool:
+        """Whether there are so many links that joints, centres of mass, loads and names are not drawn."""
+        return len(self.links) > self.CROWD
 
     @cached_property
     def link_numbers(self) -> tuple[int, ...]:
@@ -240,8 +248,6 @@ def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
 
 
 class _Sketch:
-    """Builder of a drawing, to which the points of one element after the other are added."""
-
     def __init__(self, bodies: list[str]):
         self.bodies = bodies
         self.index = {"ground": GROUND} | {name: number for number, name in enumerate(bodies)}
@@ -367,7 +373,6 @@ class _Sketch:
         )
 
     def _free_nodes(self) -> list[Trace]:
-        """Return traces for beams: at their ends without a joint, or else at their middles."""
         found = []
         for beam in self.parts["beams"]:
             ends = [node for node in (beam.nodes[0], beam.nodes[-1]) if not self.held[node]]

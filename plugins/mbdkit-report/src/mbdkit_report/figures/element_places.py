@@ -48,7 +48,6 @@ def cable_places(joints: Mapping[str, Joint], pathway: JointAngles) -> list[Plac
 
 
 def _beside(start: tuple[float, float], end: tuple[float, float], radius: float) -> list[tuple[float, float]]:
-    """Return two points shifted by a radius to the left of the direction from `start` to `end`."""
     along = (end[0] - start[0], end[1] - start[1])
     size = math.hypot(*along) or 1.0
     across = (-radius * along[1] / size, radius * along[0] / size)

@@ -98,12 +98,10 @@ def _candidates(name: Name) -> tuple[Array, Array, Array]:
 
 
 def _overlaps(boxes: Array, taken: Array) -> Array:
-    """Return the number of taken boxes that each box overlaps."""
     apart = (boxes[:, None, :2] >= taken[None, :, 2:]) | (boxes[:, None, 2:] <= taken[None, :, :2])
     return np.asarray(np.sum(~np.any(apart, axis=-1), axis=1), dtype=float)
 
 
 def _points_inside(boxes: Array, ink: Array) -> Array:
-    """Return the number of points inside each box."""
     inside = np.all((ink[None] > boxes[:, None, :2]) & (ink[None] < boxes[:, None, 2:]), axis=-1)
     return np.asarray(np.sum(inside, axis=1), dtype=float)

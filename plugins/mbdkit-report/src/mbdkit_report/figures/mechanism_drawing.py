@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit.plugin import GROUND, Mechanism
+from mbdkit.plugin import GROUND, Joint, Mechanism
 from mbdkit.plugin.doubts import ROUND_OFF
 from mbdkit.plugin.mechanisms import JointAngles, is_of_state, jet_of, parts_of
 from mbdkit_report.figures.beam_curves import bezier_polylines, largest_moment
@@ -21,17 +22,12 @@ from mbdkit_report.figures.label_placement import LINE, SWATCH, Name, PlacedName
 from mbdkit_report.figures.page_model import Illustration
 from mbdkit_report.figures.palette import body_colors, color_key
 from mbdkit_report.figures.plane_geometry import Array, zigzag
-from mbdkit_report.figures.quantity_text import length
 from mbdkit_report.figures.svg_canvas import Canvas, shade
 
-WIDE, NARROW = 900.0, 350.0
-"""Widths of the drawing on a screen or on paper, and on a telephone [px]."""
 NAMES = 60
 """Largest number of names in a drawing; more would overlap."""
 LONGEST = 28
 """Largest number of characters of a name."""
-CROWD = 40
-"""Number of links above which joints, centres of mass, loads and names are not drawn."""
 _SHORT_ARROW = 20.0  # length of the arrows of the distributed load of a beam [px]
 
 
@@ -82,6 +78,33 @@ class NamedPose:
         found = np.array([x + c * local[0] - s * local[1], y + s * local[0] + c * local[1]])
         return self.rounded(found)
 
+    def joint_point(self, joint: Joint) -> Array:
+        """Return the global point [m] at which a joint is drawn."""
+        held = joint.attachments()
+        if not held:
+            return self.common_point(joint.bodies)
+        if joint.mark == "bar":
+            return np.asarray(np.mean([self.place(name, point) for _, name, point in held], axis=0))
+        return self.place(*held[-1][1:])
+
+    def common_point(self, bodies: tuple[str, str]) -> Array:
+        """Return the global point [m] at which an angle between two bodies is drawn.
+
+        The point is at a joint between the bodies. If there is no such joint, it is between the two closest joints, one
+        on each body. If there are no joints at all, it is the centre of mass of the second body.
+        """
+        joints = () if self.mechanism is None else self.mechanism.joints.values()
+        for joint in joints:
+            if set(joint.bodies) == set(bodies) and joint.mark in ("pin", "slide", "weld"):
+                return self.joint_point(joint)
+        ends = [(name, self.place(name, point)) for joint in joints for _, name, point in joint.attachments()]
+        of_first, of_second = ([point for name, point in ends if name == body] for body in bodies)
+        pairs = [(float(np.hypot(*(a - b))), tuple((a + b) / 2)) for a in of_first for b in of_second]
+        if pairs:
+            return np.array(min(pairs)[1])
+        moving = [name for name in bodies[::-1] if name != GROUND]
+        return self.place(moving[0], (0.0, 0.0)) if moving else np.zeros(2)
+
     def rounded(self, lengths: Sequence[float] | Array) -> Array:
         """Return coordinates or lengths [m], with rounding errors replaced by 0."""
         return np.where(np.abs(lengths) <= self.round_off, 0.0, lengths)
@@ -99,16 +122,16 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
 
 def illustration(shown: NamedPose, description: str, caption: str) -> Illustration:
     """Return the drawing of a mechanism with names, for wide and for narrow pages."""
-    return Illustration(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
+    return Illustration.of(partial(mechanism_svg, shown), description, caption)
 
 
 def names_shown(shown: NamedPose) -> bool:
-    """Return whether a drawing shows names: there are at most `NAMES`, and at most `CROWD` links."""
+    """Return whether a drawing shows names: there are at most `NAMES`, and the drawing is no crowd."""
     elements = shown.mechanism
     count = len(shown.drawing.links)
     if elements is not None:
         count += len(elements.joints) + len(own_forces(elements)) + len(elements.markers)
-    return count <= NAMES and len(shown.drawing.links) <= CROWD
+    return count <= NAMES and not shown.drawing.is_crowd
 
 
 def own_forces(mechanism: Mechanism) -> dict[str, Any]:
@@ -121,11 +144,11 @@ def _draw(canvas: Canvas, shown: NamedPose) -> None:
     """Draw everything except the names, from the back to the front."""
     drawing = shown.drawing
     draw_sketch(canvas, drawing, canvas.px(drawing.world(shown.pose)), moments=shown.moments)
-    if len(drawing.links) > CROWD:
+    if drawing.is_crowd:
         return
     if shown.mechanism is not None:
         _draw_loads(canvas, shown, shown.mechanism)
-    draw_scale_bar(canvas)
+    canvas.scale_bar()
     if most := largest_moment(shown.moments):
         _draw_moment_scale(canvas, most)
 
@@ -138,7 +161,7 @@ def draw_sketch(
     With `moving_only`, ground and guides are left out. `moments` (E,) are the bending moments by which beams are
     coloured.
     """
-    crowd = len(drawing.links) > CROWD
+    crowd = drawing.is_crowd
     if not moving_only:
         for index in drawing.grounds if not crowd else drawing.grounds[:1]:
             _ground(canvas, at[index])
@@ -177,12 +200,11 @@ def _draw_beams(canvas: Canvas, drawing: Drawing, at: Array, moments: Array | No
         own = color_key(colors[beam.nodes[0]])
         for element, line in zip(beam.elements_of_intervals, bezier_polylines(at[list(beam.corners)]), strict=True):
             color = own if moments is None or not most else shade(float(moments[first + element]) / most)
-            canvas.line(line, "thin beam" if len(drawing.links) > CROWD else "beam", color=color)
+            canvas.line(line, "thin beam" if drawing.is_crowd else "beam", color=color)
         first += beam.elements
 
 
 def _draw_moment_scale(canvas: Canvas, largest: float) -> None:
-    """Draw the scale of bending moments in the lower right corner."""
     y, end = canvas.height - 10.0, canvas.width - 66.0
     for share in np.linspace(-1.0, 1.0, 13):
         x = end - 39.0 + 33.0 * share
@@ -199,10 +221,9 @@ def _ground(canvas: Canvas, point: Array) -> None:
 
 
 def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
-    """Draw drivers, loads, torsion springs, markers and gravity."""
     for joint in mechanism.joints.values():
         if joint.is_driver:
-            centre = canvas.px(joint_point(shown, mechanism, joint))
+            centre = canvas.px(shown.joint_point(joint))
             if getattr(joint, "coordinate", "angle") == "angle":
                 canvas.turn(centre, 15.0, "load")
             else:
@@ -217,7 +238,7 @@ def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
             size = _SHORT_ARROW if name in distributed else 44.0
             canvas.arrow(canvas.px(shown.place(load.body, load.point)), _load_direction(shown, load), size, "load")
         elif force.pathway.length_unit == "rad":
-            canvas.line(_spiral(canvas.px(_common_point(shown, mechanism, force.pathway.bodies))), "spring")
+            canvas.line(_spiral(canvas.px(shown.common_point(force.pathway.bodies))), "spring")
     for marker in mechanism.markers.values():
         point = canvas.px(shown.place(marker.body, marker.held))
         canvas.line(point + np.array([[0, -6], [6, 0], [0, 6], [-6, 0]]), "marker", closed=True)
@@ -229,58 +250,13 @@ def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
         canvas.drawn.append(start + np.array([[-18.0, 0.0], [-14.0, 4.0], [-18.0, 4.0]]))
 
 
-def draw_scale_bar(canvas: Canvas) -> None:
-    """Draw a bar of a round length in the lower left corner."""
-    most = 0.2 * canvas.width / canvas.scale
-    power = 10.0 ** math.floor(math.log10(most))
-    size = next(digit * power for digit in (5.0, 2.0, 1.0) if digit * power <= most)
-    y, end = canvas.height - 10.0, 10.0 + size * canvas.scale
-    canvas.line(np.array([[10.0, y - 4], [10.0, y], [end, y], [end, y - 4]]), "faint thin")
-    canvas.parts.append(
-        Markup('<text class="faint" x="{:.1f}" y="{:.1f}">{}</text>').format(end + 6.0, y + 1.0, length(size))
-    )
-    canvas.drawn.append(np.array([[end + 6.0 + 6.0 * step, y - 4.0] for step in range(8)]))
-
-
 def _spiral(centre: Array) -> Array:
     angle = np.linspace(0.0, 4.5 * np.pi, 40)
     radius = 2.0 + 0.75 * angle
     return np.asarray(centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
 
-def joint_point(shown: NamedPose, mechanism: Mechanism, joint: Any) -> Array:
-    """Return the global point [m] at which a joint is drawn."""
-    held = joint.attachments()
-    if not held:
-        return _common_point(shown, mechanism, joint.bodies)
-    if joint.mark == "bar":
-        return np.asarray(np.mean([shown.place(name, point) for _, name, point in held], axis=0))
-    return shown.place(*held[-1][1:])
-
-
-def _common_point(shown: NamedPose, mechanism: Mechanism, bodies: tuple[str, str]) -> Array:
-    """Return the global point [m] at which an angle between two bodies is drawn.
-
-    The point is at a joint between the bodies. If there is no such joint, it is between the two closest joints, one on
-    each body. If there are no joints at all, it is the centre of mass of the second body.
-    """
-    for joint in mechanism.joints.values():
-        if set(joint.bodies) == set(bodies) and joint.mark in ("pin", "slide", "weld"):
-            return joint_point(shown, mechanism, joint)
-    of_first, of_second = (
-        [shown.place(name, point) for joint in mechanism.joints.values() for _, name, point in joint.attachments()
-         if name == body]
-        for body in bodies
-    )  # fmt: skip
-    pairs = [(float(np.hypot(*(a - b))), tuple((a + b) / 2)) for a in of_first for b in of_second]
-    if pairs:
-        return np.array(min(pairs)[1])
-    moving = [name for name in bodies[::-1] if name != GROUND]
-    return shown.place(moving[0], (0.0, 0.0)) if moving else np.zeros(2)
-
-
 def _axis(shown: NamedPose, driver: Any) -> Array:
-    """Return the direction of a driven coordinate on the canvas."""
     unit = (1.0, 0.0) if driver.coordinate == "x" else (0.0, 1.0)
     first = driver.bodies[0]
     return np.asarray((shown.place(first, unit) - shown.place(first, (0.0, 0.0))) * (1.0, -1.0))
@@ -302,12 +278,12 @@ def _load_direction(shown: NamedPose, load: Any) -> Array:
 def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
     """Yield the names; those with the fewest candidates for their place come first."""
     mechanism, drawing = shown.mechanism, shown.drawing
-    if len(drawing.links) > CROWD:
+    if drawing.is_crowd:
         return
     if mechanism is not None:
         for name, joint in mechanism.joints.items():
             kind = "load" if joint.is_driver else "joint"
-            yield Name(name, kind, canvas.px(joint_point(shown, mechanism, joint))[None])
+            yield Name(name, kind, canvas.px(shown.joint_point(joint))[None])
         for name, marker in mechanism.markers.items():
             yield Name(name, "marker", canvas.px(shown.place(marker.body, marker.held))[None])
         for name, force in own_forces(mechanism).items():
@@ -330,7 +306,6 @@ def short_name(name: str, longest: int = LONGEST) -> str:
 
 
 def _force_points(canvas: Canvas, shown: NamedPose, mechanism: Mechanism, force: Any) -> Array:
-    """Return the points [px] at which the name of a force element may stand."""
     load = getattr(force, "load", None)
     if load is not None:
         point = canvas.px(shown.place(load.body, load.point))
@@ -342,7 +317,7 @@ def _force_points(canvas: Canvas, shown: NamedPose, mechanism: Mechanism, force:
         return np.asarray((passed[1:] + passed[:-1]) / 2)
     ends = [shown.place(name, point) for _, name, point in force.attachments()]
     if len(ends) < 2:
-        return canvas.px(ends or [_common_point(shown, mechanism, force.pathway.bodies)])
+        return canvas.px(ends or [shown.common_point(force.pathway.bodies)])
     return _along(canvas.px(ends))[1:-1]
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from markupsafe import Markup
@@ -186,10 +187,20 @@ def _told_if_zero(line: Line) -> Line:
 class Illustration:
     """A drawing for wide pages, a drawing for narrow pages, and a description for readers who do not see them."""
 
+    WIDE: ClassVar[float] = 900.0
+    """Width of a drawing on a screen or on paper [px]."""
+    NARROW: ClassVar[float] = 350.0
+    """Width of a drawing on a telephone [px]."""
+
     wide: Markup
     narrow: Markup
     description: str
     caption: str
+
+    @classmethod
+    def of(cls, draw: Callable[[float], Markup], description: str, caption: str) -> Illustration:
+        """Return the drawings that a function of the width [px] makes for wide and for narrow pages."""
+        return cls(draw(cls.WIDE), draw(cls.NARROW), description, caption)
 
 
 @dataclass(frozen=True)

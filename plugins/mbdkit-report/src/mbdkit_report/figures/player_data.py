@@ -69,7 +69,6 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
 
 
 def _beam_data(shown: Scene) -> dict[str, Any]:
-    """Return the curves of the beams, and their bending moments in percent of the largest magnitude."""
     beams = [
         {"name": beam.name, "corners": list(beam.corners), "element": beam.elements_of_intervals,
          "elements": beam.elements, "body": beam.nodes[0]}
@@ -148,7 +147,6 @@ def gaps(run: Run, drawing: Drawing, poses: Array) -> Gaps:
 
 
 def _find(drawing: Drawing, body: int, local: tuple[float, float]) -> int:
-    """Return the index of a body's point in the drawing's table."""
     here = np.flatnonzero(drawing.owner == body)
     nearest = here[np.argmin(np.hypot(*(drawing.local[here] - np.asarray(local)).T))]
     assert np.hypot(*(drawing.local[nearest] - np.asarray(local))) < _SAME

@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 
 from mbdkit_report.figures.beam_curves import bezier_polylines
 from mbdkit_report.figures.drawing_geometry import Drawing
-from mbdkit_report.figures.palette import FAINT, INK, MUSCLE, PALETTE, PAPER, SPRING
+from mbdkit_report.figures.palette import FAINT, INK, MUSCLE, PALETTE, PAPER, SPRING, body_colors
 from mbdkit_report.figures.plane_geometry import Array, zigzag
 
 _BENDING = LinearSegmentedColormap.from_list("bending", [PALETTE[0], "#BDBDBD", PALETTE[1]])
 BENDING_SHADES = tuple(to_hex(_BENDING(place)) for place in np.linspace(0.0, 1.0, 49))
 """Colours of bending moments from the smallest to the largest."""
-_CROWD = 40  # number of links above which pins and centres of mass are not drawn
 _GROUND_MARK = Path(
     [(0, 0), (-0.6, -1), (0.6, -1), (0, 0)]
     + [(-1, -1), (1, -1)]
@@ -67,7 +66,7 @@ class Pose:
         self._tooth = 0.018 * size
         self._fills: list[tuple[PolyCollection, tuple[int, ...]]] = []
         self._lines: list[tuple[Line2D, NDArray[np.intp]]] = []
-        crowd = len(drawing.links) > _CROWD
+        crowd = drawing.is_crowd
         weight = 1.2 if crowd else 3.0
 
         def line(points: Sequence[int], **look: Any) -> None:
@@ -172,3 +171,11 @@ class Pose:
             elements += [first + element for element in beam.elements_of_intervals]
             first += beam.elements
         self._beams.set_color([tuple(color) for color in self._bending.to_rgba(moments[elements]).tolist()])
+
+
+def draw_pose(
+    axes: Axes, drawing: Drawing, points: Array, size: float, *, alpha: float, is_faint: bool = False
+) -> None:
+    """Draw a mechanism on axes: its `points` (P, 2) and `size` in metres, in the colours of its bodies or in grey."""
+    colors = [FAINT] * len(drawing.bodies) if is_faint else body_colors(drawing)
+    Pose(axes, drawing, colors, size, alpha=alpha).move(points)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 _LENGTHS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"), (1e-12, "pm"))
 _TIMES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"))
@@ -36,17 +35,6 @@ def _in_units(value: float, units: tuple[tuple[float, str], ...]) -> str:
         if abs(value) >= 0.9995 * size:
             return f"{value / size:.3g} {unit}".replace("um", "\u00b5m").replace("us", "\u00b5s")
     return f"{value:.2g} {units[0][1]}"
-
-
-def least_most(values: Iterable[float]) -> str:
-    """Return the smallest and the largest finite value as text with two significant digits."""
-    known = [value for value in values if math.isfinite(value)]
-    return f"{min(known):.2g} to {max(known):.2g}" if known else "an unknown number of"
-
-
-def two_digits(number: float) -> str:
-    """Return a count as text with two significant digits and thousands separators."""
-    return f"{float(f'{number:.2g}'):,.0f}" if math.isfinite(number) else "an unknown number of"
 
 
 def with_unit(value: float, unit: str, digits: int = 6) -> str:

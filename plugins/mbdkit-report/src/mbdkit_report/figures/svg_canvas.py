@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from markupsafe import Markup
 
 from mbdkit_report.figures.plane_geometry import Array
+from mbdkit_report.figures.quantity_text import length
 
 _ROOM = (80.0, 52.0)  # margin around the mechanism, for names and arrows [px]
 _INK_STEP = 5.0  # distance of the points that represent lines [px]
@@ -47,7 +48,7 @@ class Canvas:
         """Return the drawing."""
         return svg_of(self.parts, self.width, self.height)
 
-    def px(self, points: Any) -> Array:
+    def px(self, points: npt.ArrayLike) -> Array:
         """Return global points (..., 2) [m] in pixels."""
         away = (np.asarray(points, dtype=float) - self.origin) * self.scale
         return np.asarray(away * (1.0, -1.0) + (self.width / 2, self.height / 2))
@@ -91,6 +92,18 @@ class Canvas:
         self.line(arc, look)
         tangent = arc[-1] - arc[-3]
         self.arrow(arc[-1] + 0.01 * tangent, tangent, 1.0, look)
+
+    def scale_bar(self) -> None:
+        """Draw a bar of a round length in the lower left corner."""
+        most = 0.2 * self.width / self.scale
+        power = 10.0 ** math.floor(math.log10(most))
+        size = next(digit * power for digit in (5.0, 2.0, 1.0) if digit * power <= most)
+        y, end = self.height - 10.0, 10.0 + size * self.scale
+        self.line(np.array([[10.0, y - 4], [10.0, y], [end, y], [end, y - 4]]), "faint thin")
+        self.parts.append(
+            Markup('<text class="faint" x="{:.1f}" y="{:.1f}">{}</text>').format(end + 6.0, y + 1.0, length(size))
+        )
+        self.drawn.append(np.array([[end + 6.0 + 6.0 * step, y - 4.0] for step in range(8)]))
 
 
 def svg_of(parts: Iterable[Markup], width: float, height: float) -> Markup:

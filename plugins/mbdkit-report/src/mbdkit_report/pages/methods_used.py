@@ -85,7 +85,6 @@ def _find(kind: Kind, name: str) -> Registered | None:
 
 
 def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
-    """Return a paragraph on a model or integrator: its summary, all values of each setting, and its claims."""
     values: dict[str, dict[str, None]] = {}
     for options in used:
         for key, value in options.items():

@@ -219,8 +219,7 @@ def _options(force: Any) -> list[str]:
     return told
 
 
-def _motion(value: Any) -> str:
-    """Return a function of time, or another option, as text."""
+def _motion(value: object) -> str:
     if isinstance(value, TimeTable):
         return f"table of {len(value.table[0])} points ({value.interpolation})"
     if isinstance(value, tuple) and value and isinstance(value[0], tuple):

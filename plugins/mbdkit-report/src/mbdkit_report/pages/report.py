@@ -94,7 +94,6 @@ def write_report(
 
 
 def _formats() -> list[FileFormat]:
-    """Return the kinds of folders that have a report."""
     formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
     return [one for one in formats if one.file and one.report is not None]
 
@@ -116,7 +115,6 @@ def _document(source: Path, kind: FileFormat | None, workers: int) -> Iterator[R
 
 
 def _check_figures(folder: Path | None, overwrite: bool) -> None:
-    """Raise SpecError if the charts cannot be written to `folder`."""
     if folder is None:
         return
     if not os.path.lexists(folder):

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 import mbdkit
-from mbdkit_report.analysis.verdict import Answer, Verdict, columns_of
-from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Section, Table
+from mbdkit_report.analysis.verdict import Answer, Verdict
+from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Section, Table, columns_of
 from mbdkit_report.figures.palette import color_key, color_number, line_styles
 from mbdkit_report.pages.methods_used import Methods
 from mbdkit_report.pages.templating import render
 
 _MARKS = {Answer.YES: "\u2713", Answer.NO: "\u2717", Answer.PARTLY: "\u25d0", Answer.OPEN: "?"}
-NO_FAILURES = Table("failures", "Runs that failed", columns_of("run; reason"), ())
+_NO_FAILURES = Table("failures", "Runs that failed", columns_of("run; reason"), ())
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class ReportPage:
     beside_verdict: tuple[str, ...] = ()
     begins_with_verdict: bool = False
     films: tuple[dict[str, Any], ...] = ()
-    failures: Table = field(default=NO_FAILURES)
+    failures: Table = _NO_FAILURES
 
     @property
     def contents(self) -> list[tuple[str, str]]:
@@ -111,7 +111,7 @@ class ReportPage:
         return tuple(table for table in self.verdict.tables if (table.name in self.beside_verdict) == beside)
 
     @property
-    def figure_data(self) -> dict[str, Any]:
+    def figure_data(self) -> dict[str, object]:
         """Data of the charts, as JSON values."""
         return charts_data(self.verdict.figures)
 
@@ -149,7 +149,7 @@ def _is_numeric(table: Table, column: int) -> bool:
     return bool(cells) and all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells)
 
 
-FILTERS: dict[str, Callable[..., Any]] = {
+FILTERS: dict[str, Callable[..., object]] = {
     "cell": cell_text,
     "exact": _exact,
     "mark": _MARKS.__getitem__,
@@ -189,7 +189,7 @@ SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "x")
 Numbers = list[float | None]
 
 
-def charts_data(charts: Iterable[Figure]) -> dict[str, Any]:
+def charts_data(charts: Iterable[Figure]) -> dict[str, object]:
     """Return the JSON data of charts: ``figures`` by name, and ``columns``, the arrays of numbers that the lines refer
     to by index.
 
@@ -239,7 +239,7 @@ def _outline(corners: np.ndarray, chart: Figure) -> dict[str, Numbers]:
     return {"x": _numbers(corners[:, 0], chart.x), "y": _numbers(corners[:, 1], chart.y)}
 
 
-def _axis_data(axis: Axis) -> dict[str, Any]:
+def _axis_data(axis: Axis) -> dict[str, object]:
     return {"title": axis.title, "unit": axis.unit, "log": axis.log}
 
 

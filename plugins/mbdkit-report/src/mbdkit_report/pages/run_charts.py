@@ -4,7 +4,7 @@ balance last. A joint has the same colour in all charts if there are no more joi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,6 @@ from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import INK, PALETTE, body_colors, trace_colors
-from mbdkit_report.pages.answer_section import Peaks
 from mbdkit_report.pages.section_items import added_charts
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
 
@@ -102,7 +101,7 @@ def component_charts(run: Run) -> list[Figure]:
     if not all(run.records(path) for _, path in _SIDES):
         return []
     time, data = np.asarray(run.time), run.dataset("joints/reaction_force")
-    peaks = np.nan_to_num(Peaks.of(time, data, lambda f: np.hypot(f[..., 0], f[..., 1])).value)
+    peaks = np.nan_to_num(bands(time, data, lambda f: np.hypot(f[..., 0], f[..., 1])).peaks)
     most = np.argsort(-peaks, kind="stable")[:COMPONENTS].tolist()
     colors = dict(zip(run.bodies, body_colors(draw_run(run)), strict=True)) | {GROUND: INK}
     joints = list(run.joints.values())
@@ -141,16 +140,12 @@ def recorded_charts(run: Run, array: Recorded) -> list[Figure]:
     return found
 
 
-def _lines(run: Run, path: str, names: Any, chosen: Any) -> tuple[Line, ...]:
-    """Return lines of the `chosen` columns of an array, at most `LINES`: those with the largest values. Columns whose
+def _lines(run: Run, path: str, names: Sequence[str], columns: list[int]) -> tuple[Line, ...]:
+    """Return lines of some columns of an array, at most `LINES`: those with the largest values. Columns whose
     values are all zero are left out.
     """
-    columns = list(chosen)
-    time, data = np.asarray(run.time), run.dataset(path)
-    peaks = np.nan_to_num(Peaks.of(time, data).value[columns]) if columns else np.zeros(0)
+    curves = bands(np.asarray(run.time), run.dataset(path), points=_POINTS)
+    peaks = np.nan_to_num(curves.peaks[columns])
     order = np.argsort(-peaks, kind="stable")[:LINES]
     shown = sorted(columns[place] for place in order if peaks[place] > 0)
-    if not shown:
-        return ()
-    curves = bands(time, data, points=_POINTS)
     return tuple(Line(names[column], *curves.curve(column)) for column in shown)

@@ -78,7 +78,7 @@ def _alarm(run: Run, ending: str, warnings: Sequence[str]) -> str:
     return ". ".join(filter(None, [first, *(f"{warning[0].upper()}{warning[1:]}" for warning in warnings)]))
 
 
-def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:
+def environment(provenance: Mapping[str, object], first: Mapping[str, str]) -> Table:
     """Return the table of the provenance of a run; the rows `first` come first."""
     rows: list[tuple[Cell, ...]] = [(name, str(value)) for name, value in first.items()]
     rows += [(name.replace("_", " "), str(value)) for name, value in sorted(provenance.items())]

@@ -12,8 +12,7 @@ from mbdkit.plugin.archives import COUNTERS, SOME_COUNTERS, SOME_TIMINGS, TIMING
 from mbdkit_contact.modes import STICK
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
-from mbdkit_report.pages.answer_section import Peaks
-from mbdkit_report.plot.element_quantity import GAPS
+from mbdkit_report.plot.element_quantity import GAPS, misalignment
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Accuracy, Run
@@ -41,7 +40,6 @@ def run_tables(run: Run) -> tuple[Table, ...]:
 
 
 def _events(run: Run) -> Table:
-    """Return the table of the first `EVENTS` event crossings, followed by the events that never occurred."""
     specs = run.spec["events"]
     columns = columns_of("event; zero crossing of; direction; time [s]")
     ways = {True: "upwards", False: "downwards"}
@@ -58,12 +56,12 @@ def _events(run: Run) -> Table:
 def _joints(run: Run) -> Table:
     columns = [*columns_of("joint; between; largest misalignment [m]")]
     found = []
-    for name, unit in (GAPS["velocity"], GAPS["angle"]):
-        if run.records(path := f"joints/{name.replace(' ', '_')}"):
-            peaks = Peaks.of(np.asarray(run.time), run.dataset(path)).value
-            if name == "velocity misalignment" or np.any(np.nan_to_num(peaks, nan=1.0)):
-                columns.append(Column(f"largest {name}", unit))
-                found.append(peaks.tolist())
+    for gap in GAPS:
+        if gap != "position" and run.records(f"joints/{gap}_misalignment"):
+            quantity = misalignment(run, gap)
+            if gap == "velocity" or quantity.nonzero_columns:
+                columns.append(Column(f"largest {quantity.name}", quantity.unit))
+                found.append(quantity.data.peaks.tolist())
     joints = list(enumerate(run.joints.values()))
     order = sorted(joints, key=lambda item: -np.nan_to_num(item[1].misalignment_max, nan=np.inf))[:JOINTS]
     rows: list[tuple[Cell, ...]] = [
@@ -99,7 +97,6 @@ def _contacts(run: Run) -> Table:
 
 
 def _transitions(run: Run) -> list[Table]:
-    """Return the table of the first `EVENTS` times at which contacts begin, end, stick or slip; none without them."""
     every = sorted((one.time, name, one) for name, contact in run.contacts.items() for one in contact.transitions)
     rows = [(name, one.time, one.before, one.after) for _, name, one in every[:EVENTS]]
     more = f" The first {EVENTS} of {len(every)} changes." if len(every) > EVENTS else ""
@@ -109,7 +106,6 @@ def _transitions(run: Run) -> list[Table]:
 
 
 def _impulses(run: Run) -> Table:
-    """Return the table of the largest impulses that impacts of contacts cause in the joints."""
     impacts, bodies = run.impacts, [joint.bodies for joint in run.joints.values()]
     size, torque = np.linalg.norm(impacts.reaction_impulse, axis=2), np.abs(impacts.reaction_torque_impulse)
     order = np.sort(np.argsort(-np.max(size, axis=0), kind="stable")[:JOINTS])
@@ -125,7 +121,6 @@ def _impulses(run: Run) -> Table:
 
 
 def _errors(run: Run, accuracy: Accuracy) -> Table:
-    """Return the table of the largest estimated errors of the bodies."""
     columns = columns_of("body; position [m]; angle [rad]; velocity [m/s]; angular velocity [rad/s]")
     count = accuracy.rows_known
     errors = (accuracy.position_error, accuracy.velocity_error)

@@ -98,7 +98,6 @@ def _trust(run: Run) -> Claim:
 
 
 def _accuracy(run: Run) -> list[Claim]:
-    """Return the claim on the estimated errors; empty if errors were not estimated."""
     accuracy = run.accuracy
     told = run.errors.sentence(with_force=bool(run.measures))
     if accuracy is None or not told:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 
 def _items() -> Iterator[tuple[Registered, ReportSection]]:
-    """Yield the items of sections in their order."""
     for item in registry().of_kind("report-section"):
         yield item, cast(ReportSection, item.plugin)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from importlib.resources import files
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -13,7 +12,9 @@ from markupsafe import Markup
 from mbdkit.plugin import shown
 
 
-def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]] | None = None) -> str:
+def render(
+    template: str, values: Mapping[str, object], filters: Mapping[str, Callable[..., object]] | None = None
+) -> str:
     """Return a page with values that the template uses. Texts among them are escaped for HTML. Control characters are
     escaped on the whole page; this does not change the meaning of JSON.
     """
@@ -22,7 +23,7 @@ def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Calla
     return shown(environment.get_template(template).render(values), lines=True)
 
 
-def script_json(value: Any) -> Markup:
+def script_json(value: object) -> Markup:
     """Return compact JSON for a script element. It is escaped so that no text in it can end the element."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))

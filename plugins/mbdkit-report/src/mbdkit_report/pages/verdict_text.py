@@ -62,7 +62,6 @@ def markdown_text(document: ReportPage) -> str:
 
 
 def _table(table: Table, level: str) -> str:
-    """Return a table in Markdown with its title and note."""
     return "\n\n".join(filter(None, [f"{level} {markdown(table.title)}", markdown(table.note), _piped(_cells(table))]))
 
 
@@ -72,6 +71,5 @@ def _cells(table: Table) -> list[list[str]]:
 
 
 def _piped(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table in Markdown; the first of `rows` is the heading."""
     heading, *others = ["| " + " | ".join(markdown(cell) for cell in row) + " |" for row in rows]
     return "\n".join([heading, "| " + " | ".join(["---"] * len(rows[0])) + " |", *others])

@@ -97,7 +97,6 @@ def chart(
 
 
 def _picked(run: Run, wanted: Names, component: BeamForce, most: int) -> list[str]:
-    """Return the wanted beams or, if None, at most `most` with the largest values."""
     known = list(run.beams)
     if wanted is None:
         size = [abs(beam_peak(run, name, component).value) for name in known]

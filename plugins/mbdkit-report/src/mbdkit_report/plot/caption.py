@@ -57,7 +57,7 @@ def method(spec: Mapping[str, Any]) -> str:
     return ", ".join(words)
 
 
-def plain_name(choice: Any, default: str) -> str:
+def plain_name(choice: object, default: str) -> str:
     """Return the name of a formulation or stabilization of a spec, such as ``symmetric projection``."""
     if not isinstance(choice, Mapping):
         return str(choice)
@@ -67,7 +67,6 @@ def plain_name(choice: Any, default: str) -> str:
 
 
 def _departures(spec: Mapping[str, Any]) -> list[str]:
-    """Return the names of formulation and stabilization if they differ from the defaults."""
     defaults = {"formulation": "index-1", "stabilization": "none"}
     names = {key: plain_name(spec.get(key) or default, default) for key, default in defaults.items()}
     return [name for key, name in names.items() if name != defaults[key]]

@@ -145,7 +145,6 @@ def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_da
 
 
 def _new_axes() -> Axes:
-    """Return the axes of a new figure of pyplot, which notebooks show."""
     from matplotlib import pyplot
 
     layout = None if mpl.rcParams["figure.autolayout"] else "constrained"

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -37,7 +37,7 @@ def compare(
     kind: str | None = None,
     ax: Axes | None = None,
     labels: Sequence[str] | None = None,
-    **options: Any,
+    **options: object,
 ) -> Axes:
     """Draw the same quantity of several runs in one pair of axes.
 
@@ -108,7 +108,7 @@ def drawing(run: Run) -> Callable[..., Axes]:
 
 
 def comparison(
-    runs: Sequence[Run], kind: str, labels: Sequence[str] | None = None, **options: Any
+    runs: Sequence[Run], kind: str, labels: Sequence[str] | None = None, **options: object
 ) -> tuple[Figure, str]:
     """Return the chart of several runs, and the title of its legend; see `compare`."""
     if not runs:
@@ -176,7 +176,6 @@ def options_of(kind: str) -> list[str]:
 
 
 def _parameters(kind: str) -> list[str]:
-    """Return the names of the parameters of the chart of a kind of plot, without the run."""
     return list(inspect.signature(plot_module(kind).chart).parameters)[1:]
 
 
@@ -239,8 +238,7 @@ def _with_units(settings: Sequence[_Setting], run: Run) -> list[str]:
     return [" ".join(filter(None, pair)) for pair in zip(texts, units, strict=True)]
 
 
-def _leaves(value: Any, path: SpecPath = ()) -> list[tuple[SpecPath, Any]]:
-    """Return the values in nested mappings and lists with their paths."""
+def _leaves(value: object, path: SpecPath = ()) -> list[tuple[SpecPath, object]]:
     if isinstance(value, Mapping):
         return [leaf for key, item in value.items() for leaf in _leaves(item, (*path, str(key)))]
     if isinstance(value, list):

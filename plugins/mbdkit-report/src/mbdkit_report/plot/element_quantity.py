@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from mbdkit.archive.peak_errors import whole_peak_errors
 from mbdkit.archive.run_views import Gap, Names
-from mbdkit.plugin import plus_minus
+from mbdkit.plugin import Headline, plus_minus
+from mbdkit.plugin.archives import missed_between_rows, peak_errors
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
@@ -46,9 +46,14 @@ class ElementQuantity:
         (K, J) estimated errors at the times of `data`, nan where unknown; None if they were not estimated.
     known_until
         Time until which the errors are known [s]; nan if they are known to the end, or were not estimated.
+    known
+        The same in the rows whose errors are known; None if there are none.
     peak_errors
-        (J,) errors of the largest values, with what rows miss between them, nan where unknown; None if the run has no
-        error estimates.
+        (J,) errors of the largest values of `known`, with what rows miss between them, nan where unknown; None if the
+        run has no error estimates.
+    missed
+        (J,) by how much the largest values between rows exceed those of `data`, nan where unknown; zero if every step
+        is recorded.
     """
 
     name: str
@@ -57,7 +62,9 @@ class ElementQuantity:
     data: Bands
     errors: Array | None = None
     known_until: float = math.nan
+    known: Bands | None = None
     peak_errors: Array | None = None
+    missed: Array | None = None
 
     @property
     def zero(self) -> bool:
@@ -82,11 +89,25 @@ class ElementQuantity:
 
     def only(self, columns: list[int]) -> ElementQuantity:
         """Return the same quantity for some of the elements."""
-        data = self.data
-        part = Bands(data.time, data.low[:, columns], data.high[:, columns], data.peaks[columns], data.exact)
-        errors, peaks = (None if one is None else one[..., columns] for one in (self.errors, self.peak_errors))
-        elements = [self.elements[column] for column in columns]
-        return replace(self, elements=elements, data=part, errors=errors, peak_errors=peaks)
+        arrays = {name: getattr(self, name) for name in ("errors", "peak_errors", "missed")}
+        parts = {name: None if values is None else values[..., columns] for name, values in arrays.items()}
+        elements, known = [self.elements[column] for column in columns], self.known and self.known.only(columns)
+        return replace(self, elements=elements, data=self.data.only(columns), known=known, **parts)
+
+    def text(self, column: int) -> str:
+        """Return the largest value of an element with its error and time or, if the value between rows is clearly
+        larger, with that value, as text.
+        """
+        value, time = float(self.data.peaks[column]), float(self.data.peak_times[column])
+        missed = 0.0 if self.missed is None else float(self.missed[column])
+        error = math.nan if self.peak_errors is None else float(self.peak_errors[column])
+        largest = Headline(self.name, value, self.unit, error, missed, is_checked=self.known is not None)
+        if largest.misses:
+            return largest.text("±")
+        if self.known is None or time > self.known_until:
+            unknown = "" if self.known is None else ", error unknown"
+            return f"{value:.4g} {self.unit} (at {time:.4g} s{unknown})"
+        return f"{largest.text('±')} (at {time:.4g} s)"
 
 
 def has_elements(run: Run) -> bool:
@@ -129,23 +150,28 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     return quantity.only(columns)
 
 
-def _joint_quantity(
-    run: Run, name: str, unit: str, error: str = "", values: Callable[[Array], Array] = np.asarray
-) -> ElementQuantity:
-    """Return a quantity of all joints, read from the array of its name in the archive group /joints.
+def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Array], Array]) -> ElementQuantity:
+    """Return a reaction of all joints, a ``force`` or ``torque``.
 
     Parameters
     ----------
     error
-        Attribute of `Accuracy` with its estimated errors, ``reaction_error`` or ``torque_error``; empty for none.
+        Attribute of `Accuracy` with its estimated errors.
     values
-        Function that maps a block of rows to one value for each row and joint, such as the norm over the last axis.
+        Function that maps a block of rows to one value for each row and joint.
     """
-    data = run.dataset(f"joints/{name.replace(' ', '_')}")
-    quantity = ElementQuantity(name, unit, run.joint_names, bands(np.asarray(run.time), data, values))
-    if not error or run.accuracy is None:
+    data, time, accuracy = run.dataset(f"joints/reaction_{word}"), np.asarray(run.time), run.accuracy
+    curves = bands(time, data, values)
+    missed = missed_between_rows(run, f"joints.{word}", run.joint_names, curves.peaks[None])
+    quantity = ElementQuantity(f"reaction {word}", unit, run.joint_names, curves, missed=missed)
+    if accuracy is None:
         return quantity
-    return replace(with_errors(run, quantity, error), peak_errors=whole_peak_errors(run, error))
+    count, known, errors = accuracy.rows_known, None, np.full(len(curves.peaks), np.nan)
+    if count:
+        rows = np.asarray(data[:count], dtype=np.float64)
+        known = curves if accuracy.is_complete else bands(time[:count], rows, values)
+        errors = peak_errors(run, error, np.abs(values(rows)), count)
+    return replace(with_errors(run, quantity, error), known=known, peak_errors=errors)
 
 
 GAPS: dict[Gap, tuple[str, str]] = {
@@ -158,17 +184,19 @@ GAPS: dict[Gap, tuple[str, str]] = {
 
 def misalignment(run: Run, gap: Gap = "position") -> ElementQuantity:
     """Return a kind of misalignment of every joint; an angle is zero for joints that do not constrain an angle."""
-    return _joint_quantity(run, *GAPS[gap])
+    name, unit = GAPS[gap]
+    data = run.dataset(f"joints/{name.replace(' ', '_')}")
+    return ElementQuantity(name, unit, run.joint_names, bands(np.asarray(run.time), data))
 
 
 def reaction_force(run: Run) -> ElementQuantity:
     """Return the magnitude of the reaction force of every joint [N], with its estimated error."""
-    return _joint_quantity(run, "reaction force", "N", "reaction_error", lambda f: np.hypot(f[..., 0], f[..., 1]))
+    return _reaction(run, "force", "N", "reaction_error", lambda f: np.hypot(f[..., 0], f[..., 1]))
 
 
 def reaction_torque(run: Run) -> ElementQuantity:
     """Return the reaction torque of every joint [N m], with its estimated error."""
-    return _joint_quantity(run, "reaction torque", "N m", "torque_error")
+    return _reaction(run, "torque", "N m", "torque_error", np.asarray)
 
 
 def with_errors(
@@ -280,7 +308,7 @@ def _with_error(quantity: ElementQuantity, column: int, largest: float) -> str:
     if quantity.peak_errors is None or not np.isfinite(largest):
         return value_text(largest, quantity.unit)
     error = float(quantity.peak_errors[column])
-    if not np.isfinite(error):
+    if not np.isfinite(error) or np.isfinite(quantity.known_until):
         return f"{value_text(largest, quantity.unit)}, error unknown"
     return f"{plus_minus(largest, error, '±')} {quantity.unit}"
 

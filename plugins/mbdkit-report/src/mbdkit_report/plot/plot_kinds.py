@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import wraps
 from importlib import import_module
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 from mbdkit.plugin import PlotKind, SpecError, use
 from mbdkit.plugin.specs import registry
@@ -32,7 +32,7 @@ class PlotModule(Protocol):
     def charts(self, run: Run) -> Sequence[Figure]:
         """Return the interactive charts of a report; none if the run did not record the quantities."""
 
-    def chart(self, run: Run, **options: Any) -> Figure:
+    def chart(self, run: Run, **options: object) -> Figure:
         """Return the chart for one pair of axes; options, all of which have defaults, select what it shows.
 
         The option `most`, if it has one, is the largest number of lines; several runs are compared by means of it.
@@ -58,12 +58,12 @@ def plot_module(kind: str) -> PlotModule:
     use(item, item.plugin.check_targets)
     module = import_module(name)
 
-    def checked(chart: Any) -> Figure:
+    def checked(chart: object) -> Figure:
         from mbdkit_report.figures.page_model import Figure
 
         return cast(Figure, use(item, lambda: chart, of=Figure))
 
-    def chart(run: Run, **options: Any) -> Figure:
+    def chart(run: Run, **options: object) -> Figure:
         return checked(use(item, lambda: module.chart(run, **options)))
 
     def charts(run: Run) -> list[Figure]:

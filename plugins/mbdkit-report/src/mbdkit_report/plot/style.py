@@ -146,15 +146,14 @@ def png(figure: Figure) -> bytes:
 
 
 def _escape(figure: Figure) -> None:
-    """Escape control characters in all texts of a figure; an SVG file with control characters is not valid."""
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         if (escaped := shown(text.get_text(), lines=True)) != text.get_text():
             text.set_text(escaped)
 
 
-def quietly(draw: Callable[[], Any]) -> Any:
+def quietly(draw: Callable[[], object]) -> None:
     """Call `draw` without Matplotlib's warnings about missing glyphs, because a title may be in any script."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        return draw()
+        draw()

@@ -78,7 +78,6 @@ def carried_torque(run: Run, force: ElementQuantity) -> ElementQuantity | None:
 
 
 def _carried_by_any(run: Run) -> ElementQuantity:
-    """Return the torques of the joints that transmit any, and of all force elements and actuators that exert one."""
     of_joints = carried_torque(run, reaction_force(run))
     of_elements = element_values(run, "N m", "torque") if has_elements(run) else None
     parts = [part for part in (of_joints, of_elements) if part is not None]
@@ -88,14 +87,14 @@ def _carried_by_any(run: Run) -> ElementQuantity:
 def _joined(parts: list[ElementQuantity]) -> ElementQuantity:
     """Return several quantities with the same times as a single one; errors that were not estimated are nan."""
     first, data = parts[0], [part.data for part in parts]
-    low, high, peaks = (
-        np.concatenate([getattr(one, name) for one in data], axis=-1) for name in ("low", "high", "peaks")
+    low, high, peaks, times = (
+        np.concatenate([getattr(one, name) for one in data], axis=-1) for name in ("low", "high", "peaks", "peak_times")
     )
     errors = _errors([part.errors for part in parts], [one.high for one in data])
     peak_errors = _errors([part.peak_errors for part in parts], [one.peaks for one in data])
     names = [name for part in parts for name in part.elements]
-    together = Bands(first.data.time, low, high, peaks, first.data.exact)
-    return ElementQuantity("torque", "N m", names, together, errors, first.known_until, peak_errors)
+    together = Bands(first.data.time, low, high, peaks, times, first.data.exact)
+    return ElementQuantity("torque", "N m", names, together, errors, first.known_until, peak_errors=peak_errors)
 
 
 def _errors(given: list[Array | None], values: list[Array]) -> Array | None:

@@ -141,7 +141,6 @@ def _points(
 
 
 def _marker_path(run: Run, name: str, rows: NDArray[np.intp]) -> tuple[Array, Array | None]:
-    """Return the path of a marker (R, 2) [m] and its estimated errors (R,) [m]; None if they were not estimated."""
     marker = run.markers[name]
     path, accuracy = marker.position[rows], run.accuracy
     if accuracy is None or marker.body not in run.bodies:

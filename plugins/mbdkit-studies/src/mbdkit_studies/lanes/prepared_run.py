@@ -12,7 +12,7 @@ from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.runs import run_in_memory
 from mbdkit.plugin.specs import RunSource, Sections, VariedSpecs, load_spec, variable_path
-from mbdkit_report.key_words import keys_ending_in
+from mbdkit_report import keys_ending_in
 from mbdkit_studies.lanes.given_start import spec_started_at
 from mbdkit_studies.lanes.lane_runs import LaneRuns
 

@@ -19,7 +19,7 @@ from mbdkit.plugin import MbdkitError, RunSpec, SpecError, listed, parse_path, p
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.specs import BY_ACCELERATIONS, choice_of, parse_key, put, registry
 from mbdkit.plugin.terminal import shortened
-from mbdkit_report.key_words import stated_units
+from mbdkit_report import stated_units
 from mbdkit_studies.points.sampled_values import rows_of, table_place, values_of
 from mbdkit_studies.spec.method_claims import METHOD, claims_of
 from mbdkit_studies.spec.sample_section import unit_of

@@ -10,8 +10,8 @@ import numpy as np
 
 from mbdkit.plugin import Array, SpecError
 from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT
-from mbdkit_report.export import suffix_of, write_tables
-from mbdkit_report.group_table import BLOCK_VALUES, TableColumn
+from mbdkit_report import TableColumn, write_tables
+from mbdkit_report.group_table import BLOCK_VALUES
 from mbdkit_studies.study import Study
 
 
@@ -73,7 +73,6 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
     MbdkitError
         If a package that is needed is not installed.
     """
-    suffix = suffix_of(to)
     if to == "sto":
         raise SpecError("the format sto is for data over time; export the table of a study as csv or parquet")
     values, units = {name: np.asarray(column) for name, column in study.columns().items()}, study.units
@@ -85,11 +84,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
         unit = units.get(name, "1")
         what = study.described(name)[1] if name in units else name
         columns.append(TableColumn(name, unit, Array(f"runs/{name}", ("run",), unit, what, dtype), ()))
-    path = folder / f"runs{suffix}"
-    write_tables(
-        {path: RunsTable(columns[0], tuple(columns[1:]), values)}, folder, to, overwrite=overwrite, source=None
-    )
-    return [path]
+    return write_tables({"runs": RunsTable(columns[0], tuple(columns[1:]), values)}, folder, to, overwrite=overwrite)
 
 
 def export_study(folder: Path, output: Path, to: str, *, overwrite: bool = False) -> list[Path]:

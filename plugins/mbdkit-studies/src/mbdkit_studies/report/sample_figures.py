@@ -12,8 +12,7 @@ import numpy as np
 
 from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.measures import REDUCTIONS
-from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Line, Table
-from mbdkit_report.key_words import key_words
+from mbdkit_report import Axis, Cell, Column, Figure, Line, Table, key_words
 from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.report.study_figures import Quantity, asked_measures, is_wide
 from mbdkit_studies.statistics.measure_statistics import statistics_of_group

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit_report.analysis.order import observed_order
-from mbdkit_report.figures.page_model import Axis, Column, Figure, Guide, Line
-from mbdkit_report.key_words import key_words
+from mbdkit_report import Axis, Column, Figure, Guide, Line, key_words, observed_order
 from mbdkit_studies.results.cost_at_error import TIMED, TIMED_ONCE, is_timed
 from mbdkit_studies.results.point_selection import IN_TOLERANCES, METHOD, OPERATIONS, STEP, value
 from mbdkit_studies.store.study_point import axis_unit, others_than, value_words

@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.plugin import MbdkitError, listed, plus_minus
 from mbdkit.plugin.terminal import told_apart
-from mbdkit_report.key_words import key_words
+from mbdkit_report import key_words
 from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.results.cost_at_error import error_headlines
 from mbdkit_studies.statistics.measure_statistics import MeasureStatistics, statistics_of_group

@@ -13,14 +13,21 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.plugin import SpecError, listed
 from mbdkit.plugin.doubts import MISALIGNMENT
-from mbdkit_report.analysis.verdict import Answer, Verdict, columns_of
-from mbdkit_report.figures.page_model import Cell, Column, Figure, Table
-from mbdkit_report.figures.player_data import film_data
+from mbdkit_report import (
+    Answer,
+    Cell,
+    Column,
+    Figure,
+    ReportPage,
+    Table,
+    Verdict,
+    View,
+    columns_of,
+    environment,
+    film_of,
+    methods,
+)
 from mbdkit_report.figures.quantity_text import count
-from mbdkit_report.notebook.result_views import View
-from mbdkit_report.pages.methods_used import methods
-from mbdkit_report.pages.report_page import NO_FAILURES, ReportPage
-from mbdkit_report.pages.run_report import environment
 from mbdkit_report.pages.run_verdict import mechanism_size
 from mbdkit_studies.points.sample_groups import sample_groups
 from mbdkit_studies.report.sample_figures import sample_figures, sample_tables
@@ -222,9 +229,8 @@ def _failures(study: Study) -> Table:
         (point.number, ": ".join(filter(None, [point.family, point_words(point) or "reference"])), point.reason)
         for point in study.failures[: _LISTED if study.spec.has_table else None]
     ]
-    text = f"The first {len(rows)} of {len(study.failures)}." if len(rows) < len(study.failures) else NO_FAILURES.note
-    columns = columns_of("run; member; reason")
-    return replace(NO_FAILURES, columns=columns, rows=tuple(rows), note=text)
+    text = f"The first {len(rows)} of {len(study.failures)}." if len(rows) < len(study.failures) else ""
+    return Table("failures", "Runs that failed", columns_of("run; member; reason"), tuple(rows), text)
 
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:
@@ -241,7 +247,7 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
             assert run is not None
             with run:
                 if run.misalignment_max <= MISALIGNMENT.bad * mechanism_size(run) or point is ranked[-1]:
-                    yield film_data(
+                    yield film_of(
                         run, _NUMBERS, ": ".join(filter(None, [f"run {point.number}", name, point_words(point)]))
                     )
                     break

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.plugin.doubts import ROUND_OFF
-from mbdkit_report.analysis.order import observed_order
-from mbdkit_report.analysis.verdict import Cell, Figure, Table, Verdict, columns_of
+from mbdkit_report import Cell, Figure, Table, Verdict, columns_of, observed_order
 from mbdkit_studies.results.cost_at_error import ERROR, wall_time
 from mbdkit_studies.results.general_verdict import size_at_start
 from mbdkit_studies.results.point_selection import IN_TOLERANCES, STEP, Points, value

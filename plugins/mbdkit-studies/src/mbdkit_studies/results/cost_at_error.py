@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.trust.criteria import KNOWN_POSITION
-from mbdkit_report.analysis.verdict import Cell, Column, Table
+from mbdkit_report import Cell, Column, Table
 from mbdkit_studies.results.cost import at_equal_work, work_for
 from mbdkit_studies.results.point_selection import METHOD, OPERATIONS, value
 from mbdkit_studies.store.study_point import others_than, value_words

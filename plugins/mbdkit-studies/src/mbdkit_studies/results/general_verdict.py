@@ -10,8 +10,7 @@ from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.doubts import ROUND_OFF
 from mbdkit.plugin.mechanisms import mechanism_size
 from mbdkit.trust.criteria import EPS
-from mbdkit_report.analysis.order import observed_order
-from mbdkit_report.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
+from mbdkit_report import Cell, Column, Range, Table, Verdict, observed_order
 from mbdkit_studies.points.sample_groups import measured
 from mbdkit_studies.results.cost_at_error import cost_at_error
 from mbdkit_studies.results.point_selection import STEP, Points, value
@@ -66,7 +65,7 @@ def _extremes(points: list[StudyPoint]) -> str:
     small = [entry for entry in ranked if entry[0] <= ROUND_OFF * size_at_start(entry[-1])]
     if len(small) == len(ranked):
         return f"The joints stay closed to rounding errors in all runs: {most:.1e} m at most."
-    if most <= MARGIN * least:
+    if most <= Range.MARGIN * least:
         return f"The joint misalignment is the same in all runs: {most:.1e} m."
     largest = f"largest with {point_words(worst)} ({most:.1e} m)"
     if len(small) > 1:

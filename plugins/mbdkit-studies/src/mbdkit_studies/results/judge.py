@@ -10,7 +10,7 @@ from mbdkit.plugin.specs import registry
 
 if TYPE_CHECKING:
     from mbdkit.plugin.specs import Registered
-    from mbdkit_report.analysis.verdict import Verdict
+    from mbdkit_report import Verdict
     from mbdkit_studies.spec.study_spec import StudySpec
     from mbdkit_studies.study import Study
 
@@ -57,7 +57,7 @@ def judge(study: Study) -> Verdict:
 
 
 def _checked(verdict: Any, item: Registered) -> Verdict:
-    from mbdkit_report.analysis.verdict import Verdict
+    from mbdkit_report import Verdict
 
     if not isinstance(verdict, Verdict):
         what = type(verdict).__name__

@@ -15,8 +15,8 @@ from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.archives import NotRecordedError, kind_of_group, missed_between_rows
 from mbdkit.plugin.mechanisms import mechanism_sizes
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
-from mbdkit_report.analysis.energy import Trend, trends
-from mbdkit_report.analysis.reference import (
+from mbdkit_report import Trend, trends
+from mbdkit_studies.spec.reference_errors import (
     EVERY_ROW,
     LAST_ROW,
     carries_multipliers,

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.plugin import MbdkitError
-from mbdkit_report.group_table import data_frame
+from mbdkit_report import data_frame
 from mbdkit_studies.points.sample_groups import SampledStudy, groups_where, is_bad, one_group
 
 if TYPE_CHECKING:

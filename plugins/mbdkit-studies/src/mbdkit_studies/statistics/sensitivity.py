@@ -11,8 +11,7 @@ import numpy as np
 
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.plugin import MbdkitError, SpecError, listed
-from mbdkit_report.group_table import data_frame
-from mbdkit_report.key_words import key_words
+from mbdkit_report import data_frame, key_words
 from mbdkit_studies.points.sample_groups import SampledStudy, measured, one_group
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
 from mbdkit_studies.statistics.sobol_indices import RESAMPLES, SobolIndices, members_for, sobol_indices

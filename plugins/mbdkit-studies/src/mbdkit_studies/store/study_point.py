@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import overload
 
 from mbdkit.plugin import MbdkitError, RunSpec
-from mbdkit_report.key_words import key_unit, key_words
+from mbdkit_report import key_unit, key_words
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Label, PlannedPoint, PlannedPoints, point_label
 from mbdkit_studies.store.study_index import Index, Row

@@ -9,27 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from mbdkit.plugin import Mechanism
 from mbdkit_biomech.inverse_dynamics.signals.cycles import crossings
-from mbdkit_report.figures.drawing_geometry import mechanism_of
-from mbdkit_report.figures.mechanism_drawing import (
-    CROWD,
-    NARROW,
-    WIDE,
-    NamedPose,
-    draw_scale_bar,
-    draw_sketch,
-    joint_point,
-)
-from mbdkit_report.figures.page_model import Illustration
-from mbdkit_report.figures.plane_geometry import Array
+from mbdkit_report import Canvas, Drawing, Illustration, NamedPose, draw_sketch, mechanism_of
 from mbdkit_report.figures.scene import nearest_rows
-from mbdkit_report.figures.svg_canvas import Canvas
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
 
+Array = NDArray[np.float64]
 FRAMES, FRAMES_NARROW = 6, 3
 """Number of frames side by side on a wide page and on a narrow one."""
 ARROW = 0.45
@@ -65,7 +55,9 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
         if description
         else f"At equal intervals {when}."
     )
-    wide, narrow = (_svg(run, mechanism, *size) for size in ((FRAMES, WIDE), (FRAMES_NARROW, NARROW)))
+    wide, narrow = (
+        _svg(run, mechanism, *size) for size in ((FRAMES, Illustration.WIDE), (FRAMES_NARROW, Illustration.NARROW))
+    )
     return Illustration(wide, narrow, "The mechanism at several times with arrows of its forces", text)
 
 
@@ -121,10 +113,10 @@ def _widened(view: list[float], points: Array) -> list[float]:
 
 
 def _has_arrows(run: Run, mechanism: Mechanism | None) -> bool:
-    """Return whether arrows can be drawn: the model is available, and its bodies are so few (at most `CROWD`) that
-    arrows do not hide them.
+    """Return whether arrows can be drawn: the model is available, and its bodies are so few (at most `Drawing.CROWD`)
+    that arrows do not hide them.
     """
-    return mechanism is not None and list(mechanism.bodies) == list(run.bodies) and len(run.bodies) <= CROWD
+    return mechanism is not None and list(mechanism.bodies) == list(run.bodies) and len(run.bodies) <= Drawing.CROWD
 
 
 def _box(frame: NamedPose) -> Array:
@@ -153,7 +145,7 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
             _arrow(canvas, kind, canvas.px(point + shift), force * scale * canvas.scale)
         centre = float(canvas.px(np.array([pitch * index, low]))[0])
         _text(canvas, centre, canvas.height - 26.0, f"{float(run.time[rows[index]]):.4g} s", "middle")
-    draw_scale_bar(canvas)
+    canvas.scale_bar()
     _key(canvas, longest, scale, {kind for arrow in arrows for kind, *_ in arrow})
     return canvas.svg()
 
@@ -200,7 +192,7 @@ def _arrows(run: Run, frame: NamedPose, row: int) -> Iterator[Arrow]:
     forces = run.array("joints/reaction_force")[row] if run.joint_names else np.zeros((0, 2))
     for name, force in zip(run.joint_names, forces, strict=True):
         if name in mechanism.joints and not mechanism.joints[name].is_driver:
-            yield "joint", joint_point(frame, mechanism, mechanism.joints[name]), np.nan_to_num(force)
+            yield "joint", frame.joint_point(mechanism.joints[name]), np.nan_to_num(force)
     for load in run.loads.values():
         yield "load", load.point[row], load.force[row]
     for name, element in mechanism.forces.items():

@@ -4,6 +4,7 @@ data.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +15,20 @@ from mbdkit.plugin.archives import EXACT
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_biomech.inverse_dynamics.results.inverse_summary import reserve_shares
 from mbdkit_biomech.inverse_dynamics.results.workload import ElementWorkload, workload
-from mbdkit_report.figures.curves import bands
-from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, short_name
-from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table, columns_of
-from mbdkit_report.figures.svg_canvas import svg_of
+from mbdkit_report import (
+    Axis,
+    Cell,
+    Column,
+    Figure,
+    Illustration,
+    Line,
+    Section,
+    Table,
+    bands,
+    columns_of,
+    short_name,
+    svg_of,
+)
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -167,17 +178,16 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
 
 
 def _bars(elements: tuple[ElementWorkload, ...]) -> Illustration:
-    wide, narrow = (_bars_svg(elements, width) for width in (WIDE, NARROW))
     text = "Peak (pale) and root mean square (full) of the force or torque of each joint and actuator."
-    return Illustration(wide, narrow, text, text)
+    return Illustration.of(partial(_bars_svg, elements), text, text)
 
 
 def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
     """Return a drawing with one horizontal bar for each element: first forces, then torques, each with their own
     scale.
     """
-    left, right, step = (150.0, 110.0, 22.0) if width > NARROW else (130.0, 80.0, 22.0)
-    letters = 22 if width > NARROW else 19
+    left, right, step = (150.0, 110.0, 22.0) if width > Illustration.NARROW else (130.0, 80.0, 22.0)
+    letters = 22 if width > Illustration.NARROW else 19
     parts, y = [], 8.0
     for unit in ("N", "N m"):
         chosen = sorted(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from mbdkit_biomech.inverse_dynamics.results.workload import Workload
-from mbdkit_report.figures.page_model import Cell, Table, columns_of
-from mbdkit_report.notebook.result_views import View
+from mbdkit_report import Cell, Table, View, columns_of
 
 
 def workload_view(found: Workload) -> View:

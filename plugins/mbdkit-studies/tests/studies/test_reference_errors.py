@@ -9,7 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import MbdkitError
-from mbdkit_report.analysis.reference import LAST_ROW, offsets
+from mbdkit_studies.spec.reference_errors import LAST_ROW, offsets
 
 
 def falling(start: float, angle: float = 0.0, end: float = 1.0, step: float = 0.1, **sections: Any) -> mbdkit.Run:
