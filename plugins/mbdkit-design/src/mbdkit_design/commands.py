@@ -15,9 +15,9 @@ from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, Set, grouped, output
 from mbdkit_studies.command_options import Cluster, Workers, cores
 
 if TYPE_CHECKING:
-    from mbdkit import InverseSpec
     from mbdkit.plugin import RunSpec
     from mbdkit.plugin.specs import Document
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
     from mbdkit_design.design import Design
     from mbdkit_design.robustness import Deviation
 

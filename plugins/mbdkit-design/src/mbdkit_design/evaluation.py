@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit import InverseSpec
 from mbdkit.plugin import MbdkitError, ResourceError, Run, RunSpec, SpecError, path_text, plain
 from mbdkit.plugin.archives import ArrayContents, FinishedRun
 from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra, product
@@ -21,6 +20,7 @@ from mbdkit.plugin.specs import VariedSpecs, parse_key, variable_path
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures, sampled_measures
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import varied_inverse
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies.compute.batch import simulate_batch
 from mbdkit_studies.lanes.lane_runs import LaneRuns

@@ -8,9 +8,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mbdkit import InverseSpec
 from mbdkit.plugin import RunSpec
 from mbdkit.plugin.specs import Document
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.computing import plain_outcome
 from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_studies.compute import worker

@@ -16,12 +16,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit import InverseSpec
 from mbdkit.archive.part_file import remove_checkpoint
 from mbdkit.plugin import RunSpec, SpecError, load, simulate
 from mbdkit.plugin.files import canonical_text, replacing
 from mbdkit.plugin.specs import read_file, variable_path
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design import Design
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import DesignSpec

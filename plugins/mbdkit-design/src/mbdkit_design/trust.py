@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbdkit import InverseSpec
 from mbdkit.plugin import RunSpec
 from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
 from mbdkit_report.figures.quantity_text import with_unit
 

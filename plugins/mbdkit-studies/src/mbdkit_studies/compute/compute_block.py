@@ -14,7 +14,6 @@ from typing import Any
 from mbdkit.archive.stored_mechanism import is_determined
 from mbdkit.base.plain_data import collecting_new_objects_only
 from mbdkit.base.text import joined_lines
-from mbdkit.measures.take import with_error
 from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, path_text
 from mbdkit.plugin.archives import ArrayContents, FinishedRun, mechanism_json
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
@@ -29,7 +28,7 @@ from mbdkit_studies.compute.tasks import Outcome, mark_of
 from mbdkit_studies.compute.unfinished_block import UnfinishedBlock
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoint
-from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, places_by_group
+from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, other_values, places_by_group
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit_studies.store.study_blocks import stored
@@ -81,18 +80,10 @@ class BlockMeasures:
             for number, place in enumerate(places):
                 built_in = {name: column[number] for name, column in columns.items()}
                 try:
-                    taken[place] = built_in | self._of_one(runs[place])
+                    taken[place] = built_in | other_values(runs[place], runs[place].run_spec, self._defined_measures)
                 except Exception as error:
                     taken[place] = refusal(error)
         return taken
-
-    def _of_one(self, run: Run) -> dict[str, float]:
-        """Return the measures that are computed for one run at a time."""
-        taken: dict[str, float] = {}
-        for measure in self._defined_measures:
-            taken |= with_error(measure, run, run.run_spec)
-        checked = {} if run.accuracy is None else OF_CHECKED_RUNS
-        return taken | {name: measure.of(run) for name, measure in checked.items()}
 
 
 @dataclass(frozen=True)
@@ -144,7 +135,7 @@ def compute_block(
     Raises
     ------
     SpecError
-        If the folder contains no study in blocks.
+        If the folder contains no study.
     ResourceError
         If the block cannot be written, or another process is computing it.
     """
@@ -195,10 +186,7 @@ def _taken_over(saved: Mapping[int, BlockRun], members: Sequence[_Member]) -> di
 @lru_cache(maxsize=4)
 def _measures(study: str, changed: int) -> BlockMeasures:
     """Return the measures of a study, with its plan; cached for all blocks that a process computes."""
-    spec = load_study_spec(study)
-    if not spec.in_blocks:
-        raise SpecError("this study is not stored in blocks", file=study)
-    return BlockMeasures(StudyPlan(spec))
+    return BlockMeasures(StudyPlan(load_study_spec(study)))
 
 
 def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark) -> _Member:

@@ -12,8 +12,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import mbdkit
 from mbdkit.plugin import SpecError, one_line, value_text
+from mbdkit.plugin.archives import own_version
 from mbdkit_studies.compute.executors import SubmititExecutor
 from mbdkit_studies.compute.pool import PROGRAM, Pool
 from mbdkit_studies.compute.tasks import Outcome, Task, died
@@ -158,9 +158,9 @@ class ExecutorPool:
         futures: Iterator[Future[list[dict[str, Any]]]]
         try:
             if isinstance(self.executor, SubmititExecutor):
-                futures = iter(self.executor.submit_all(self._compute, messages, mbdkit.__version__))
+                futures = iter(self.executor.submit_all(self._compute, messages, own_version()))
             else:
-                futures = (self.executor.submit(self._compute, part, mbdkit.__version__) for part in messages)
+                futures = (self.executor.submit(self._compute, part, own_version()) for part in messages)
             for batch, future in zip(batches, futures, strict=True):
                 self._begun[future] = _Batch(batch)
                 submitted += 1

@@ -16,13 +16,12 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-import mbdkit
 from mbdkit.base.command_words import executing
 from mbdkit.plugin import MbdkitError, SpecError, shown
+from mbdkit.plugin.archives import own_version
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit_studies.compute.batch import refusal
 
@@ -94,8 +93,8 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | Non
 def _answered(task: dict[str, Any], of_version: str, carry: Carry) -> dict[str, Any]:
     notes: list[str] = []
     host = socket.gethostname()
-    if mbdkit.__version__ != of_version:
-        why = f"{host} has mbdkit {version('mbdkit')}, the study needs {of_version}; install the same version there."
+    if own_version() != of_version:
+        why = f"{host} has mbdkit {own_version()}, the study needs {of_version}; install the same version there."
     elif not Path(task["path"]).parent.is_dir():
         folder = shown(Path(task["path"]).parent)
         why = f"{host} cannot access the folder {folder}; it must be on a file system that all workers share."

@@ -13,7 +13,7 @@ import numpy as np
 from h5py import h5p
 
 from mbdkit.plugin import Array
-from mbdkit.plugin.archives import TEXT, create, set_text
+from mbdkit.plugin.archives import TEXT, create, is_text, set_text
 
 _LEVEL = 4
 """Compression level of deflate; higher levels take longer, but reduce the size by only a few per cent."""
@@ -66,13 +66,13 @@ def write_hashes(file: h5py.File, array: Array, hashes: Sequence[str], *, compre
 
 
 def read_column(dataset: h5py.Dataset) -> np.ndarray:
-    """Return a column: numbers, or an object array of strings for texts and hashes."""
+    """Return a column: numbers, or an object array of strings for texts and hashes, coded or not."""
     if "texts" in dataset.attrs:
         texts = np.array(dataset.parent[str(dataset.attrs["texts"])].asstr()[:], object)
         return np.asarray(texts[dataset[:]], object)
     if "hash" in dataset.attrs:
         return _hexadecimal(dataset[:])
-    return np.asarray(dataset[:])
+    return np.asarray((dataset.asstr() if is_text(dataset) else dataset)[:])
 
 
 def _hexadecimal(values: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.peak_errors import missed_of_verdict
+from mbdkit.measures.take import with_error
 from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.archives import NotRecordedError, kind_of_group, missed_between_rows
 from mbdkit.plugin.mechanisms import mechanism_sizes
@@ -26,8 +27,9 @@ from mbdkit_report.analysis.reference import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.plugin import Run, RunSpec
     from mbdkit.plugin.archives import FinishedRun
+    from mbdkit.plugin.specs import DefinedMeasure
 
 
 class RunGroup:
@@ -389,6 +391,17 @@ SECOND: Mapping[str, tuple[str, str]] = {
     ),
     "velocity_misalignment_every_step": ("m/s", "largest velocity misalignment of any joint over every step"),
 }
+
+
+def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> dict[str, float]:
+    """Return those values of a run, by column, that are computed for one run at a time: `defined` measures with their
+    errors, and measures of checked runs.
+    """
+    values: dict[str, float] = {}
+    for measure in defined:
+        values |= with_error(measure, run, spec)
+    checked = {} if run.accuracy is None else OF_CHECKED_RUNS
+    return values | {name: measure.of(run) for name, measure in checked.items()}
 
 
 def built_in_measures() -> Mapping[str, str]:

@@ -19,12 +19,6 @@ from mbdkit_studies.spec.sample_section import Sample, comparable
 from mbdkit_studies.spec.value_sets import ValueSet, sets_together, size
 
 
-def _check_key(key: str) -> str:
-    if not parse_key(key):
-        raise PydanticCustomError("mbdkit", "should be a dotted key of a run spec, such as time.step")
-    return key
-
-
 def _check_keys(keys: dict[str, Any]) -> dict[str, Any]:
     for key in keys:
         if not parse_key(key):
