@@ -15,7 +15,7 @@ from mbdkit.plugin import ResourceError, RunError
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
-from mbdkit_studies.compute.batch import CHUNK
+from mbdkit_studies.compute.batch import Batches
 from mbdkit_studies.compute.executor_pool import Engine
 from mbdkit_studies.compute.tasks import PASSING, Task
 
@@ -79,7 +79,7 @@ class Computer:
         elif self._engine.executor is not None:  # the number of processes of an executor is unknown
             size = WIDTH
         else:
-            size = min(CHUNK, math.ceil(len(own) * len(self._spec.specs) / self._engine.workers))
+            size = min(Batches.SIZE, math.ceil(len(own) * len(self._spec.specs) / self._engine.workers))
         return [tuple(own[first : first + size]) for first in range(0, len(own), max(1, size))]
 
     def _by_workers(self, pieces: Sequence[tuple[Job, ...]]) -> Iterator[tuple[Job, Outcome]]:

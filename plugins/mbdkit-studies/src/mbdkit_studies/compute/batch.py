@@ -29,6 +29,25 @@ def simulate_batch(specs: Iterable[RunSpec], *, lanes: LaneRuns | None = None) -
             following += 1
 
 
+class Batches:
+    """Batches of runs that differ in numbers; loops and compiled mechanisms are prepared once.
+
+    Attributes
+    ----------
+    SIZE
+        Number of runs that a batch should have, so that runs can be vectorized.
+    """
+
+    SIZE = CHUNK
+
+    def __init__(self) -> None:
+        self._lanes = LaneRuns(Starts(), ())
+
+    def simulate(self, specs: Iterable[RunSpec]) -> Iterator[FinishedRun | Outcome]:
+        """Run validated specs; see `simulate_batch`."""
+        return simulate_batch(specs, lanes=self._lanes)
+
+
 def simulate_in_any_order(
     specs: Iterable[RunSpec],
     *,

@@ -20,7 +20,7 @@ from mbdkit.plugin import MbdkitError, SpecError, counted, load, plain, shown, v
 from mbdkit.plugin.specs import RunSource, load_spec, parse_key, read_source
 from mbdkit.plugin.terminal import count_bar, in_notebook, logger_of, say
 from mbdkit_studies.compute.added_methods import MethodSource, with_methods
-from mbdkit_studies.compute.executor_pool import Engine, checked_executor
+from mbdkit_studies.compute.executor_pool import Engine
 from mbdkit_studies.compute.run_blocks import RunBlocks
 from mbdkit_studies.compute.run_files import RunFiles
 from mbdkit_studies.compute.run_store import RunStore
@@ -158,7 +158,7 @@ def study(
     >>> [point.status for point in study.points]
     ['complete', 'complete', 'complete', 'complete']
     """
-    engine = Engine(workers, checked_executor(executor))
+    engine = Engine.of(workers, executor)
     if overwrite and shard is not None:
         raise SpecError(
             "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
@@ -243,7 +243,7 @@ def ensemble(
     columns = _columns_of(variables)
     keys = {"block": block, "compress": compress or None, "measures": None if measures == "all" else measures}
     spec = _spec_of(source, columns, store, {name: value for name, value in keys.items() if value is not None})
-    engine = Engine(workers, checked_executor(executor))
+    engine = Engine.of(workers, executor)
     return _carried_out(load_study_spec(spec), out, engine, None, progress, notify, overwrite=overwrite)
 
 

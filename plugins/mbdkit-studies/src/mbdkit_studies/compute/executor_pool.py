@@ -40,6 +40,22 @@ class Engine:
     executor: Executor | None = None
     program: str = PROGRAM
 
+    @classmethod
+    def of(cls, workers: int, executor: object, program: str = PROGRAM) -> Engine:
+        """Return the engine with an executor passed by the user, which may be one of submitit, or None.
+
+        Raises
+        ------
+        SpecError
+            If the object is not an executor.
+        """
+        if executor is None or isinstance(executor, Executor):
+            return cls(workers, executor, program)
+        if hasattr(executor, "map_array"):
+            return cls(workers, SubmititExecutor(lambda: executor), program)
+        message = f"needs a concurrent.futures.Executor, or one of submitit, not {value_text(executor)}"
+        raise SpecError(message, key="executor")
+
     def pool(self, notify: Callable[[str], None]) -> Pool | ExecutorPool:
         """Return the pool that computes tasks, for use in a `with` block.
 
@@ -50,23 +66,6 @@ class Engine:
         """
         local: Pool = Pool(self.workers, notify, self.program)
         return local if self.executor is None else ExecutorPool(self.executor, local)
-
-
-def checked_executor(executor: Any) -> Executor | None:
-    """Return an executor passed by the user, which may be one of submitit.
-
-    Raises
-    ------
-    SpecError
-        If the object is not an executor.
-    """
-    if executor is None or isinstance(executor, Executor):
-        return executor
-    if hasattr(executor, "map_array"):
-        return SubmititExecutor(lambda: executor)
-    raise SpecError(
-        f"needs a concurrent.futures.Executor, or one of submitit, not {value_text(executor)}", key="executor"
-    )
 
 
 class ExecutorPool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
@@ -14,6 +15,7 @@ from mbdkit.plugin.archives import NotStoredError
 from mbdkit.plugin.files import only_known
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.block_writer import KEEPING_TIMES
 from mbdkit_studies.store.blocks import Block
@@ -32,12 +34,27 @@ class Storage(ABC):
     ----------
     HOW_TO_READ
         Sentences that say how to read or repeat a run, given its number.
+    CONTENT
+        What a file contains, as a word.
     """
 
     HOW_TO_READ: str
+    CONTENT: str
+    _NAME: re.Pattern[str]
 
     def __init__(self, spec: StudySpec, folder: StudyFolder, planned: PlannedPoints):
         self.spec, self.folder, self.planned = spec, folder, planned
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """Number of files of the complete study; for archives, number of points."""
+
+    @property
+    def done(self) -> int:
+        """Number of files that exist."""
+        names = [path.name for path in self.folder.runs.iterdir()] if self.folder.runs.is_dir() else []
+        return sum(bool(self._NAME.fullmatch(name)) for name in names)
 
     @abstractmethod
     def path(self, point: StudyPoint) -> Path | None:
@@ -59,6 +76,13 @@ class Archives(Storage):
         'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
         "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
     )
+    CONTENT = "run"
+    _NAME = re.compile(r"[0-9a-f]{16}\.h5")
+
+    @property
+    def count(self) -> int:
+        """See `Storage.count`."""
+        return len(self.planned)
 
     def path(self, point: StudyPoint) -> Path | None:
         """See `Storage.path`."""
@@ -83,6 +107,13 @@ class Blocks(Storage):
         "The study's folder contains the runs in blocks. In Python, mbdkit.load_study(folder).run(number=1) returns "
         "what is stored of run 1, and remake(number=1) integrates it again with all arrays."
     )
+    CONTENT = "block"
+    _NAME = re.compile(r"block-[0-9]{6,}\.h5")
+
+    @property
+    def count(self) -> int:
+        """See `Storage.count`."""
+        return self._blocks.count
 
     def path(self, point: StudyPoint) -> Path | None:
         """See `Storage.path`."""
@@ -121,3 +152,16 @@ class Blocks(Storage):
 def storage_of(spec: StudySpec, folder: StudyFolder, planned: PlannedPoints) -> Storage:
     """Return how the runs of a study are stored."""
     return (Blocks if spec.in_blocks else Archives)(spec, folder, planned)
+
+
+def storage_in(folder: Path) -> Storage:
+    """Return how the runs of the study in a folder are stored.
+
+    Raises
+    ------
+    SpecError
+        If the folder contains no valid study spec.
+    """
+    files = StudyFolder(folder)
+    spec = load_study_spec(files.spec)
+    return storage_of(spec, files, PlannedPoints(spec))
