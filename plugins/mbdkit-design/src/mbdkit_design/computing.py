@@ -11,8 +11,7 @@ from types import TracebackType
 from typing import Any
 
 from mbdkit.kernels import WIDTH
-from mbdkit.plugin import ResourceError, RunError
-from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit.plugin import ResourceError, RunError, RunSpec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
 from mbdkit_studies.compute.batch import Batches
@@ -74,7 +73,7 @@ class Computer:
     def _pieces(self, scenario: str, jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
         """Return the jobs of a scenario in groups; the jobs of a group are computed together."""
         own = [job for job in jobs if job.scenario == scenario]
-        if isinstance(self._spec.specs[scenario], InverseSpec):
+        if not isinstance(self._spec.specs[scenario], RunSpec):
             size = 1
         elif self._engine.executor is not None:  # the number of processes of an executor is unknown
             size = WIDTH
@@ -108,7 +107,6 @@ class Computer:
         assert spec._document is not None
         content = {
             "spec": spec._document.data,
-            "kind": "inverse" if isinstance(spec, InverseSpec) else "run",
             "folder": str(spec._document.folder.absolute()),
             "settings": [[[list(path), value] for path, value in job.settings] for job in jobs],
         }

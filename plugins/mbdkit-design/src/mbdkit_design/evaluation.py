@@ -16,12 +16,12 @@ from mbdkit.plugin.archives import ArrayContents, FinishedRun
 from mbdkit.plugin.equations import one_thread_of_linear_algebra, product
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.measures import describe, error_of, take
-from mbdkit.plugin.specs import VariedSpecs, parse_key, variable_path
+from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs, parse_key, variable_path
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures, sampled_measures
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import varied_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
-from mbdkit_design.design_spec import DesignSpec
+from mbdkit_design.design_spec import DesignSpec, Variable
 from mbdkit_studies.compute.batch import Batches
 
 Settings = Sequence[tuple[Path, Any]]
@@ -169,7 +169,7 @@ class ScenarioRuns:
         return [] if isinstance(self.spec, RunSpec) else [(("motion", "errors"), "none")]
 
     @cached_property
-    def _measures(self) -> tuple[Any, ...]:
+    def _measures(self) -> tuple[DefinedMeasure, ...]:
         return self.spec.defined_measures()
 
     def _failed(self, reason: str) -> Outcome:
@@ -340,5 +340,5 @@ class Evaluator:
         return product(values.T, weights)
 
     @staticmethod
-    def _width(variable: Any) -> float:
+    def _width(variable: Variable) -> float:
         return float(variable.bounds[1] - variable.bounds[0])

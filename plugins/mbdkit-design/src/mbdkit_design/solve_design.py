@@ -30,7 +30,7 @@ Progress = Callable[[int, int], None]
 
 
 def design(
-    source: Any,
+    source: object,
     *,
     out: str | Path | None = None,
     workers: int = 1,

@@ -188,7 +188,7 @@ class Study(StudyRuns, HtmlView):
         """Unit of each numeric column of `columns` that is not an axis, by name."""
         return {name: column.units for name, column in self._index.described.items()}
 
-    def columns(self) -> dict[str, Any]:
+    def columns(self) -> dict[str, np.ndarray]:
         """Return the columns of `to_frame` by name, each with one value for each point."""
         return self._table()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 
-from mbdkit.base.text import joined_lines
 from mbdkit.kernels import WIDTH
 from mbdkit.plugin import MbdkitError, PluginError, ResourceError, RunSpec, SpecError, one_line
 from mbdkit.plugin.archives import FinishedRun
@@ -13,6 +12,7 @@ from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra
 from mbdkit.plugin.runs import simulate_arrays
 from mbdkit_studies.compute.tasks import Outcome
 from mbdkit_studies.lanes.lane_runs import LaneRuns
+from mbdkit_studies.texts import joined_lines
 
 CHUNK = 8 * WIDTH
 """Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together."""

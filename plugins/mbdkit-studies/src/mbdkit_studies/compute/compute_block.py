@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 from mbdkit.archive.stored_mechanism import is_determined
-from mbdkit.base.plain_data import collecting_new_objects_only
-from mbdkit.base.text import joined_lines
 from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, path_text
 from mbdkit.plugin.archives import ArrayContents, FinishedRun, mechanism_json
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
@@ -32,6 +32,7 @@ from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, Measure, Run
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit_studies.store.study_blocks import stored
+from mbdkit_studies.texts import joined_lines
 
 MISALIGNMENT = "misalignment_max"
 """The measure that blocks store in a column apart from the other measures."""
@@ -84,6 +85,19 @@ class BlockMeasures:
                 except Exception as error:
                     taken[place] = refusal(error)
         return taken
+
+
+@contextmanager
+def _collecting_new_objects_only() -> Iterator[None]:
+    """Exclude existing objects from the cyclic garbage collector in a block.
+
+    Otherwise the collector would traverse all modules repeatedly, which takes a sixth of the time of a block of runs.
+    """
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @dataclass(frozen=True)
@@ -148,7 +162,7 @@ def compute_block(
     )
     unfinished = UnfinishedBlock(files.block(block), heading)
     # entered here, because entering it for each vector of runs would take time
-    with _Mark(files.block(block)) as mark, collecting_new_objects_only(), one_thread_of_linear_algebra():
+    with _Mark(files.block(block)) as mark, _collecting_new_objects_only(), one_thread_of_linear_algebra():
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
         members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
         runs = _taken_over(unfinished.saved(), members)

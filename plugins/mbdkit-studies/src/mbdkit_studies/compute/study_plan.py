@@ -8,8 +8,7 @@ from contextlib import suppress
 from functools import cached_property
 
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.base.text import without_numbers
-from mbdkit.measures.take import has_error, is_taken
+from mbdkit.measures.take import is_taken
 from mbdkit.plugin import RunSpec, SpecError, path_text
 from mbdkit.plugin.doubts import angles_in_degrees
 from mbdkit.plugin.files import Path
@@ -21,11 +20,12 @@ from mbdkit.spec.study_measures import expressions_of
 from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids
 from mbdkit_studies.points.varied_values import notes_on_varied_values, start_warnings_of_study
 from mbdkit_studies.results.judge import find_verdict
-from mbdkit_studies.spec.measures import MEASURES
+from mbdkit_studies.spec.measures import MEASURES, has_error
 from mbdkit_studies.spec.sample_section import typical_values
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_blocks import StudyBlocks
 from mbdkit_studies.store.study_index import COLUMNS, axis_column
+from mbdkit_studies.texts import without_numbers
 
 SAMPLES = 8
 """Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.

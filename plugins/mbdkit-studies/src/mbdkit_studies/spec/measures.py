@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.measured_values import ERROR
 from mbdkit.archive.peak_errors import missed_of_verdict
-from mbdkit.measures.take import with_error
+from mbdkit.measures.take import is_taken
 from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.archives import NotRecordedError, kind_of_group, missed_between_rows
+from mbdkit.plugin.measures import error_of, take
 from mbdkit.plugin.mechanisms import mechanism_sizes
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
 from mbdkit_report.analysis.energy import Trend, trends
@@ -393,13 +395,20 @@ SECOND: Mapping[str, tuple[str, str]] = {
 }
 
 
+def has_error(measure: DefinedMeasure, spec: RunSpec) -> bool:
+    """Return whether a measure of the runs of a spec has an error estimate, which may be nan."""
+    return spec.check and measure.item is None and is_taken(measure, spec)
+
+
 def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> dict[str, float]:
     """Return those values of a run, by column, that are computed for one run at a time: `defined` measures with their
     errors, and measures of checked runs.
     """
     values: dict[str, float] = {}
     for measure in defined:
-        values |= with_error(measure, run, spec)
+        values[measure.name] = value = take(measure, run, spec)
+        if has_error(measure, spec):
+            values[measure.name + ERROR] = error_of(measure, value, run, spec)
     checked = {} if run.accuracy is None else OF_CHECKED_RUNS
     return values | {name: measure.of(run) for name, measure in checked.items()}
 

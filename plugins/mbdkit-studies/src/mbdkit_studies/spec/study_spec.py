@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -200,7 +201,9 @@ class StudySpec(StrictSpec):
 
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
     _folder: FilePath = PrivateAttr(default_factory=FilePath)
-    _columns: Any = PrivateAttr(default=None)  # folder of the table of members, after it has been read
+    _columns: dict[str, np.ndarray] | None = PrivateAttr(
+        default=None
+    )  # folder of the table of members, after it has been read
 
     @model_validator(mode="after")
     def _consistent(self) -> StudySpec:

@@ -15,7 +15,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit.archive.part_file import LIBVER
 from mbdkit.plugin import ArchiveError, Array, SpecError
 from mbdkit.plugin.archives import (
     ATTRIBUTES_HASH,
@@ -34,7 +33,7 @@ from mbdkit.plugin.archives import (
 )
 from mbdkit.plugin.files import replacing
 from mbdkit.plugin.measures import Description
-from mbdkit_studies.folder.columns import read_column, write_column, write_hashes
+from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
 from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit_studies.spec.study_spec import StudySpec
@@ -233,8 +232,7 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
     SpecError
         If the index cannot be written, as on a full disk. The previous index then remains unchanged.
     """
-    # The file is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
-    with h5py.File(f"index-{id(index)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
+    with hdf5_in_memory() as file:
         set_text(file, "format", FORMAT)
         set_text(file, "format_version", FORMAT_VERSION)
         set_text(file, "mbdkit", own_version())
@@ -247,8 +245,7 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
             _write_states(file, index.states)
         set_text(file, "data_sha256", data_sha256(file))
         set_text(file, ATTRIBUTES_HASH, attributes_sha256(file))
-        file.flush()
-        image = file.id.get_file_image()
+        image = file_bytes(file)
     with replacing(path) as temporary:
         temporary.write_bytes(image)
 
