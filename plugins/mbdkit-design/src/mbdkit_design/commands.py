@@ -12,7 +12,7 @@ import typer
 
 from mbdkit.plugin import listed, show, show_json
 from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, Set, grouped, output_to, say, silence, stem, tally_bar
-from mbdkit_studies.command_options import Cluster, Workers
+from mbdkit_studies import Cluster, Workers
 
 if TYPE_CHECKING:
     from mbdkit.plugin import RunSpec

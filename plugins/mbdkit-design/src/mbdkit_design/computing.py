@@ -14,9 +14,7 @@ from mbdkit.kernels import WIDTH
 from mbdkit.plugin import ResourceError, RunError, RunSpec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
-from mbdkit_studies.compute.batch import Batches
-from mbdkit_studies.compute.executor_pool import Engine
-from mbdkit_studies.compute.tasks import PASSING, Task
+from mbdkit_studies import PASSING, Batches, Engine, Task
 
 PATIENCE = 5.0
 """Computing time in this process [s] after which worker processes are started; starting one takes about two seconds."""

@@ -43,7 +43,7 @@ from mbdkit.plugin.specs import (
     variable_path,
 )
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
-from mbdkit_studies.spec.study_spec import Overrides
+from mbdkit_studies import Overrides
 
 GOAL = "goal"
 """Name of the only goal if `minimize` is an expression."""

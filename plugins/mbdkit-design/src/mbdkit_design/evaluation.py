@@ -22,7 +22,7 @@ from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasu
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import varied_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Variable
-from mbdkit_studies.compute.batch import Batches
+from mbdkit_studies import Batches
 
 Settings = Sequence[tuple[Path, Any]]
 """Key paths and their values."""

@@ -11,8 +11,8 @@ from mbdkit.plugin.specs import Document
 from mbdkit_design.computing import plain_outcome
 from mbdkit_design.design_loading import spec_class
 from mbdkit_design.evaluation import ScenarioRuns
+from mbdkit_studies import Message
 from mbdkit_studies.compute import worker
-from mbdkit_studies.compute.tasks import Message
 
 
 def main() -> None:

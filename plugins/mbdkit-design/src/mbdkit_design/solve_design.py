@@ -20,7 +20,7 @@ from mbdkit_design.point import Notify
 from mbdkit_design.search import check_installed
 from mbdkit_design.stages import Stages
 from mbdkit_design.store import DesignFolder
-from mbdkit_studies.compute.executor_pool import Engine
+from mbdkit_studies import Engine
 
 WORKER = "mbdkit_design.job_worker"
 """Module that carries out the tasks of worker processes."""

@@ -29,7 +29,7 @@ from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_design.known_points import NOT_READ, read_versioned
 from mbdkit_design.point import DesignPoint
 from mbdkit_design.trust import check_of
-from mbdkit_studies.folder.owned_folder import OwnedFolder
+from mbdkit_studies import OwnedFolder
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

@@ -12,7 +12,7 @@ from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import Limit
 from mbdkit_design.problem import FEASIBLE
 from mbdkit_design.store import DesignFolder
-from mbdkit_studies.store.storage import storage_in
+from mbdkit_studies import storage_in
 
 
 @dataclass(frozen=True)
