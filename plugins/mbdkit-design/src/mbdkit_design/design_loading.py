@@ -13,7 +13,7 @@ from mbdkit.plugin.specs import Document, example_names, kind_of, parse_key, put
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_report.key_words import stated_units
-from mbdkit_studies import base_source, document_of
+from mbdkit_studies.spec.study_loading import base_source, document_of
 
 
 def load_design_spec(source: object, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:

@@ -35,7 +35,7 @@ from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.model_section import drawing
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import TONES, environment, film_of
-from mbdkit_studies import Engine
+from mbdkit_studies.compute.executor_pool import Engine
 
 if TYPE_CHECKING:
     from mbdkit_design.design import Design

@@ -13,7 +13,7 @@ from mbdkit.plugin.specs import kind_of, load_spec, put, read_source
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
 from mbdkit_explore.sliders import sliders
 from mbdkit_report.pages.run_report import TONES, film_of, yaml_text
-from mbdkit_studies import PreparedRun
+from mbdkit_studies.lanes.prepared_run import PreparedRun
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

@@ -27,11 +27,12 @@ from mbdkit_report.analysis.verdict import (
     together,
     told,
 )
-from mbdkit_studies import STEP, family, value
+from mbdkit_studies.results.point_selection import STEP, family, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies import Study, StudyPoint
+    from mbdkit_studies.store.study_point import StudyPoint
+    from mbdkit_studies.study import Study
 
 G = 9.81
 EXACT = 1e-9

@@ -12,10 +12,11 @@ import numpy as np
 from mbdkit_report.analysis.energy import SURE
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import Cell
-from mbdkit_studies import STEP, Points, family
+from mbdkit_studies.results.point_selection import STEP, Points, family
 
 if TYPE_CHECKING:
-    from mbdkit_studies import Study, StudyPoint
+    from mbdkit_studies.store.study_point import StudyPoint
+    from mbdkit_studies.study import Study
 
 COMBINATION = "method"
 """Axis of the combinations."""

@@ -11,7 +11,7 @@ from mbdkit_paper.drift.drift_figures import energies, errors
 from mbdkit_report.analysis.verdict import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together, told
 
 if TYPE_CHECKING:
-    from mbdkit_studies import Study
+    from mbdkit_studies.study import Study
 
 NEAR, APART = 0.2, 0.3
 """Observed and expected order agree if they differ by at most `NEAR`, and disagree if they differ by `APART` or more.

@@ -27,11 +27,11 @@ from mbdkit_report.analysis.verdict import (
     exceeds,
     told,
 )
-from mbdkit_studies import METHOD, STEP, value
+from mbdkit_studies.results.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies import Study
+    from mbdkit_studies.study import Study
 
 REFERENCE = ("Gauss 3", 2e-6)
 HELD = 1e-7

@@ -12,10 +12,11 @@ from mbdkit_report.analysis.growth import growth_law, worst_history
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import MARGIN, Answer, Axis, Cell, Claim, Figure, Line, Table, columns_of, together
 from mbdkit_report.figures.quantity_text import least_most
-from mbdkit_studies import METHOD, MODEL, STEP, Points, at_equal_work, family, value, work_for
+from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
-    from mbdkit_studies import Study
+    from mbdkit_studies.study import Study
 
 ORDERS = {GILL: 4, GAUSS2: 4, GAUSS3: 6}
 TOLERANCE = 0.2

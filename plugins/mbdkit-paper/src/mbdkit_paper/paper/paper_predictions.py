@@ -23,11 +23,11 @@ from mbdkit_report.analysis.verdict import (
     together,
 )
 from mbdkit_report.figures.quantity_text import least_most
-from mbdkit_studies import METHOD, STEP, family
+from mbdkit_studies.results.point_selection import METHOD, STEP, family
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies import Study
+    from mbdkit_studies.study import Study
 
 PREDICTED = {GAUSS2: Range(1e-3, 1.0, "mm"), GAUSS3: Range(1e-7, 1e-4, "mm")}
 PER_JOINT = Range(10.0, 100.0)

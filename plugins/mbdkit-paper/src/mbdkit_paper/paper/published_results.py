@@ -21,11 +21,12 @@ from mbdkit_report.analysis.verdict import (
     exceeds,
     together,
 )
-from mbdkit_studies import METHOD, MODEL, STEP, Points, family, value
+from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies import Study, StudyPoint
+    from mbdkit_studies.store.study_point import StudyPoint
+    from mbdkit_studies.study import Study
 
 GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
 METHODS = (GILL, GAUSS2, GAUSS3)

@@ -12,13 +12,13 @@ from mbdkit_paper.paper.published_results import METHODS, magnitudes, ranking, t
 from mbdkit_paper.paper.source_paper import TITLE
 from mbdkit_report.analysis.verdict import UNDECIDED, Answer, Cell, Claim, Table, Verdict, columns_of, told
 from mbdkit_report.figures.quantity_text import least_most
-from mbdkit_studies import METHOD, MODEL, STEP, family, value
+from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:
-    from mbdkit_studies import Study
+    from mbdkit_studies.study import Study
 
 if TYPE_CHECKING:
-    from mbdkit_studies import Study
+    from mbdkit_studies.study import Study
 
 NOTES = (
     f"The source paper is \u201c{TITLE}\u201d. Its author and DOI are not known to us.",

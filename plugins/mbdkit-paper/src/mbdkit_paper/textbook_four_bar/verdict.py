@@ -32,11 +32,12 @@ from mbdkit_report.analysis.verdict import (
     told,
 )
 from mbdkit_report.figures.quantity_text import least_most, two_digits
-from mbdkit_studies import METHOD, STEP, at_equal_work, family, value, work_for
+from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies.results.point_selection import METHOD, STEP, family, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies import Study
+    from mbdkit_studies.study import Study
 
 STANDARD = 0.08
 DAE = 0.008
