@@ -9,6 +9,7 @@ import numpy as np
 from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.doubts import ROUND_OFF
 from mbdkit.plugin.mechanisms import mechanism_size
+from mbdkit.trust.criteria import EPS
 from mbdkit_report.analysis.order import observed_order
 from mbdkit_report.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
 from mbdkit_studies.points.sample_groups import measured
@@ -94,7 +95,7 @@ def _orders(study: Study) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, points in lines.items():
         orders = []
-        noise = _ROUNDINGS * np.finfo(float).eps * max(map(size_at_start, points))
+        noise = _ROUNDINGS * EPS * max(map(size_at_start, points))
         for column in ("end_error", "misalignment_max"):
             steps, values = Points(points).along(STEP, column)
             estimate = observed_order(steps, np.where(values > noise, values, np.nan))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mbdkit.plugin import PluginError, SpecError, StudyPlugin, did_you_mean, listed, with_place
 from mbdkit.plugin.specs import registry
@@ -43,7 +43,7 @@ def judge(study: Study) -> Verdict:
         return with_added_methods(general_verdict(study), study)
     item, function = find_verdict(study.spec)
     try:
-        verdict = function(study)
+        verdict: Any = function(study)
     except (LookupError, ValueError) as error:
         wrong = (
             f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"
@@ -56,7 +56,7 @@ def judge(study: Study) -> Verdict:
     return with_added_methods(_checked(verdict, item), study)
 
 
-def _checked(verdict: object, item: Registered) -> Verdict:
+def _checked(verdict: Any, item: Registered) -> Verdict:
     from mbdkit_report.analysis.verdict import Verdict
 
     if not isinstance(verdict, Verdict):
@@ -67,7 +67,7 @@ def _checked(verdict: object, item: Registered) -> Verdict:
     return verdict
 
 
-def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Study], object]]:
+def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Any], Any]]:
     """Return the packaged study that a spec names as its verdict, and the verdict function of that study.
 
     Raises
