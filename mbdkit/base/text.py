@@ -11,12 +11,6 @@ _HARMFUL = re.compile(
     "[\0-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff"  # not allowed in XML, or interpreted by terminals
     "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]"  # reverse or hide text
 )
-_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
-
-
-def without_numbers(text: str) -> str:
-    """Return a text with every number replaced by 0, so that messages that differ only in numbers are equal."""
-    return _NUMBER.sub("0", text)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -78,11 +72,6 @@ def _text_of(error: BaseException) -> str | None:
         raise
     except BaseException:
         return None
-
-
-def joined_lines(text: str) -> str:
-    """Return the lines of a message on one line."""
-    return "; ".join(line.strip() for line in text.splitlines())
 
 
 def shortened(text: str) -> str:

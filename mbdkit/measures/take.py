@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.archive.measured_values import ERROR, MeasuredValues
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import listed, message_of
@@ -111,18 +111,6 @@ def _why_undecided(run: Run, spec: ModelSpec) -> str:
     the differences of their measures are smaller than the errors.
     """
     return "" if run.accuracy is None or run.accuracy.is_complete else spec.undecided
-
-
-def has_error(measure: DefinedMeasure, spec: ModelSpec) -> bool:
-    """Return whether a measure of the runs of a spec has an error estimate, which may be nan."""
-    return spec.checks_measures and measure.item is None and is_taken(measure, spec)
-
-
-def with_error(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> dict[str, float]:
-    """Return the value of a measure and, if the run has a check, its estimated error, by names of columns."""
-    value = take(measure, run, spec)
-    errors = {measure.name + ERROR: error_of(measure, value, run, spec)} if has_error(measure, spec) else {}
-    return {measure.name: value} | errors
 
 
 def take_all(run: Run, spec: ModelSpec) -> MeasuredValues:

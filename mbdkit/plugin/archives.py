@@ -49,6 +49,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.archive.untrusted_file import open_hdf5 as open_hdf5
     from mbdkit.archive.writer import ArchiveWriter as ArchiveWriter
+    from mbdkit.base.distributions import own_version as own_version
     from mbdkit.quantities.array import FLOAT as FLOAT, INTEGER as INTEGER, TEXT as TEXT
     from mbdkit.quantities.entries import (
         AXIS as AXIS, JOINT as JOINT, TIME as TIME, computed as computed, unit_array as unit_array,

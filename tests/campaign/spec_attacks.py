@@ -18,7 +18,7 @@ from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.loading import example_text
 from mbdkit.spec.yaml_reader import read_yaml, write_yaml
 from mbdkit_design.design_loading import load_design_spec
-from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec, study_names
 
 from .attack import LONGEST_MESSAGE, Attack, in_child
@@ -200,7 +200,7 @@ def _spec(random: Random, folder: Path) -> list[str]:
 
 
 def _plan(file: Path) -> None:
-    for point in plan_points(load_study_spec(file))[:50]:
+    for point in PlannedPoints(load_study_spec(file))[:50]:
         _ = point.run_id
 
 

@@ -12,12 +12,12 @@ import typer
 
 from mbdkit.plugin import listed, show, show_json
 from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, Set, grouped, output_to, say, silence, stem, tally_bar
-from mbdkit_studies.command_options import Cluster, Workers, cores
+from mbdkit_studies import Cluster, Workers
 
 if TYPE_CHECKING:
-    from mbdkit import InverseSpec
     from mbdkit.plugin import RunSpec
     from mbdkit.plugin.specs import Document
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
     from mbdkit_design.design import Design
     from mbdkit_design.robustness import Deviation
 
@@ -77,14 +77,15 @@ def design(
     from mbdkit_design.solve_design import WORKER, evaluating, solved_in
     from mbdkit_design.stages import Stages
     from mbdkit_design.store import DesignFolder
-    from mbdkit_studies.compute.executor_pool import Engine
-    from mbdkit_studies.compute.executors import opened
 
     folder = output if output is not None else Path(stem(spec))
     notify = silence if printing.quiet or printing.as_json else say
-    with opened(cluster, workers, folder, notify) as executor, tally_bar(folder.name, printing.quiet) as progress:
+    with (
+        cluster.engine(workers, folder, notify, program=WORKER) as engine,
+        tally_bar(folder.name, printing.quiet) as progress,
+    ):
         loaded = load_design_spec(spec, assignments or ())
-        there, engine = DesignFolder(folder), Engine(workers or cores(), executor, WORKER)
+        there = DesignFolder(folder)
         further = 0 if optimum_only else 1
         stages = Stages(loaded, notify, progress, optimum_only=optimum_only, further=further)
         result = solved_in(there, loaded, engine, stages, overwrite=overwrite)
@@ -97,7 +98,7 @@ def design(
     if with_report:
         from mbdkit_report import write_report
 
-        page, _ = write_report(folder, overwrite=True, workers=workers or cores())
+        page, _ = write_report(folder, overwrite=True, workers=engine.workers)
     if printing.as_json:
         show_json(
             {"path": str(folder), **result.to_dict(), "warnings": result.warnings}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -67,16 +66,6 @@ class Comparison:
     def fails(self) -> bool:
         """Whether a run with the settings of the design fails at the point found with the other settings."""
         return self.actual is not None and any(map(np.isnan, self.actual.goals.values()))
-
-    @classmethod
-    def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Comparison:
-        """Return the comparison from plain data."""
-        believed, actual, own_start, own_best = (
-            None if data[key] is None else DesignPoint.from_dict(spec, data[key])
-            for key in ("believed", "actual", "own_start", "own_best")
-        )
-        is_feasible, reason = bool(data["is_feasible"]), str(data["reason"])
-        return cls(str(data["name"]), believed, actual, is_feasible, reason, own_start, own_best)
 
 
 def compared_with(evaluator: Evaluator, name: str) -> Evaluator:

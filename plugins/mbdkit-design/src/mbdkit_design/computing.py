@@ -10,14 +10,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from mbdkit import InverseSpec
 from mbdkit.kernels import WIDTH
-from mbdkit.plugin import ResourceError, RunError
+from mbdkit.plugin import ResourceError, RunError, RunSpec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
-from mbdkit_studies.compute.batch import CHUNK
-from mbdkit_studies.compute.executor_pool import Engine
-from mbdkit_studies.compute.tasks import PASSING, Task
+from mbdkit_studies import PASSING, Batches, Engine, Task
 
 PATIENCE = 5.0
 """Computing time in this process [s] after which worker processes are started; starting one takes about two seconds."""
@@ -74,12 +71,12 @@ class Computer:
     def _pieces(self, scenario: str, jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
         """Return the jobs of a scenario in groups; the jobs of a group are computed together."""
         own = [job for job in jobs if job.scenario == scenario]
-        if isinstance(self._spec.specs[scenario], InverseSpec):
+        if not isinstance(self._spec.specs[scenario], RunSpec):
             size = 1
         elif self._engine.executor is not None:  # the number of processes of an executor is unknown
             size = WIDTH
         else:
-            size = min(CHUNK, math.ceil(len(own) * len(self._spec.specs) / self._engine.workers))
+            size = min(Batches.SIZE, math.ceil(len(own) * len(self._spec.specs) / self._engine.workers))
         return [tuple(own[first : first + size]) for first in range(0, len(own), max(1, size))]
 
     def _by_workers(self, pieces: Sequence[tuple[Job, ...]]) -> Iterator[tuple[Job, Outcome]]:
@@ -108,7 +105,6 @@ class Computer:
         assert spec._document is not None
         content = {
             "spec": spec._document.data,
-            "kind": "inverse" if isinstance(spec, InverseSpec) else "run",
             "folder": str(spec._document.folder.absolute()),
             "settings": [[[list(path), value] for path, value in job.settings] for job in jobs],
         }

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from mbdkit.plugin import RunSpec, SpecError, counted, table
 from mbdkit_design.compared_settings import Comparison, compare, comparison_table
@@ -18,7 +19,7 @@ from mbdkit_design.front import front_table, pareto_front
 from mbdkit_design.gains import Gain, gains, goal_units, goal_words, measure_units, variable_unit, violations
 from mbdkit_design.identifiability import sentence, undetermined
 from mbdkit_design.limits_in_degrees import limits_in_degrees
-from mbdkit_design.point import DesignPoint, numbers, point_of
+from mbdkit_design.point import DesignPoint, Stored, point_of
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, advice, searches
 from mbdkit_design.stages import Stages
@@ -80,33 +81,15 @@ class Design:
     message: str
     derivatives: str = ""
     unconfirmed: tuple[str, ...] = ()
-    undetermined: tuple[dict[str, float], ...] = ()
+    undetermined: tuple[dict[str, Stored], ...] = ()
     compared: tuple[Comparison, ...] = ()
     is_converged: bool = True
     changed_starts: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; unknown numbers are None."""
-        points = {"start": self.start, "best": self.best}
-        plain: dict[str, Any] = _plain(
-            {name: asdict(point) for name, point in points.items()}
-            | {
-                "front": [asdict(point) for point in self.front],
-                "trust": asdict(self.trust),
-                "is_feasible": self.is_feasible,
-                "runs": self.runs,
-                "failures": self.failures,
-                "searches": {"at_best": self.searches[0], "all": self.searches[1]},
-                "message": self.message,
-                "is_converged": self.is_converged,
-                "derivatives": self.derivatives,
-                "unconfirmed": self.unconfirmed,
-                "undetermined": self.undetermined,
-                "changed_starts": self.changed_starts,
-                "compared": [asdict(one) for one in self.compared],
-            }
-        )
-        return plain
+        plain = {one.name: _plain(getattr(self, one.name)) for one in fields(self) if one.name != "spec"}
+        return plain | {"searches": dict(zip(("at_best", "all"), self.searches, strict=True))}
 
     @classmethod
     def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Design:
@@ -114,36 +97,12 @@ class Design:
 
         Raises ValueError, KeyError or TypeError if the data are not valid.
         """
-        trust = data["trust"]
-        return cls(
-            spec=spec,
-            start=DesignPoint.from_dict(spec, data["start"]),
-            best=DesignPoint.from_dict(spec, data["best"]),
-            front=tuple(DesignPoint.from_dict(spec, one) for one in data["front"]),
-            trust=Trust(
-                numbers(trust["errors"]),
-                numbers(trust["gain"]),
-                dict(trust["is_gain"]),
-                str(trust["verdict"]),
-                str(trust["reason"]),
-                tuple(map(str, trust["failures"])),
-                numbers(trust["gain_errors"]),
-                bool(trust["is_of_data"]),
-                str(trust.get("start_verdict", trust["verdict"])),
-                str(trust.get("start_reason", "")),
-            ),
-            is_feasible=bool(data["is_feasible"]),
-            runs=int(data["runs"]),
-            failures=int(data["failures"]),
-            searches=(int(data["searches"]["at_best"]), int(data["searches"]["all"])),
-            message=str(data["message"]),
-            derivatives=str(data["derivatives"]),
-            unconfirmed=tuple(map(str, data["unconfirmed"])),
-            undetermined=tuple(numbers(one) for one in data["undetermined"]),
-            is_converged=bool(data.get("is_converged", True)),
-            changed_starts=tuple(map(str, data.get("changed_starts", ()))),
-            compared=tuple(Comparison.from_dict(spec, one) for one in data["compared"]),
-        )
+        searches = data["searches"]["at_best"], data["searches"]["all"]
+        design = TypeAdapter(cls).validate_python({**data, "spec": spec, "searches": searches})
+        for point in (design.start, design.best, *design.front):
+            if [*point.variables] != [*spec.variables] or [*point.goals] != [*spec.totals]:
+                raise ValueError
+        return design
 
     def summary(self) -> str:
         """Return the result as text for a terminal."""
@@ -341,6 +300,8 @@ def _knee(evaluator: Evaluator, front: list[Search]) -> Search:
 
 def _plain(data: Any) -> Any:
     """Return plain data with None in place of nan."""
+    if is_dataclass(data):
+        data = {field.name: getattr(data, field.name) for field in fields(data)}
     match data:
         case dict():
             return {key: _plain(value) for key, value in data.items()}

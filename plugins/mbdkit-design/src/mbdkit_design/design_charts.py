@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from mbdkit import InverseSpec
 from mbdkit.plugin import RunSpec
 from mbdkit.plugin.archives import Quantity
 from mbdkit.plugin.measures import MeasureExpression, recorded, unit_of
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.gains import goal_words, variable_unit
 from mbdkit_design.landscape import Cut
 from mbdkit_report import Axis, Figure, Line, Mark, band_over_time, bands, errors_at, key_words

@@ -9,15 +9,14 @@ from typing import Any
 
 from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, parse_path, path_text
 from mbdkit.plugin.files import Path
-from mbdkit.plugin.specs import Document, example_names, parse_key, put, read_source, set_value, variable_path
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import is_inverse
+from mbdkit.plugin.specs import Document, example_names, kind_of, parse_key, put, read_source, set_value, variable_path
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_report import stated_units
 from mbdkit_studies.spec.study_loading import base_source, document_of
 
 
-def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
+def load_design_spec(source: object, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
     """Load and validate a design spec and the specs of its scenarios, and return the design spec.
 
     Parameters
@@ -68,7 +67,7 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
     return spec
 
 
-def _document(source: Any) -> tuple[Document, FilePath]:
+def _document(source: object) -> tuple[Document, FilePath]:
     """Return the document of a design, and the folder to which file names in it are relative."""
     if isinstance(source, DesignSpec):
         source = source.model_dump(exclude_unset=True)
@@ -118,15 +117,20 @@ def _scenario_spec(
         measure.name: {"value": measure.expression} | ({"unit": measure.unit} if measure.unit else {})
         for measure in design.defined_measures()
     }
-    kind = InverseSpec if is_inverse(data) else RunSpec
     try:
-        spec = kind(**data)
+        spec = spec_class(data)(**data)
         spec.mechanism()
     except SpecError as error:
         raise _located(error, given, document, path_text(place)) from None
     own_file = document.file or (design._document.file if design._document is not None else "")
     spec._document = Document(data, own_file, folder=document.folder)
     return spec
+
+
+def spec_class(data: Mapping[str, Any]) -> type[RunSpec] | type[InverseSpec]:
+    """Return the class of the spec of a scenario, given as plain data; other kinds are refused as run specs."""
+    kind = kind_of(data)
+    return kind.model() if kind.model is not None and kind.run_kind in ("forward", "inverse") else RunSpec
 
 
 def _put_all(data: dict[str, Any], given: Given) -> None:

@@ -43,7 +43,7 @@ from mbdkit.plugin.specs import (
     variable_path,
 )
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
-from mbdkit_studies.spec.study_spec import Base, Overrides
+from mbdkit_studies import Overrides
 
 GOAL = "goal"
 """Name of the only goal if `minimize` is an expression."""
@@ -168,7 +168,7 @@ class Limit(_WithUnit):
 class Scenario(Section):
     """One of several situations in which a design is used, such as walking and standing up."""
 
-    base: Base | None = None
+    base: str | dict[str, Any] | None = None
     """The spec of a run or of inverse dynamics for this situation: the name of a packaged example, a file, or a
     mapping; by default, the `base` at the top level of the design."""
     overrides: Overrides = Field(default_factory=dict)
@@ -285,7 +285,7 @@ class DesignSpec(StrictSpec):
     """Version of the spec format."""
     title: str = ""
     """Title, free text."""
-    base: Base | None = None
+    base: str | dict[str, Any] | None = None
     """The spec of a run or of inverse dynamics: the name of a packaged example, a file, or a mapping."""
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base of every scenario, such as `time.end: 5.0`."""

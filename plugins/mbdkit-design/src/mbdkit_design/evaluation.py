@@ -11,19 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit import InverseSpec
 from mbdkit.plugin import MbdkitError, ResourceError, Run, RunSpec, SpecError, path_text, plain
 from mbdkit.plugin.archives import ArrayContents, FinishedRun
-from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra, product
+from mbdkit.plugin.equations import one_thread_of_linear_algebra, product
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.measures import describe, error_of, take
-from mbdkit.plugin.specs import VariedSpecs, parse_key, variable_path
+from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs, parse_key, variable_path
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures, sampled_measures
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import varied_inverse
-from mbdkit_design.design_spec import DesignSpec
-from mbdkit_studies.compute.batch import simulate_batch
-from mbdkit_studies.lanes.lane_runs import LaneRuns
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_design.design_spec import DesignSpec, Variable
+from mbdkit_studies import Batches
 
 Settings = Sequence[tuple[Path, Any]]
 """Key paths and their values."""
@@ -94,7 +93,7 @@ class ScenarioRuns:
         self.spec = spec
         assert spec._document is not None
         self._varied = VariedSpecs(json.dumps(plain(spec._document.data)))
-        self._lanes = LaneRuns(Starts(), ())
+        self._batches = Batches()
 
     def at(self, settings: Settings) -> RunSpec | InverseSpec:
         """Return the spec with these values.
@@ -133,7 +132,7 @@ class ScenarioRuns:
                 raise
             except MbdkitError as error:
                 found[place] = self._failed(str(error))
-        results = simulate_batch(runs.values(), lanes=self._lanes)
+        results = self._batches.simulate(runs.values())
         for (place, spec), result in zip(runs.items(), results, strict=True):
             if not isinstance(result, FinishedRun) or result.status != "complete":
                 if result.status == "missing":
@@ -170,7 +169,7 @@ class ScenarioRuns:
         return [] if self.spec.spec_kind.is_integrated else [(("motion", "errors"), "none")]
 
     @cached_property
-    def _measures(self) -> tuple[Any, ...]:
+    def _measures(self) -> tuple[DefinedMeasure, ...]:
         return self.spec.defined_measures()
 
     def _failed(self, reason: str) -> Outcome:
@@ -341,5 +340,5 @@ class Evaluator:
         return product(values.T, weights)
 
     @staticmethod
-    def _width(variable: Any) -> float:
+    def _width(variable: Variable) -> float:
         return float(variable.bounds[1] - variable.bounds[0])

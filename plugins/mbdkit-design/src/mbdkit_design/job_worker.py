@@ -6,13 +6,12 @@ import json
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
-from mbdkit import InverseSpec
-from mbdkit.plugin import RunSpec
 from mbdkit.plugin.specs import Document
 from mbdkit_design.computing import plain_outcome
+from mbdkit_design.design_loading import spec_class
 from mbdkit_design.evaluation import ScenarioRuns
+from mbdkit_studies import Message
 from mbdkit_studies.compute import worker
 
 
@@ -21,13 +20,13 @@ def main() -> None:
     worker.main(_carry)
 
 
-def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, Any]]:
+def compute(tasks: Sequence[Message], of_version: str) -> list[Message]:
     """Carry out tasks in a process that an executor has started; see `mbdkit_studies.compute.worker.compute`."""
     return worker.compute(tasks, of_version, _carry)
 
 
-def _carry(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]:
-    runs = _scenario(json.dumps(task["spec"]), task["kind"], task["folder"])
+def _carry(task: Message, notify: Callable[[str], None]) -> Message:
+    runs = _scenario(json.dumps(task["spec"]), task["folder"])
     points = [[(tuple(path), value) for path, value in settings] for settings in task["settings"]]
     return {
         "status": "complete",
@@ -37,10 +36,10 @@ def _carry(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any
 
 
 @lru_cache(maxsize=16)
-def _scenario(text: str, kind: str, folder: str) -> ScenarioRuns:
+def _scenario(text: str, folder: str) -> ScenarioRuns:
     """Return the runs of a scenario; cached, so that further points need less preparation."""
     data = json.loads(text)
-    spec = InverseSpec(**data) if kind == "inverse" else RunSpec(**data)
+    spec = spec_class(data)(**data)
     spec._document = Document(data, folder=Path(folder))
     return ScenarioRuns(spec)
 

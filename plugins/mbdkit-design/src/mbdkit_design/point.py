@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import BeforeValidator
 
-from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
+
+Stored = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+"""A number; stored results have null in place of nan."""
 
 Notify = Callable[[str], None]
 """Function that receives a sentence for the user."""
@@ -29,17 +33,9 @@ class DesignPoint:
         Goals and limits by name, for each scenario. The name of the scenario is empty if there is only the base.
     """
 
-    variables: dict[str, float]
-    goals: dict[str, float]
-    measures: dict[str, dict[str, float]]
-
-    @classmethod
-    def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> DesignPoint:
-        """Return the point of a design from plain data."""
-        if [*data["variables"]] != [*spec.variables] or [*data["goals"]] != [*spec.totals]:
-            raise ValueError
-        measures = {name: numbers(found) for name, found in data["measures"].items()}
-        return cls(numbers(data["variables"]), numbers(data["goals"]), measures)
+    variables: dict[str, Stored]
+    goals: dict[str, Stored]
+    measures: dict[str, dict[str, Stored]]
 
 
 def point_of(evaluator: Evaluator, x: np.ndarray) -> DesignPoint:
@@ -53,8 +49,3 @@ def point_of(evaluator: Evaluator, x: np.ndarray) -> DesignPoint:
             for name, row in zip(evaluator.spec.situations, values, strict=True)
         },
     )
-
-
-def numbers(data: Mapping[str, Any]) -> dict[str, float]:
-    """Return numbers by name, with nan in place of None."""
-    return {str(name): np.nan if value is None else float(value) for name, value in data.items()}

@@ -20,7 +20,7 @@ from mbdkit_design.point import Notify
 from mbdkit_design.search import check_installed
 from mbdkit_design.stages import Stages
 from mbdkit_design.store import DesignFolder
-from mbdkit_studies.compute.executor_pool import Engine, checked_executor
+from mbdkit_studies import Engine
 
 WORKER = "mbdkit_design.job_worker"
 """Module that carries out the tasks of worker processes."""
@@ -30,7 +30,7 @@ Progress = Callable[[int, int], None]
 
 
 def design(
-    source: Any,
+    source: object,
     *,
     out: str | Path | None = None,
     workers: int = 1,
@@ -97,7 +97,7 @@ def design(
     """
     spec = load_design_spec(source, assignments, **sections)
     check_installed(spec)
-    engine = Engine(workers, checked_executor(executor), WORKER)
+    engine = Engine.of(workers, executor, WORKER)
     folder = None if out is None else DesignFolder(Path(out))
 
     def count(done: int, failed: int, stage: str) -> None:

@@ -16,11 +16,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit import InverseSpec
 from mbdkit.archive.part_file import remove_checkpoint
 from mbdkit.plugin import RunSpec, SpecError, load
 from mbdkit.plugin.files import canonical_text, replacing
 from mbdkit.plugin.specs import read_file, variable_path
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design import Design
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import DesignSpec
@@ -28,7 +28,7 @@ from mbdkit_design.evaluation import ScenarioRuns
 from mbdkit_design.known_points import NOT_READ, read_versioned
 from mbdkit_design.point import DesignPoint
 from mbdkit_design.trust import check_of
-from mbdkit_studies.folder.owned_folder import OwnedFolder
+from mbdkit_studies import OwnedFolder
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbdkit import InverseSpec
 from mbdkit.plugin import RunSpec
 from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
+from mbdkit_design.point import Stored
 from mbdkit_report import with_unit
 
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
@@ -51,13 +52,13 @@ class Trust:
         As `verdict` and `reason`, for the runs at the start.
     """
 
-    errors: dict[str, float]
-    gain: dict[str, float]
+    errors: dict[str, Stored]
+    gain: dict[str, Stored]
     is_gain: dict[str, bool | None]
     verdict: str
     reason: str = ""
     failures: tuple[str, ...] = ()
-    gain_errors: dict[str, float] = field(default_factory=dict)
+    gain_errors: dict[str, Stored] = field(default_factory=dict)
     is_of_data: bool = False
     start_verdict: str = "good"
     start_reason: str = ""

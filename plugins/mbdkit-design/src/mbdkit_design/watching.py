@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,14 +12,7 @@ from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import Limit
 from mbdkit_design.problem import FEASIBLE
 from mbdkit_design.store import DesignFolder
-from mbdkit_studies.folder.folder_lock import LOCK, Owner
-from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.planned_points import PlannedPoints
-from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.store.study_blocks import StudyBlocks
-
-_RUN = re.compile(r"[0-9a-f]{16}\.h5")
-_BLOCK = re.compile(r"block-[0-9]{6,}\.h5")
+from mbdkit_studies import storage_in
 
 
 @dataclass(frozen=True)
@@ -78,16 +69,10 @@ def work_in(folder: Path) -> Work:
 
 
 def _of_study(folder: Path) -> Work:
-    paths, spec = StudyFolder(folder), load_study_spec(folder / "study.yaml")
-    names = [path.name for path in paths.runs.iterdir()] if paths.runs.is_dir() else []
-    points = PlannedPoints(spec)
-    blocks = sum(bool(_BLOCK.fullmatch(name)) for name in names)
-    runs = sum(bool(_RUN.fullmatch(name)) for name in names)
-    done, total, noun = (runs, len(points), "run")
-    if blocks or spec.in_blocks:
-        done, total, noun = blocks, StudyBlocks.of(spec, points).count, "block"
-    owners = tuple(_owners(folder))
-    return Work(f"{done} of {counted(total, noun)}", done, total, paths.index.is_file() and not owners, owners)
+    storage = storage_in(folder)
+    done, total, owners = storage.done, storage.count, tuple(storage.folder.owners())
+    is_complete = storage.folder.index.is_file() and not owners
+    return Work(f"{done} of {counted(total, storage.CONTENT)}", done, total, is_complete, owners)
 
 
 def _of_design(folder: Path) -> Work:
@@ -105,7 +90,7 @@ def _of_design(folder: Path) -> Work:
     known = [value for value in values if isinstance(value, int | float)]
     which = " within the limits" if spec.subject_to else ""
     least = f", least {goal} of a run{which} {min(known):.4g}" if known else ""
-    owners = tuple(_owners(folder))
+    owners = tuple(paths.owners())
     complete = paths.result.is_file() and not owners  # comparisons and robustness are computed after the result
     return Work(f"{counted(len(values), 'run')}{least}", len(values), math.nan, complete, owners)
 
@@ -117,14 +102,6 @@ def _is_within(value: float | None, limit: Limit) -> bool:
     low, high = (-math.inf if limit.min is None else limit.min, math.inf if limit.max is None else limit.max)
     slack = FEASIBLE * max(abs(end) for end in (value, low, high) if math.isfinite(end))
     return low - slack <= value <= high + slack
-
-
-def _owners(folder: Path) -> Iterator[str]:
-    """Yield the processes that hold a lock of the folder, in words."""
-    for lock in sorted(folder.glob(f"{LOCK}*")):
-        owner = Owner.of(lock)
-        if owner is not None and not owner.is_dead:
-            yield f"process {owner.pid} on {owner.host} since {owner.since}"
 
 
 def _duration(seconds: float) -> str:

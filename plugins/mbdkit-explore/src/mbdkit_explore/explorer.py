@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.headlines import MOST
-from mbdkit.plugin import MbdkitError, copied, headline_texts, plain, shown
-from mbdkit.plugin.specs import load_spec, put, read_source
+from mbdkit.plugin import MbdkitError, RunSpec, copied, headline_texts, plain, shown
+from mbdkit.plugin.specs import kind_of, load_spec, put, read_source
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import is_inverse, load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_explore.sliders import sliders
 from mbdkit_report import TONES, film_of
 from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_studies.lanes.prepared_run import PreparedRun
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run, RunSpec
+    from mbdkit.plugin import Run
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 NUMBERS = 20_000
 """Approximate number of pose values of a motion."""
@@ -46,7 +45,7 @@ class Explorer:
         self.spec, self.sliders = spec, sliders(spec, names)
         self._by_key = {one.key: one for one in self.sliders}
         self._data = plain(read_source(spec).data)
-        self._prepared = None if isinstance(spec, InverseSpec) else PreparedRun(spec)
+        self._prepared = PreparedRun(spec) if isinstance(spec, RunSpec) else None
         self.title = str(spec.title or self._data["model"]["name"])
 
     def answer(self, values: Mapping[str, float]) -> dict[str, Any]:
@@ -72,7 +71,7 @@ class Explorer:
     def _inverse(self, data: dict[str, Any]) -> Run:
         document = read_source(self.spec)
         document.data = copied(data)
-        return inverse(load_inverse_spec(document))
+        return inverse(kind_of(document.data).load()(document))
 
     def _shown(self, made: Run, data: Mapping[str, Any]) -> dict[str, Any]:
         every = headline_texts(made, "\u00b1", max(MOST, len(made.measures)))  # all measures
@@ -106,7 +105,7 @@ def _curves(made: Run) -> dict[str, Any]:
     return {"time": time[rows].tolist(), "names": [shown(names[k]) for k in order], "values": lines, "unit": unit}
 
 
-def explorer_of(source: Any, names: Sequence[str] | None = None, assignments: Iterable[str] = ()) -> Explorer:
+def explorer_of(source: object, names: Sequence[str] | None = None, assignments: Iterable[str] = ()) -> Explorer:
     """Return the explorer of a run spec or an inverse spec from any source.
 
     Raises
@@ -115,5 +114,5 @@ def explorer_of(source: Any, names: Sequence[str] | None = None, assignments: It
         If the spec is wrong, or a name does not denote one of its numbers.
     """
     document = read_source(source)
-    load = load_inverse_spec if is_inverse(document.data) else load_spec
-    return Explorer(load(document, assignments), names)
+    kind = kind_of(document.data)
+    return Explorer((kind.load() if kind.run_kind else load_spec)(document, assignments), names)

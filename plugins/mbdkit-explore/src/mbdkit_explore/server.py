@@ -98,7 +98,7 @@ class Exploration:
         return f"<exploration at {self.url}>"
 
 
-def explore(spec: Any, parameters: Sequence[str] | None = None, *, port: int = 0) -> Exploration:
+def explore(spec: object, parameters: Sequence[str] | None = None, *, port: int = 0) -> Exploration:
     """Serve a page on this machine with sliders; motion, forces and verdict of a spec follow them.
 
     Notebooks show the page in the output of the cell.

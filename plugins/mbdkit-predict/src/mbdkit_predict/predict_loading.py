@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from mbdkit.plugin import SpecError, copied, did_you_mean, listed, loaded, parse_path, path_text, value_text
 from mbdkit.plugin.specs import DRAFT, Document, Registry, described, model_schema, put, read_source, registry
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
-from mbdkit_studies.spec.study_loading import base_source
+from mbdkit_studies import base_source
 
 PredictSource: TypeAlias = str | Path | Mapping[str, object] | PredictSpec
 """A file, the name of a packaged example, a mapping, or a validated spec of a prediction."""

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+if TYPE_CHECKING:
+    from mbdkit_studies.compute.executor_pool import Engine
 
 StudyName = Annotated[
     str,
@@ -58,15 +64,27 @@ Slurm = Annotated[
 
 @dataclass
 class Cluster:
-    """Options of a command whose runs may be computed on other machines, see
-    `mbdkit_studies.compute.executors.opened`.
-    """
+    """Options of a command whose runs may be computed on other machines."""
 
     executor: ExecutorName = "local"
     scheduler: Scheduler = None
     slurm: Slurm = None
 
+    @contextlib.contextmanager
+    def engine(
+        self, workers: int | None, folder: Path, notify: Callable[[str], None], **program: str
+    ) -> Iterator[Engine]:
+        """Yield what computes tasks: processes of this machine, by default one per core, or the chosen executor.
 
-def cores() -> int:
+        The parameters are those of `mbdkit_studies.compute.executors.opened`, and `program` of `Engine`.
+        """
+        from mbdkit_studies.compute.executor_pool import Engine
+        from mbdkit_studies.compute.executors import opened
+
+        with opened(self, workers, folder, notify) as executor:
+            yield Engine(workers or _cores(), executor, **program)
+
+
+def _cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1

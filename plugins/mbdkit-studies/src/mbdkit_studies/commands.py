@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 from mbdkit.cli.common_options import PLAIN
 from mbdkit.plugin import show, show_json
 from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, count_bar, grouped, output_to, say, silence, stem
-from mbdkit_studies.command_options import BaseSet, Cluster, StudyName, Workers, cores
+from mbdkit_studies.command_options import BaseSet, Cluster, StudyName, Workers
 
 if TYPE_CHECKING:
     from mbdkit.plugin.specs import Document
@@ -128,7 +128,6 @@ def study(
     died; a second call tries again.
     """
     from mbdkit_studies.compute.carry_out import study as carry_out
-    from mbdkit_studies.compute.executors import opened
     from mbdkit_studies.folder.folder_lock import Shard
     from mbdkit_studies.report.study_summary import outcome, summary
 
@@ -137,14 +136,14 @@ def study(
     notify = silence if printing.quiet else say
     with (
         _saying_how_to_continue(stored.overwrite),
-        opened(cluster, workers, path, notify) as executor,
+        cluster.engine(workers, path, notify) as engine,
         count_bar(path.name, printing.quiet) as progress,
     ):
         result = carry_out(
             spec,
             out=path,
-            workers=workers or cores(),
-            executor=executor,
+            workers=engine.workers,
+            executor=engine.executor,
             shard=part,
             progress=progress,
             notify=notify,

@@ -22,8 +22,9 @@ from mbdkit_studies.statistics.selection import select_rows
 from mbdkit_studies.statistics.sensitivity import Sensitivity, sensitivity
 from mbdkit_studies.statistics.sobol_indices import RESAMPLES
 from mbdkit_studies.store import study_index
+from mbdkit_studies.store.storage import storage_of
 from mbdkit_studies.store.study_index import NUMBERS, TEXTS
-from mbdkit_studies.store.study_point import Points, StudyPoint, archive_of
+from mbdkit_studies.store.study_point import Points, StudyPoint
 from mbdkit_studies.store.study_runs import StudyRuns
 
 if TYPE_CHECKING:
@@ -65,13 +66,12 @@ class Study(StudyRuns, HtmlView):
         self._planned = planned = PlannedPoints(self.spec)
         if index.study_sha256 != self.spec.sha256() or len(index) != len(planned):
             raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=self.folder)
-        self._all = Points(planned, index, self._files)
-        # The points of small studies are created once, because their specs are read repeatedly.
-        self.points: Sequence[StudyPoint] = self._all if self.spec.in_blocks else tuple(self._all)
+        self.storage = storage_of(self.spec, self._files, planned)
+        self.points: Points = Points(planned, index, self._files)
         compared = {point.reference_id: point.planned for point in self.points} if len(index.references) else {}
         rows = [index.row(place, of_references=True) for place in range(len(index.references.get("run_id", ())))]
         self.references: tuple[StudyPoint, ...] = tuple(
-            StudyPoint(number, row, compared[row.run_id], archive_of(row, self._files), {}, is_reference=True)
+            StudyPoint(number, row, compared[row.run_id], self._files, {}, is_reference=True)
             for number, row in enumerate(rows, start=1)
         )
 
@@ -110,10 +110,8 @@ class Study(StudyRuns, HtmlView):
     def failures(self) -> Sequence[StudyPoint]:
         """The points whose runs failed, and the reference runs that failed."""
         places = np.flatnonzero(self._index.runs["status"] == "failed").tolist()
-        if self.spec.in_blocks:
-            return self._all.at(places)
-        failed = [self.points[place] for place in places]
-        return (*failed, *(reference for reference in self.references if reference.status == "failed"))
+        failed, references = self.points.at(places), [one for one in self.references if one.status == "failed"]
+        return (*failed, *references) if references else failed
 
     def axes(self, family: str | None = None) -> dict[str, list[Label]]:
         """Return the labels on each axis of a family by dotted key, in the order of the spec.
@@ -163,9 +161,7 @@ class Study(StudyRuns, HtmlView):
     def _columns(self, places: Sequence[int] | slice) -> dict[str, np.ndarray]:
         """Return the columns of the index for the points with these indices, without families and axes."""
         texts = [name for name in TEXTS if name in self._index.runs and name not in _NOT_SHOWN]
-        # An index of a study with a file for each run does not store the order of the measures.
-        numbers = self._index.described if self.spec.in_blocks else (*self.measures, *self._index.described)
-        names = dict.fromkeys((*texts, *numbers, "data_sha256"))
+        names = dict.fromkeys((*texts, *self._index.described, "data_sha256"))
         return {name: self._index.runs[name][places] for name in names}
 
     def to_frame(self, family: str | None = None) -> pandas.DataFrame:
@@ -192,7 +188,7 @@ class Study(StudyRuns, HtmlView):
         """Unit of each numeric column of `columns` that is not an axis, by name."""
         return {name: column.units for name, column in self._index.described.items()}
 
-    def columns(self) -> dict[str, Any]:
+    def columns(self) -> dict[str, np.ndarray]:
         """Return the columns of `to_frame` by name, each with one value for each point."""
         return self._table()
 

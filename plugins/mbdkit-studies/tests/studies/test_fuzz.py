@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbdkit.base.errors import SpecError
-from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 
 STUDY = {
@@ -47,7 +47,7 @@ def places(data, path=()):
 def attempt(study):
     """Return the ids of all runs of a study, or none and the sentence by which it is refused."""
     try:
-        return [(point.run_id, point.reference_id) for point in plan_points(load_study_spec(study))], ""
+        return [(point.run_id, point.reference_id) for point in PlannedPoints(load_study_spec(study))], ""
     except SpecError as error:
         return [], str(error)
 

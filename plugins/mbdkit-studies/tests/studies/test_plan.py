@@ -10,12 +10,12 @@ import pytest
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import load_spec
 from mbdkit_studies.compute.study_plan import plan_study
-from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 
 
 def points(study):
-    return plan_points(load_study_spec(study))
+    return PlannedPoints(load_study_spec(study))
 
 
 def test_axes_multiply_and_the_last_one_changes_fastest(small):
@@ -110,7 +110,7 @@ def test_a_base_file_is_looked_for_beside_the_study(tmp_path):
     (tmp_path / "study.yaml").write_text("mbdkit_study: 1\nbase: base.yaml\naxes: [{time.step: [0.1, 0.2]}]\n")
     spec = load_study_spec(tmp_path / "study.yaml")
     assert spec.base["model"] == {"name": "single-pendulum"}
-    assert [point.spec.time.step for point in plan_points(spec)] == [0.1, 0.2]
+    assert [point.spec.time.step for point in PlannedPoints(spec)] == [0.1, 0.2]
 
 
 def test_a_mechanism_built_in_python_is_a_base():
@@ -151,7 +151,7 @@ def test_what_needs_a_distribution_that_is_not_there_is_planned_but_lacks_it(sma
 def seconds_until_refused(study: dict[str, Any], words: str) -> float:
     begin = time.process_time()
     with pytest.raises(SpecError, match=words):
-        plan_points(load_study_spec(study))
+        PlannedPoints(load_study_spec(study))
     return time.process_time() - begin
 
 

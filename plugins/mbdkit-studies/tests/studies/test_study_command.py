@@ -20,7 +20,7 @@ from mbdkit import study as study_in_this_process
 from mbdkit.archive.archive_check import check
 from mbdkit.base import progress_bars
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 
 SWEEP = """\
@@ -261,7 +261,7 @@ def test_an_assignment_comes_after_the_overrides_of_families():
     families = {"a": {"axes": axes, "overrides": {"time.end": 2.0, "time.step": 0.5}}, "b": {"axes": axes}}
     given = {"mbdkit_study": 1, "base": base, "families": families}
     spec = load_study_spec(given, ["time.end=3"])
-    times = [(point.spec.time.end, point.spec.time.step) for point in plan_points(spec)]
+    times = [(point.spec.time.end, point.spec.time.step) for point in PlannedPoints(spec)]
     assert times == [(3.0, 0.5), (3.0, 0.1)]
 
 

@@ -190,11 +190,11 @@ def test_a_wrong_study_is_refused_with_file_line_and_key(case, refusal, in_tmp_p
 
 
 def test_the_study_that_all_of_these_are_made_from_is_right(in_tmp_path):
-    from mbdkit_studies.points.planned_points import plan_points
+    from mbdkit_studies.points.planned_points import PlannedPoints
     from mbdkit_studies.spec.study_loading import load_study_spec
 
     (in_tmp_path / "spec.yaml").write_text(STUDY)
-    assert [point.spec.time.step for point in plan_points(load_study_spec("spec.yaml"))] == [0.1, 0.05, 0.1, 0.05]
+    assert [point.spec.time.step for point in PlannedPoints(load_study_spec("spec.yaml"))] == [0.1, 0.05, 0.1, 0.05]
 
 
 def test_a_mistake_in_the_file_of_the_base_is_placed_there(refusal, in_tmp_path):

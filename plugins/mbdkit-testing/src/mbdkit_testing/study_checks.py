@@ -11,7 +11,7 @@ from typing import Any
 from mbdkit.plugin.specs import Registered, Registry
 from mbdkit_studies.compute.carry_out import study
 from mbdkit_studies.folder.folder_lock import Shard
-from mbdkit_studies.points.planned_points import plan_points
+from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import StudySpec
@@ -49,7 +49,7 @@ def spec(subject: StudyUnderTest) -> Result:
     """The study spec is valid, and so is the first run of each family among the runs that need no further
     distributions.
     """
-    points = plan_points(subject.spec)
+    points = PlannedPoints(subject.spec)
     first = {point.family: point for point in reversed(points) if not point.lacking}
     for point in first.values():
         point.spec.mechanism()
@@ -66,7 +66,7 @@ def verdict(subject: StudyUnderTest) -> Result:
     cut = subject.spec.model_dump(mode="json", exclude_unset=True)
     cut["overrides"] = {**cut.get("overrides", {}), "limits.max_steps": 50}
     cut["repeats"] = 1
-    count = len(plan_points(load_study_spec(cut)))
+    count = len(PlannedPoints(load_study_spec(cut)))
     with tempfile.TemporaryDirectory(prefix="mbdkit-study-") as folder:
         tiny = study(cut, out=Path(folder) / "study", shard=Shard(1, 2 * count), notify=lambda text: None)
         found = judge(tiny)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 
 from mbdkit import ArchiveError
-from mbdkit.base.text import joined_lines
 from mbdkit.kernels import WIDTH
 from mbdkit.plugin import MbdkitError, PluginError, ResourceError, RunSpec, SpecError, one_line
 from mbdkit.plugin.archives import FinishedRun
@@ -14,6 +13,7 @@ from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra
 from mbdkit.plugin.runs import simulate_arrays
 from mbdkit_studies.compute.tasks import Outcome
 from mbdkit_studies.lanes.lane_runs import LaneRuns
+from mbdkit_studies.texts import joined_lines
 
 CHUNK = 8 * WIDTH
 """Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together."""
@@ -28,6 +28,25 @@ def simulate_batch(specs: Iterable[RunSpec], *, lanes: LaneRuns | None = None) -
         while following in waiting:
             yield waiting.pop(following)
             following += 1
+
+
+class Batches:
+    """Batches of runs that differ in numbers; loops and compiled mechanisms are prepared once.
+
+    Attributes
+    ----------
+    SIZE
+        Number of runs that a batch should have, so that runs can be vectorized.
+    """
+
+    SIZE = CHUNK
+
+    def __init__(self) -> None:
+        self._lanes = LaneRuns(Starts(), ())
+
+    def simulate(self, specs: Iterable[RunSpec]) -> Iterator[FinishedRun | Outcome]:
+        """Run validated specs; see `simulate_batch`."""
+        return simulate_batch(specs, lanes=self._lanes)
 
 
 def simulate_in_any_order(

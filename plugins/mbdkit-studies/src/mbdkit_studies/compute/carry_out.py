@@ -15,15 +15,13 @@ import numpy as np
 
 from mbdkit.archive.missing_plugins import missing_plugins
 from mbdkit.base.interrupts import interrupts_delayed
-from mbdkit.base.text import without_numbers
 from mbdkit.plugin import MbdkitError, SpecError, counted, load, plain, shown, value_text
 from mbdkit.plugin.specs import RunSource, load_spec, parse_key, read_source
 from mbdkit.plugin.terminal import count_bar, in_notebook, logger_of, say
 from mbdkit_studies.compute.added_methods import MethodSource, with_methods
-from mbdkit_studies.compute.executor_pool import Engine, checked_executor
+from mbdkit_studies.compute.executor_pool import Engine
 from mbdkit_studies.compute.run_blocks import RunBlocks
 from mbdkit_studies.compute.run_files import RunFiles
-from mbdkit_studies.compute.run_store import RunStore
 from mbdkit_studies.folder import member_table
 from mbdkit_studies.folder.folder_lock import Shard, alone
 from mbdkit_studies.folder.study_folder import StudyFolder
@@ -34,6 +32,9 @@ from mbdkit_studies.store import study_index
 from mbdkit_studies.store.block_writer import Store
 from mbdkit_studies.store.study_blocks import with_store
 from mbdkit_studies.study import Study
+from mbdkit_studies.texts import without_numbers
+
+RunStores = RunFiles | RunBlocks
 
 _LOG = logger_of(__name__)
 
@@ -158,7 +159,7 @@ def study(
     >>> [point.status for point in study.points]
     ['complete', 'complete', 'complete', 'complete']
     """
-    engine = Engine(workers, checked_executor(executor))
+    engine = Engine.of(workers, executor)
     if overwrite and shard is not None:
         raise SpecError(
             "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
@@ -243,7 +244,7 @@ def ensemble(
     columns = _columns_of(variables)
     keys = {"block": block, "compress": compress or None, "measures": None if measures == "all" else measures}
     spec = _spec_of(source, columns, store, {name: value for name, value in keys.items() if value is not None})
-    engine = Engine(workers, checked_executor(executor))
+    engine = Engine.of(workers, executor)
     return _carried_out(load_study_spec(spec), out, engine, None, progress, notify, overwrite=overwrite)
 
 
@@ -274,7 +275,7 @@ def _carried_out(
                 if without_numbers(text.removeprefix("warning: ")) not in of_sample:
                     notify(text)
 
-            store: RunStore[Any] = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
+            store: RunStores = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
             folder.check(spec, overwrite=overwrite)
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(store.count, "run"))
             of_sample |= store.plan.warnings_of_sample()
@@ -291,7 +292,7 @@ def _carried_out(
 
 
 def _execute(
-    store: RunStore[Any], engine: Engine, shard: Shard | None, progress: Progress | None, notify: Callable[[str], None]
+    store: RunStores, engine: Engine, shard: Shard | None, progress: Progress | None, notify: Callable[[str], None]
 ) -> None:
     """Compute the missing runs of a study and write the index; after Ctrl-C, the index contains the results so far."""
     folder = store.folder
@@ -306,7 +307,7 @@ def _execute(
 
 
 def _compute(
-    store: RunStore[Any], engine: Engine, total: int, progress: Progress | None, notify: Callable[[str], None]
+    store: RunStores, engine: Engine, total: int, progress: Progress | None, notify: Callable[[str], None]
 ) -> None:
     """Compute the missing results."""
     ended = 0  # number of runs that were planned for this round and the rounds before

@@ -12,11 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import mbdkit
 from mbdkit.plugin import SpecError, one_line, value_text
+from mbdkit.plugin.archives import own_version
 from mbdkit_studies.compute.executors import SubmititExecutor
 from mbdkit_studies.compute.pool import PROGRAM, Pool
-from mbdkit_studies.compute.tasks import Outcome, Task, died
+from mbdkit_studies.compute.tasks import Message, Outcome, Task, died
 
 LOOK = 1.0
 """Interval between checks whether the client of a Dask cluster is closed [s]."""
@@ -40,6 +40,22 @@ class Engine:
     executor: Executor | None = None
     program: str = PROGRAM
 
+    @classmethod
+    def of(cls, workers: int, executor: object, program: str = PROGRAM) -> Engine:
+        """Return the engine with an executor passed by the user, which may be one of submitit, or None.
+
+        Raises
+        ------
+        SpecError
+            If the object is not an executor.
+        """
+        if executor is None or isinstance(executor, Executor):
+            return cls(workers, executor, program)
+        if hasattr(executor, "map_array"):
+            return cls(workers, SubmititExecutor(lambda: executor), program)
+        message = f"needs a concurrent.futures.Executor, or one of submitit, not {value_text(executor)}"
+        raise SpecError(message, key="executor")
+
     def pool(self, notify: Callable[[str], None]) -> Pool | ExecutorPool:
         """Return the pool that computes tasks, for use in a `with` block.
 
@@ -50,23 +66,6 @@ class Engine:
         """
         local: Pool = Pool(self.workers, notify, self.program)
         return local if self.executor is None else ExecutorPool(self.executor, local)
-
-
-def checked_executor(executor: Any) -> Executor | None:
-    """Return an executor passed by the user, which may be one of submitit.
-
-    Raises
-    ------
-    SpecError
-        If the object is not an executor.
-    """
-    if executor is None or isinstance(executor, Executor):
-        return executor
-    if hasattr(executor, "map_array"):
-        return SubmititExecutor(lambda: executor)
-    raise SpecError(
-        f"needs a concurrent.futures.Executor, or one of submitit, not {value_text(executor)}", key="executor"
-    )
 
 
 class ExecutorPool:
@@ -86,8 +85,8 @@ class ExecutorPool:
         self.executor = executor
         self.local: Pool = local
         self._compute: Callable[..., Any] = import_module(local.program).compute
-        self._begun: dict[Future[list[dict[str, Any]]], _Batch] = {}
-        self._ended: queue.SimpleQueue[Future[list[dict[str, Any]]]] = queue.SimpleQueue()
+        self._begun: dict[Future[list[Message]], _Batch] = {}
+        self._ended: queue.SimpleQueue[Future[list[Message]]] = queue.SimpleQueue()
 
     def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
         """Submit the tasks in order, and yield each with its outcome when it is finished."""
@@ -131,7 +130,7 @@ class ExecutorPool:
                 for task, answer in zip(batch, answers, strict=True):
                     yield task, self._outcome(task, answer)
 
-    def _next_ended(self) -> Future[list[dict[str, Any]]]:
+    def _next_ended(self) -> Future[list[Message]]:
         """Return a future that has ended, after waiting for it; raise _SchedulerLostError if none will end.
 
         The futures of a Dask client that lost its scheduler, and was therefore closed, never end.
@@ -155,12 +154,12 @@ class ExecutorPool:
         """Submit batches, and return the tasks that the executor refuses."""
         messages = [[task.message() for task in batch] for batch in batches]
         submitted = 0
-        futures: Iterator[Future[list[dict[str, Any]]]]
+        futures: Iterator[Future[list[Message]]]
         try:
             if isinstance(self.executor, SubmititExecutor):
-                futures = iter(self.executor.submit_all(self._compute, messages, mbdkit.__version__))
+                futures = iter(self.executor.submit_all(self._compute, messages, own_version()))
             else:
-                futures = (self.executor.submit(self._compute, part, mbdkit.__version__) for part in messages)
+                futures = (self.executor.submit(self._compute, part, own_version()) for part in messages)
             for batch, future in zip(batches, futures, strict=True):
                 self._begun[future] = _Batch(batch)
                 submitted += 1
@@ -176,13 +175,13 @@ class ExecutorPool:
         """Compute the remaining tasks of a broken executor by local processes."""
         self.executor.shutdown()  # wait until its last processes have ended
         self.local.say(f"the executor failed, and processes on this machine compute the rest ({_told(error)})")
-        begun: list[list[Any]] = [batch.tasks for batch in self._begun.values()]
-        left: list[Any] = [task for batch in (*begun, *batches) for task in batch]
+        begun: list[list[Task]] = [batch.tasks for batch in self._begun.values()]
+        left: list[Task] = [task for batch in (*begun, *batches) for task in batch]
         self._begun.clear()
         with self.local as pool:
             yield from pool.work(left)
 
-    def _outcome(self, task: Task, answer: dict[str, Any]) -> Outcome:
+    def _outcome(self, task: Task, answer: Message) -> Outcome:
         """Return the outcome reported by a worker; ``missing`` if this process cannot see the file of the worker."""
         for note in answer.pop("notes"):
             self.local.say(note)

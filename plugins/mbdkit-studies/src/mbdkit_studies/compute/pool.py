@@ -20,13 +20,12 @@ import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 from mbdkit.archive.part_file import remove_part
-from mbdkit.base.text import without_numbers
 from mbdkit.plugin import ResourceError
 from mbdkit.plugin.archives import checkpoint_path, part_path
-from mbdkit_studies.compute.tasks import Outcome, Task, died
+from mbdkit_studies.compute.tasks import Message, Outcome, Task, died
+from mbdkit_studies.texts import without_numbers
 
 PROGRAM = "mbdkit_studies.compute.worker"
 """Module that carries out the tasks of studies."""
@@ -84,7 +83,7 @@ class Pool:
                 worker.end()
                 continue
             if line:
-                answer: dict[str, Any] = json.loads(line)
+                answer: Message = json.loads(line)
                 if "note" in answer:
                     self.say(answer["note"])
                     continue

@@ -16,7 +16,6 @@ from mbdkit.plugin.archives import COUNTERS, TIMINGS
 from mbdkit.plugin.measures import Description
 from mbdkit_studies.compute.compute_block import MISALIGNMENT
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
-from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.compute.tasks import Outcome, Task, forget_run_at_work
 from mbdkit_studies.compute.unfinished_block import PIECE
 from mbdkit_studies.folder.folder_lock import Shard
@@ -53,7 +52,6 @@ class RunBlocks(RunStore[int]):
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         super().__init__(spec, folder)
-        self.plan = plan_study(spec)
         self.count = len(self.plan.points)
         self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
         self._read: dict[int, tuple[tuple[int, ...], Index | None]] = {}  # rows of the index, with the file's state
@@ -61,8 +59,7 @@ class RunBlocks(RunStore[int]):
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
         """See `RunStore.begin`."""
         before = self.index_before()
-        is_usable = before is not None and before.states is not None and len(before.states) == self.plan.blocks.count
-        self._before = before if is_usable else None
+        self._before = before if before is not None and len(before.states) == self.plan.blocks.count else None
         own = [block for block in range(self.plan.blocks.count) if shard is None or shard.has(block)]
         self._tasks = [self._task(block) for block in self.missing(own)]
         if self._tasks and (reason := self._why_alone()):
@@ -196,7 +193,7 @@ class RunBlocks(RunStore[int]):
 
     def _indexed(self, block: int) -> Index | None:
         """Return the rows of a block from the index if its file has not changed since it was indexed."""
-        if self._before is None or self._before.states is None:
+        if self._before is None:
             return None
         state = tuple(int(value) for value in self._before.states[block])
         if state == UNKNOWN or state != _state(self.folder.block(block)):

@@ -13,16 +13,14 @@ from typing import Any
 
 from mbdkit import ArchiveError
 from mbdkit.archive.untrusted_file import is_sparse
-from mbdkit.measures.take import with_error
 from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, counted, load
 from mbdkit.plugin.archives import COUNTERS, DAMAGE, TIMINGS, data_sha256
 from mbdkit.plugin.runs import functionals_of
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
-from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.compute.tasks import Outcome, Task
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
+from mbdkit_studies.spec.measures import MEASURES, SECOND, RunGroup, other_values, worst_joint
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, Index, Row, quartiles
 
@@ -36,8 +34,11 @@ class RunFiles(RunStore[str]):
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         super().__init__(spec, folder)
-        self.plan = plan_study(spec)
-        self.count = len(self.plan.runs)
+        planned = [point for point in self.plan.points if not point.lacking]
+        references = {point.reference_id: point.reference for point in planned if point.reference is not None}
+        #: Specs of the distinct runs by run id, references first.
+        self._runs = references | {point.run_id: point.spec for point in planned}
+        self.count = len(self._runs)
         self._defined = spec.defined_measures()
         self._is_timed = any(grid.repeats > 1 for grid in self.plan.points.grids)
         self._of_second_runs = [name for name in spec.built_in_measures or () if name in SECOND]
@@ -55,8 +56,8 @@ class RunFiles(RunStore[str]):
         rows = [] if before is None else before.rows()
         self._by_run = {row.run_id: row for row in rows}
         self._measured = {(row.run_id, row.reference_id): row for row in rows}
-        missing = set(self.missing(self.plan.runs))
-        own = [run_id for index, run_id in enumerate(self.plan.runs) if shard is None or shard.has(index)]
+        missing = set(self.missing(self._runs))
+        own = [run_id for index, run_id in enumerate(self._runs) if shard is None or shard.has(index)]
         self._missing = [run_id for run_id in own if run_id in missing]
         self._again = self._to_run_again() if shard is None else []
         self._repeats = self._missing_repeats() if shard is None else {}
@@ -91,7 +92,7 @@ class RunFiles(RunStore[str]):
 
     def _task(self, run_id: str, **content: Any) -> Task:
         """Return the task that computes a run, with or without writing its archive."""
-        spec = self.plan.runs[run_id].canonical_json()
+        spec = self._runs[run_id].canonical_json()
         return Task(run_id, {"spec": spec, **content}, self.folder.archive(run_id), writes="measures" in content)
 
     def _is_complete(self, run_id: str) -> bool:
@@ -140,7 +141,7 @@ class RunFiles(RunStore[str]):
             sha256 = self._file_sha256(run_id)
             try:
                 reference = self.folder.archive(reference_id) if is_compared else None
-                row = replace(self._row_of(path, reference, self.plan.runs[run_id]), file_sha256=sha256)
+                row = replace(self._row_of(path, reference, self._runs[run_id]), file_sha256=sha256)
             except (SpecError, ArchiveError, ResourceError) as error:  # the archive was damaged after it was computed
                 outcome = Outcome("missing", f"error: {error}")
         row = row or Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(self._columns, math.nan))
@@ -172,10 +173,7 @@ class RunFiles(RunStore[str]):
     def _values(self, run: Run, reference: Run | None, spec: RunSpec) -> dict[str, float]:
         group = RunGroup([run], reference)
         taken = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
-        for measure in self._defined:
-            taken |= with_error(measure, run, spec)
-        if run.accuracy is not None:
-            taken |= {name: float(measure.take(group)[0]) for name, measure in OF_CHECKED_RUNS.items()}
+        taken |= other_values(run, spec, self._defined)
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
 
     def _with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
@@ -248,7 +246,7 @@ class RunFiles(RunStore[str]):
         except (SpecError, ArchiveError, ResourceError):
             return MISSING
         with run:
-            if run.run_id != key or run.spec_sha256 != self.plan.runs[key].sha256():
+            if run.run_id != key or run.spec_sha256 != self._runs[key].sha256():
                 raise SpecError(
                     "this archive contains another run than its name says; move it to another folder", file=path
                 )
@@ -261,5 +259,5 @@ class RunFiles(RunStore[str]):
 
     def _has_integrals(self, run: Run) -> bool:
         """Return whether a run has the time integrals that the measures of the study need."""
-        needed = {integral.text for integral in functionals_of(self.plan.runs[run.run_id], self.plan.expressions)}
+        needed = {integral.text for integral in functionals_of(self._runs[run.run_id], self.plan.expressions)}
         return needed <= run.integrals.keys()

@@ -11,10 +11,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-import mbdkit
 from mbdkit import ArchiveError
 from mbdkit.plugin import ResourceError, SpecError
-from mbdkit_studies.compute.study_plan import StudyPlan
+from mbdkit.plugin.archives import own_version
+from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.compute.tasks import Outcome, Task
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
@@ -49,8 +49,8 @@ class RunStore(ABC, Generic[Key]):
     """The runs of a study in its folder: those that exist, those that are missing, and the index.
 
     A file contains one run (`RunFiles`, whose keys are the run ids) or a block of many runs (`RunBlocks`, whose keys
-    are the numbers of the blocks). A file is read only if it has changed since it was indexed. The constructors of both
-    classes check that the spec of the study is valid; nothing is read from the folder before `begin`.
+    are the numbers of the blocks). A file is read only if it has changed since it was indexed. The constructor checks
+    that the spec of the study is valid; nothing is read from the folder before `begin`.
 
     Attributes
     ----------
@@ -65,10 +65,9 @@ class RunStore(ABC, Generic[Key]):
     """
 
     count: int
-    plan: StudyPlan
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
-        self.spec, self.folder = spec, folder
+        self.spec, self.folder, self.plan = spec, folder, plan_study(spec)
         self._outcomes: dict[Key, Outcome] = {}
         self.computed = self.failed = 0
         self.unfinished: list[str] = []
@@ -115,7 +114,7 @@ class RunStore(ABC, Generic[Key]):
         """Return the index of an earlier call; None if this version of mbdkit has not written one for this study."""
         with suppress(SpecError, ArchiveError, ResourceError):  # without a valid index, the files are read instead
             before = study_index.read(self.folder.index)
-            if before.study_sha256 == self.spec.sha256() and before.version == mbdkit.__version__:
+            if before.study_sha256 == self.spec.sha256() and before.version == own_version():
                 return before
         return None
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import cached_property
-from itertools import islice
 
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.base.text import without_numbers
-from mbdkit.measures.take import has_error, is_taken
+from mbdkit.measures.take import is_taken
 from mbdkit.plugin import RunSpec, SpecError, path_text
 from mbdkit.plugin.doubts import angles_in_degrees
 from mbdkit.plugin.files import Path
@@ -19,14 +17,15 @@ from mbdkit.plugin.runs import caution
 from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs, parse_key
 from mbdkit.runs.notes import zero_reactions
 from mbdkit.spec.study_measures import expressions_of
-from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
+from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids
 from mbdkit_studies.points.varied_values import notes_on_varied_values, start_warnings_of_study
 from mbdkit_studies.results.judge import find_verdict
-from mbdkit_studies.spec.measures import MEASURES
+from mbdkit_studies.spec.measures import MEASURES, has_error
 from mbdkit_studies.spec.sample_section import typical_values
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_blocks import StudyBlocks
 from mbdkit_studies.store.study_index import COLUMNS, axis_column
+from mbdkit_studies.texts import without_numbers
 
 SAMPLES = 8
 """Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.
@@ -47,9 +46,9 @@ class StudyPlan:
     ----------
     points
         Points in the order of the study, including those that are left out.
-    runs
-        Specs of the distinct runs by run id, references first. Empty for a study in blocks, whose specs are not built
-        beforehand.
+    validated
+        The distinct specs that are validated before the first run, with names for error messages: all of them, or for
+        a study in blocks those of some points.
     defined
         Units and descriptions of the measures that the study defines.
 
@@ -62,15 +61,9 @@ class StudyPlan:
 
     def __init__(self, spec: StudySpec):
         self.spec = spec
-        self.points = PlannedPoints(spec) if spec.in_blocks else plan_points(spec)
-        planned = [] if spec.in_blocks else [point for point in self.points if not point.lacking]
-        runs, references = {}, {}
-        for point in planned:
-            runs[point.run_id] = point.spec
-            if point.reference is not None:
-                references[point.reference_id] = point.reference
-        self.runs: Mapping[str, RunSpec] = references | runs
-        self.defined = describe_measures(spec, self.valid_samples if spec.in_blocks else distinct_runs(planned))
+        self.points = PlannedPoints(spec)
+        self.validated = self.valid_samples if spec.in_blocks else list(distinct_runs(self.points))
+        self.defined = describe_measures(spec, self.validated)
 
     @cached_property
     def blocks(self) -> StudyBlocks:
@@ -106,17 +99,13 @@ class StudyPlan:
             raise errors[0]
         return valid
 
-    def _specs(self) -> Iterator[RunSpec]:
-        """Return the specs that are known before the first run: for a study in blocks, those of the samples."""
-        return (spec for _, spec in self.valid_samples) if self.spec.in_blocks else iter(self.runs.values())
-
     def warnings(self) -> list[str]:
         """Return the warnings about the validated specs of runs, and about values that the runs vary.
 
         If several differ only in numbers, the first one is returned.
         """
         found: dict[str, str] = {}
-        for warning in (str(one) for spec in self._specs() for one in caution(spec, measures=self.expressions)):
+        for warning in (str(one) for _, spec in self.validated for one in caution(spec, measures=self.expressions)):
             found.setdefault(without_numbers(warning), warning)
         of_starts = start_warnings_of_study(spec for _, spec in self.valid_samples)
         of_sample = self.warnings_of_sample()
@@ -128,7 +117,7 @@ class StudyPlan:
         and on values that the study varies.
         """
         own = [measure for measure in self.spec.defined_measures() if not measure.of_base]
-        of_measures = [note for spec in islice(self._specs(), 1) for note in zero_reactions(spec, own)]
+        of_measures = [note for _, spec in self.validated[:1] for note in zero_reactions(spec, own)]
         return [*of_measures, *notes_on_varied_values(self.spec)]
 
     def warnings_of_sample(self) -> dict[str, str]:
@@ -137,8 +126,9 @@ class StudyPlan:
         Limits and means of the distributions are checked, because drawn values have many decimals. The keys are the
         warnings about single runs, without their numbers.
         """
-        if self.spec.sample is None or (spec := next(self._specs(), None)) is None:
+        if self.spec.sample is None or not self.validated:
             return {}
+        spec = self.validated[0][1]
         varied = VariedSpecs(spec.canonical_json())
         found: dict[str, str] = {}
         of_others = set(angles_in_degrees(spec))  # with the same numbers for each value of a variable
@@ -172,7 +162,7 @@ def plan_study(spec: StudySpec) -> StudyPlan:
         find_verdict(spec)
     check_column_names(spec)
     plan = StudyPlan(spec)
-    if spec.in_blocks and (spec.members is None or spec.sample is not None):
+    if spec.members is None or spec.sample is not None:
         for point in plan.samples:
             if not point.lacking:
                 point.spec  # noqa: B018  # raises an error if it is invalid

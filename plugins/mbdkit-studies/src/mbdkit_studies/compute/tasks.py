@@ -8,9 +8,12 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from mbdkit.base.command_words import command_words
+
+Message: TypeAlias = dict[str, Any]
+"""A task for a worker, or its answer, as plain data that JSON can contain."""
 
 #: External reasons of failure: a resource was not available, a process died or was stopped, or mbdkit has a defect.
 PASSING = ("no-resources", "worker-died", "interrupted", "error")
@@ -54,7 +57,7 @@ class Task:
     deaths: Mapping[int, int] = field(default_factory=dict)
     skip: Mapping[int, str] = field(default_factory=dict)
 
-    def message(self) -> dict[str, Any]:
+    def message(self) -> Message:
         """Return the message from which a worker can carry out the task, with the command line of this process."""
         skip = {str(run): reason for run, reason in self.skip.items()}
         return {**self.content, "path": str(self.path.absolute()), "skip": skip, "command": command_words()}
@@ -107,7 +110,7 @@ class Outcome:
     results: tuple[Any, ...] = ()
 
     @classmethod
-    def of(cls, answer: Mapping[str, Any]) -> Outcome:
+    def of(cls, answer: Message) -> Outcome:
         """Return the outcome from the answer of a worker."""
         values = {name: math.nan if value is None else value for name, value in answer.get("values", {}).items()}
         results = tuple(answer.get("results", ()))

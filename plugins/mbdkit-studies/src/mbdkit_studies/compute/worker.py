@@ -16,20 +16,20 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
-import mbdkit
 from mbdkit.base.command_words import executing
 from mbdkit.plugin import MbdkitError, SpecError, shown
+from mbdkit.plugin.archives import own_version
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit_studies.compute.batch import refusal
+from mbdkit_studies.compute.tasks import Message
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
 
-Carry = Callable[[dict[str, Any], Callable[[str], None]], dict[str, Any]]
+Carry = Callable[[Message, Callable[[str], None]], Message]
 """Function that carries out the task described by a message, and returns the answer.
 
 Its second argument is a function that passes notes to the user.
@@ -46,7 +46,7 @@ def main(carry: Carry | None = None) -> None:
     tasks: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(sys.stdin, tasks), daemon=True).start()
 
-    def answer(message: dict[str, Any]) -> None:
+    def answer(message: Message) -> None:
         answers.write(json.dumps(message) + "\n")
         answers.flush()
 
@@ -69,7 +69,7 @@ state.
 """
 
 
-def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | None = None) -> list[dict[str, Any]]:
+def compute(tasks: Sequence[Message], of_version: str, carry: Carry | None = None) -> list[Message]:
     """Carry out tasks in a process that an executor has started, possibly on another machine.
 
     Parameters
@@ -91,11 +91,11 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | Non
         return [_answered(task, of_version, carry or _work) for task in tasks]
 
 
-def _answered(task: dict[str, Any], of_version: str, carry: Carry) -> dict[str, Any]:
+def _answered(task: Message, of_version: str, carry: Carry) -> Message:
     notes: list[str] = []
     host = socket.gethostname()
-    if mbdkit.__version__ != of_version:
-        why = f"{host} has mbdkit {version('mbdkit')}, the study needs {of_version}; install the same version there."
+    if own_version() != of_version:
+        why = f"{host} has mbdkit {own_version()}, the study needs {of_version}; install the same version there."
     elif not Path(task["path"]).parent.is_dir():
         folder = shown(Path(task["path"]).parent)
         why = f"{host} cannot access the folder {folder}; it must be on a file system that all workers share."
@@ -104,7 +104,7 @@ def _answered(task: dict[str, Any], of_version: str, carry: Carry) -> dict[str, 
     return {"status": "missing", "reason": f"no-resources: {why}", "notes": notes, "host": host}
 
 
-def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) -> dict[str, Any]:
+def _outcome(task: Message, notify: Callable[[str], None], carry: Carry) -> Message:
     try:
         with executing(task["command"]):
             return carry(task, notify)
@@ -119,7 +119,7 @@ def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) 
         return asdict(refusal(error))
 
 
-def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]:
+def _work(task: Message, notify: Callable[[str], None]) -> Message:
     from mbdkit.plugin import RunSpec, simulate
 
     if "block" in task:

@@ -6,14 +6,17 @@ the attribute `texts` of the numbers names the array of texts. A column of hashe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import h5py
 import numpy as np
 from h5py import h5p
 
+from mbdkit.archive.part_file import LIBVER
 from mbdkit.plugin import Array
-from mbdkit.plugin.archives import TEXT, create, set_text
+from mbdkit.plugin.archives import TEXT, create, is_text, set_text
 
 _LEVEL = 4
 """Compression level of deflate; higher levels take longer, but reduce the size by only a few per cent."""
@@ -23,6 +26,26 @@ SMALL = 4096
 
 CHUNK = 1 << 18
 """Size of a compressed chunk [bytes]. A chunk holds whole runs, so that reading one run decompresses few others."""
+
+
+@contextmanager
+def hdf5_in_memory() -> Iterator[h5py.File]:
+    """Yield an empty HDF5 file in memory, whose bytes are those of `file_bytes`.
+
+    Files are created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
+    """
+    with h5py.File(f"table-{next(_NUMBERS)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
+        yield file
+
+
+_NUMBERS = itertools.count(1)
+
+
+def file_bytes(file: h5py.File) -> bytes:
+    """Return the bytes of a file in memory."""
+    file.flush()
+    image: bytes = file.id.get_file_image()
+    return image
 
 
 def write_column(
@@ -66,13 +89,13 @@ def write_hashes(file: h5py.File, array: Array, hashes: Sequence[str], *, compre
 
 
 def read_column(dataset: h5py.Dataset) -> np.ndarray:
-    """Return a column: numbers, or an object array of strings for texts and hashes."""
+    """Return a column: numbers, or an object array of strings for texts and hashes, coded or not."""
     if "texts" in dataset.attrs:
         texts = np.array(dataset.parent[str(dataset.attrs["texts"])].asstr()[:], object)
         return np.asarray(texts[dataset[:]], object)
     if "hash" in dataset.attrs:
         return _hexadecimal(dataset[:])
-    return np.asarray(dataset[:])
+    return np.asarray((dataset.asstr() if is_text(dataset) else dataset)[:])
 
 
 def _hexadecimal(values: np.ndarray) -> np.ndarray:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import h5py
 import numpy as np
 
-from mbdkit.archive.part_file import LIBVER
 from mbdkit.plugin import Array, SpecError
 from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT, create, data_sha256, open_hdf5, reading, set_text
 from mbdkit.plugin.files import replacing
-from mbdkit_studies.folder.columns import read_column, write_column
+from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column
 from mbdkit_studies.spec.study_spec import StudySpec
 
 FILE = "members.h5"
@@ -29,7 +27,7 @@ def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
     columns
         (N,) numbers or strings by dotted key.
     """
-    with h5py.File(f"members-{id(columns)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
+    with hdf5_in_memory() as file:
         set_text(file, "format", _FORMAT)
         file.create_group("members")
         count = len(next(iter(columns.values())))
@@ -39,8 +37,7 @@ def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
             array = Array(f"members/value_{number:04d}", ("run",), "1", f"value of {key}", dtype)
             dataset = write_column(file, array, values)
             set_text(dataset, "key", key)
-        file.flush()
-        return file.id.get_file_image(), data_sha256(file)
+        return file_bytes(file), data_sha256(file)
 
 
 def read_members(spec: StudySpec) -> dict[str, np.ndarray]:
@@ -54,8 +51,7 @@ def read_members(spec: StudySpec) -> dict[str, np.ndarray]:
     assert spec.members is not None
     if spec._columns is None:
         spec._columns = _read(spec._folder / spec.members.file, spec.members.runs, spec.members.sha256)
-    columns: dict[str, np.ndarray] = spec._columns
-    return columns
+    return spec._columns
 
 
 def _read(path: Path, runs: int, sha256: str) -> dict[str, np.ndarray]:

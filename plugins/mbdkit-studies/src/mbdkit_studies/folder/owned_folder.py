@@ -173,6 +173,12 @@ class OwnedFolder(ABC, Generic[Spec]):
     def create_more(self, spec: Spec) -> None:
         """Create the files and folders that are needed in addition to the spec."""
 
+    def owners(self) -> list[str]:
+        """Return the processes that hold a lock of the folder, in words."""
+        owners = map(folder_lock.Owner.of, sorted(self.path.glob(f"{LOCK}*")))
+        alive = (owner for owner in owners if owner is not None and not owner.is_dead)
+        return [f"process {owner.pid} on {owner.host} since {owner.since}" for owner in alive]
+
     @contextlib.contextmanager
     def locked(self, shard: Shard | None = None) -> Iterator[None]:
         """Lock the folder against other calls.

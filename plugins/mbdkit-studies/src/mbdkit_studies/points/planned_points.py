@@ -200,14 +200,22 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
 
 def number_of_points(spec: StudySpec) -> int:
     """Return the number of points of a study, without creating them."""
-    return rows_of(spec) * sum(math.prod(size(next(iter(axis.values()))) for axis in axes) for axes in _axes(spec))
+    return sum(count for count, _ in _families(spec))
+
+
+def _families(spec: StudySpec) -> list[tuple[int, Sequence[Mapping[str, Any]]]]:
+    """Return the number of points and the axes of each family."""
+    rows = rows_of(spec)
+    return [(rows * math.prod(size(next(iter(axis.values()))) for axis in axes), axes) for axes in _axes(spec)]
 
 
 def _check_size(spec: StudySpec) -> None:
     """Check the number of points and the number of values on the axes, before any point is created."""
-    runs = number_of_points(spec)
+    families = _families(spec)
+    runs = sum(count for count, _ in families)
+    is_in_files = spec.store == "files" or bool(spec.needs_files)
     key = "sample" if spec.sample is not None else "families" if spec.families else "axes"
-    if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and (spec.store == "files" or spec.needs_files)):
+    if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and is_in_files):
         number = runs if runs < 10**12 else "too many"
         most = f"{LARGEST_STUDY} with a file for each" if runs <= LARGEST_TABLE else f"{LARGEST_TABLE}"
         raise spec.placed(SpecError(f"makes {number} runs; a study has at most {most}", key=key))
@@ -216,6 +224,9 @@ def _check_size(spec: StudySpec) -> None:
         raise spec.placed(
             SpecError(f"lists {values} values; the axes of a study list at most {MOST_SETTINGS}", key=key)
         )
+    if is_in_files and sum(count * sum(map(len, axes)) for count, axes in families) > MOST_SETTINGS:
+        message = f"sets more than {MOST_SETTINGS} values in {runs} runs, the limit for a study with a file for each"
+        raise spec.placed(SpecError(message, key=key))
 
 
 def _axes(spec: StudySpec) -> list[Sequence[Mapping[str, Any]]]:
@@ -395,14 +406,12 @@ def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid, given: Mappin
 
 
 class PlannedPoints(Sequence[PlannedPoint]):
-    """All points of a study, each created on access.
+    """All points of a study, each created on access; the first `LARGEST_STUDY` are kept, with specs that are built.
 
     Parameters
     ----------
     spec
         The study spec with its bases resolved.
-    kept
-        Whether points are cached after they have been created, with their run specs.
 
     Raises
     ------
@@ -410,9 +419,9 @@ class PlannedPoints(Sequence[PlannedPoint]):
         If there are too many points, or if the unit of a value does not suit its key.
     """
 
-    def __init__(self, spec: StudySpec, *, kept: bool = False):
+    def __init__(self, spec: StudySpec):
         self.study = spec
-        self._kept: dict[int, PlannedPoint] | None = {} if kept else None
+        self._kept: dict[int, PlannedPoint] = {}
         self.grids = grids(spec)
         self._ends = np.cumsum([grid.count for grid in self.grids]).tolist()
         for end, grid in zip(self._ends, self.grids, strict=True):
@@ -432,17 +441,15 @@ class PlannedPoints(Sequence[PlannedPoint]):
         if isinstance(index, slice):
             return tuple(self[place] for place in range(*index.indices(len(self))))
         place = range(len(self))[index]
-        if self._kept is None:
-            return self._point(place)
-        if place not in self._kept:
-            self._kept[place] = self._point(place)
-        return self._kept[place]
-
-    def _point(self, place: int) -> PlannedPoint:
+        if place in self._kept:
+            return self._kept[place]
         number = bisect.bisect_right(self._ends, place)
         grid = self.grids[number]
         labels, settings, lacking = grid.point(place - (self._ends[number] - grid.count))
-        return PlannedPoint(place + 1, labels, self.study, grid, tuple(settings), lacking)
+        point = PlannedPoint(place + 1, labels, self.study, grid, tuple(settings), lacking)
+        if place < LARGEST_STUDY:
+            self._kept[place] = point
+        return point
 
     def labels(self) -> dict[str, np.ndarray]:
         """Return the labels of all points on each axis by dotted key, (N,); nan or None for points that lack the
@@ -465,31 +472,6 @@ class PlannedPoints(Sequence[PlannedPoint]):
     def families(self) -> np.ndarray:
         """Return the name of the family of each point, (N,) objects."""
         return np.repeat(np.array([grid.name for grid in self.grids], object), [grid.count for grid in self.grids])
-
-
-def plan_points(spec: StudySpec) -> PlannedPoints:
-    """Return the points of a study with a file for each run; their run specs are built on first access.
-
-    Parameters
-    ----------
-    spec
-        The study spec with its bases resolved.
-
-    Raises
-    ------
-    SpecError
-        If there are more than `LARGEST_STUDY` points, if their axes set more than `MOST_SETTINGS` values, or if the
-        unit of a value does not suit its key.
-    """
-    points = PlannedPoints(spec, kept=True)
-    settings = sum(grid.count * sum(map(len, grid.axes)) for grid in points.grids)
-    if len(points) > LARGEST_STUDY or settings > MOST_SETTINGS:
-        message = (
-            f"makes {len(points)} runs and sets {settings} values in them; a study with a file for each run has at "
-            f"most {LARGEST_STUDY} runs and {MOST_SETTINGS} values"
-        )
-        raise spec.placed(SpecError(message, key="families" if spec.families else "axes"))
-    return points
 
 
 def distinct_runs(points: Iterable[PlannedPoint]) -> Iterator[tuple[str, RunSpec]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class SampledStudy(Protocol):
         """Return the plan of a family."""
         ...
 
-    def columns(self) -> dict[str, Any]:
+    def columns(self) -> dict[str, np.ndarray]:
         """Return the columns of the table of all points."""
         ...
 
@@ -89,7 +89,7 @@ def sample_groups(study: SampledStudy) -> list[SampleGroup]:
     return groups
 
 
-def groups_where(study: SampledStudy, where: Mapping[str, Any] | None) -> list[SampleGroup]:
+def groups_where(study: SampledStudy, where: Mapping[str, Label] | None) -> list[SampleGroup]:
     """Return the groups with the given family and labels.
 
     Parameters
@@ -120,7 +120,7 @@ def groups_where(study: SampledStudy, where: Mapping[str, Any] | None) -> list[S
     return found
 
 
-def one_group(study: SampledStudy, where: Mapping[str, Any] | None) -> SampleGroup:
+def one_group(study: SampledStudy, where: Mapping[str, Label] | None) -> SampleGroup:
     """Return the only group with the given family and labels; raise MbdkitError if there is no such group, or
     several.
     """
@@ -163,6 +163,6 @@ def measured(study: SampledStudy, name: str, places: range, *, with_bad: bool = 
     return values
 
 
-def is_bad(columns: Mapping[str, Any]) -> np.ndarray:
+def is_bad(columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return which runs (N,) of a table are rated bad. Their measures are not used in statistics."""
     return np.asarray(np.asarray(columns["verdict"], object) == "bad")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from mbdkit.plugin import MbdkitError, SpecError, path_text
@@ -117,8 +115,7 @@ def values_of(spec: StudySpec) -> dict[str, np.ndarray]:
             spec._columns = sampled_values(spec.sample)
         except SpecError as error:
             raise spec.placed(error.located(prefix="sample")) from None
-    columns: dict[str, Any] = spec._columns
-    return columns
+    return spec._columns
 
 
 def rows_of(spec: StudySpec) -> int:

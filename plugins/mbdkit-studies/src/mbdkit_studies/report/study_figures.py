@@ -111,7 +111,7 @@ def asked_measures(study: Study) -> Iterator[Quantity]:
     measures, yield the most relevant ones.
     """
     asked: Any = study.spec.measures
-    usual = _USUAL[:1] if study.spec.in_blocks else _USUAL  # runs in blocks have no reference run
+    usual = [name for name in _USUAL if name in study.units]  # without a reference run, there is no error
     defined = [measure.name for measure in study.spec.defined_measures()]
     entries = asked if isinstance(asked, list | tuple) else defined or usual
     named = [name for entry in entries for name in ([entry] if isinstance(entry, str) else entry)]

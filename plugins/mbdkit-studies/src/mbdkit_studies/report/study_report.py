@@ -95,7 +95,7 @@ def study_report(study: Study) -> ReportPage:
         failures=_failures(study),
         methods=methods(_specs(study), find_verdict(study.spec)[0].plugin.references if study.spec.verdict else ()),
         environment=_environment(study),
-        reproduce=f"Save the spec below as study.yaml. {_again(study)}",
+        reproduce=f"Save the spec below as study.yaml. {study.storage.HOW_TO_READ}",
         commands="mbdkit study study.yaml -o again\nmbdkit report again",
         spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
         spec_file="study.yaml",
@@ -107,19 +107,6 @@ def study_view(study: Study) -> View:
     title = " ".join(study.spec.title.split()) or study.folder.resolve().name
     answers = [f"{name}: {told}" for name, told in (*headlines(study, "±"), *notes(study))]
     return View(f"Study: {title}", (settings(study), *answers), tables=(runs_table(study),))
-
-
-def _again(study: Study) -> str:
-    """Return sentences that say how to read or repeat a run, given its number on the page."""
-    if not study.spec.in_blocks:
-        return (
-            'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
-            "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
-        )
-    return (
-        "The study's folder contains the runs in blocks. In Python, mbdkit.load_study(folder).run(number=1) returns "
-        "what is stored of run 1, and remake(number=1) integrates it again with all arrays."
-    )
 
 
 def settings(study: Study) -> str:

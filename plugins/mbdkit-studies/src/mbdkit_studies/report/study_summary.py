@@ -70,8 +70,8 @@ def plan_summary(plan: StudyPlan) -> str:
     """
     spec = plan.spec
     lines = [("study", " ".join(spec.title.split())), *(_lines_of_blocks(plan) if spec.in_blocks else _lines_of(plan))]
-    lines += [*_grid_lines(plan.points.grids, is_drawn=spec.in_blocks and spec.sample is not None)]
-    lines += [*(_sample_lines(spec) if spec.in_blocks else ()), *_measure_lines(plan.defined)]
+    lines += [*_grid_lines(plan.points.grids, is_drawn=spec.sample is not None), *_sample_lines(spec)]
+    lines += _measure_lines(plan.defined)
     return "\n".join(f"{label:<10} {shown(value)}" for label, value in lines if value)
 
 

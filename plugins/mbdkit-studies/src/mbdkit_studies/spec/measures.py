@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.measured_values import ERROR
 from mbdkit.archive.peak_errors import missed_of_verdict
+from mbdkit.measures.take import is_taken
 from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.archives import NotRecordedError, kind_of_group, missed_between_rows
+from mbdkit.plugin.measures import error_of, take
 from mbdkit.plugin.mechanisms import mechanism_sizes
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
 from mbdkit_report import Trend, trends
@@ -26,8 +29,9 @@ from mbdkit_studies.spec.reference_errors import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.plugin import Run, RunSpec
     from mbdkit.plugin.archives import FinishedRun
+    from mbdkit.plugin.specs import DefinedMeasure
 
 
 class RunGroup:
@@ -389,6 +393,24 @@ SECOND: Mapping[str, tuple[str, str]] = {
     ),
     "velocity_misalignment_every_step": ("m/s", "largest velocity misalignment of any joint over every step"),
 }
+
+
+def has_error(measure: DefinedMeasure, spec: RunSpec) -> bool:
+    """Return whether a measure of the runs of a spec has an error estimate, which may be nan."""
+    return spec.check and measure.item is None and is_taken(measure, spec)
+
+
+def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> dict[str, float]:
+    """Return those values of a run, by column, that are computed for one run at a time: `defined` measures with their
+    errors, and measures of checked runs.
+    """
+    values: dict[str, float] = {}
+    for measure in defined:
+        values[measure.name] = value = take(measure, run, spec)
+        if has_error(measure, spec):
+            values[measure.name + ERROR] = error_of(measure, value, run, spec)
+    checked = {} if run.accuracy is None else OF_CHECKED_RUNS
+    return values | {name: measure.of(run) for name, measure in checked.items()}
 
 
 def built_in_measures() -> Mapping[str, str]:

@@ -32,7 +32,7 @@ StudySource: TypeAlias = str | FilePath | Mapping[str, object] | StudySpec
 """A file, the name of a packaged study, a mapping, or a validated spec."""
 
 
-def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
+def load_study_spec(source: object, assignments: Iterable[str] = ()) -> StudySpec:
     """Load and validate a study spec; the name or file of each base is replaced by the content, a mapping.
 
     Parameters
@@ -147,7 +147,7 @@ def _packaged(name: str) -> Registered | None:
 
 
 def document_of(
-    source: Any,
+    source: object,
     words: tuple[str, str],
     packaged: Callable[[str], tuple[Document, FilePath] | None],
     names: Callable[[], Sequence[str]],

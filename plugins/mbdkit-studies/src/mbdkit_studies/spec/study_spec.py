@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -17,12 +18,6 @@ from mbdkit.plugin.terminal import shortened
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN, built_in, built_in_measures
 from mbdkit_studies.spec.sample_section import Sample, comparable
 from mbdkit_studies.spec.value_sets import ValueSet, sets_together, size
-
-
-def _check_key(key: str) -> str:
-    if not parse_key(key):
-        raise PydanticCustomError("mbdkit", "should be a dotted key of a run spec, such as time.step")
-    return key
 
 
 def _check_keys(keys: dict[str, Any]) -> dict[str, Any]:
@@ -206,7 +201,9 @@ class StudySpec(StrictSpec):
 
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
     _folder: FilePath = PrivateAttr(default_factory=FilePath)
-    _columns: Any = PrivateAttr(default=None)  # folder of the table of members, after it has been read
+    _columns: dict[str, np.ndarray] | None = PrivateAttr(
+        default=None
+    )  # folder of the table of members, after it has been read
 
     @model_validator(mode="after")
     def _consistent(self) -> StudySpec:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from mbdkit.plugin import MbdkitError
+from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.points.sample_groups import SampledStudy, SampleGroup, measured, one_group
 from mbdkit_studies.statistics import sample_statistics
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE, Estimate
@@ -58,7 +58,7 @@ class MeasureStatistics:
 
 
 def statistics(
-    study: SampledStudy, measure: str, *, where: Mapping[str, Any] | None, confidence: float
+    study: SampledStudy, measure: str, *, where: Mapping[str, Label] | None, confidence: float
 ) -> MeasureStatistics:
     """Return the statistics of a measure; see `Study.statistics`."""
     if not study.spec.has_table:

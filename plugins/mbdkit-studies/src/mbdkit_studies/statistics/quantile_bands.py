@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from mbdkit_studies.points.sample_groups import SampledStudy, groups_where, is_b
 
 if TYPE_CHECKING:
     import pandas
+
+    from mbdkit_studies.points.planned_points import Label
 
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -66,7 +68,7 @@ def quantiles(
     quantity: str,
     q: float | Sequence[float],
     *,
-    where: Mapping[str, Any] | None,
+    where: Mapping[str, Label] | None,
     times: Sequence[float] | np.ndarray | None,
 ) -> QuantileBands:
     """Return quantiles of a quantity at each time; see `Study.quantiles`."""
@@ -91,7 +93,7 @@ def quantiles(
     return QuantileBands(quantity, unit, probabilities, grid.time, bands, count)
 
 
-def _given(times: Any) -> np.ndarray:
+def _given(times: object) -> np.ndarray:
     time = np.asarray(times, float)
     if time.ndim != 1 or not len(time) or not np.all(np.isfinite(time)):
         raise MbdkitError("the times should be an array (K,) of finite numbers")

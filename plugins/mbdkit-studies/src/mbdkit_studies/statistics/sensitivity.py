@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from mbdkit_studies.statistics.sobol_indices import RESAMPLES, SobolIndices, mem
 
 if TYPE_CHECKING:
     import pandas
+
+    from mbdkit_studies.points.planned_points import Label
 
 NARROW = 0.05
 """Width of the intervals of indices for which a note says how many members are needed."""
@@ -117,7 +119,7 @@ def sensitivity(
     study: SampledStudy,
     measure: str,
     *,
-    where: Mapping[str, Any] | None = None,
+    where: Mapping[str, Label] | None = None,
     confidence: float = CONFIDENCE,
     members: int | None = None,
     resamples: int = RESAMPLES,

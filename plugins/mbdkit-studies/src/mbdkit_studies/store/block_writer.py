@@ -7,7 +7,6 @@ structure are those of a run archive, the groups of others are in ``structure-2`
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -17,7 +16,7 @@ from typing import Any, Literal, get_args
 import h5py
 import numpy as np
 
-from mbdkit.archive.part_file import LIBVER, write_image
+from mbdkit.archive.part_file import write_image
 from mbdkit.plugin import Array, Recorded
 from mbdkit.plugin.archives import (
     COUNTERS,
@@ -37,7 +36,7 @@ from mbdkit.plugin.archives import (
     utc_now,
 )
 from mbdkit.plugin.files import canonical_text
-from mbdkit_studies.folder.columns import write_column, write_hashes
+from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, write_column, write_hashes
 
 FORMAT = "mbdkit-block"
 FORMAT_VERSION = "1.0"
@@ -209,19 +208,10 @@ def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> 
 
 
 def block_image(heading: BlockHeading, runs: Sequence[BlockRun]) -> bytes:
-    """Return the bytes of a block.
-
-    It is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
-    """
-    name = f"block-{next(_NUMBERS)}"
-    with h5py.File(name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
+    """Return the bytes of a block."""
+    with hdf5_in_memory() as file:
         _Writer(file, heading, runs).write()
-        file.flush()
-        image: bytes = file.id.get_file_image()
-    return image
-
-
-_NUMBERS = itertools.count(1)
+        return file_bytes(file)
 
 
 class _Writer:

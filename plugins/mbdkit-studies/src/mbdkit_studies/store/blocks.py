@@ -12,10 +12,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit import ArchiveError
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.archive.stored_mechanism import built_mechanism
-from mbdkit.plugin import Judgement, Level, Run, RunSpec, SpecError
+from mbdkit.plugin import ArchiveError, Judgement, Level, Run, RunSpec, SpecError
 from mbdkit.plugin.archives import (
     COUNTERS,
     DAMAGE,

@@ -1,8 +1,7 @@
 """The index of a study: columns with one value per run in an HDF5 file, readable as netCDF-4 and written atomically.
 
-The index of a study with an archive for each run has format 1.x, in which texts are stored directly. The index of a
-study in blocks, which may have millions of runs, has format 2.x: texts are coded, hashes are bytes, and the names and
-positions of columns are attributes.
+Texts are strings in tables of up to `PLAIN` runs. Longer tables, of up to a million runs, store hashes as bytes and
+other texts as indices into an array of the distinct texts, see `mbdkit_studies.folder.columns`.
 """
 
 from __future__ import annotations
@@ -16,10 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-import mbdkit
-from mbdkit import ArchiveError
-from mbdkit.archive.part_file import LIBVER
-from mbdkit.plugin import Array, SpecError
+from mbdkit.plugin import ArchiveError, Array, SpecError
 from mbdkit.plugin.archives import (
     ATTRIBUTES_HASH,
     COUNTERS,
@@ -31,24 +27,23 @@ from mbdkit.plugin.archives import (
     create,
     data_sha256,
     open_hdf5,
+    own_version,
     reading,
     set_text,
 )
 from mbdkit.plugin.files import replacing
 from mbdkit.plugin.measures import Description
-from mbdkit_studies.folder.columns import read_column, write_column, write_hashes
+from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
 from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit_studies.spec.study_spec import StudySpec
 
-FORMAT = "mbdkit-study"
-FILES_VERSION, BLOCKS_VERSION = "1.0", "2.0"
-"""Versions of the index format: for a study with an archive for each run, and for a study in blocks."""
+FORMAT, FORMAT_VERSION = "mbdkit-study", "1.0"
+
+PLAIN = 10_000
+"""Largest number of runs whose texts are stored as strings."""
 
 STATUSES = ("complete", "failed", "missing", "left-out")
-
-#: Value of the attribute `role` of a column with a measure that the study defines.
-DEFINED = "measure"
 
 #: Columns with the minimum, quartiles and median of repeated timings, and their probabilities.
 QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
@@ -81,7 +76,7 @@ NUMBERS: Mapping[str, Description] = {
 }
 
 HASHES = ("run_id", "data_sha256")
-"""Columns of hashes in the index of a study in blocks."""
+"""Columns of hashes."""
 
 BETWEEN_REASONS = "  "
 """Separates the reasons for a verdict: two spaces, because a reason may have several sentences."""
@@ -148,10 +143,8 @@ class Index:
         The same columns, without axes, for the reference runs; empty if the study has none.
     axes
         Names of the columns that are axes of the study.
-    defined
-        Names of the columns of measures that the study defines.
     states
-        (B, 4) states of the files of blocks, see `mbdkit_studies.compute.run_blocks`; zero if unknown. None for a
+        (B, 4) states of the files of blocks, see `mbdkit_studies.compute.run_blocks`; zero if unknown. B is 0 in a
         study with an archive for each run.
     study_sha256, version
         Hash of the study, and version of mbdkit that wrote the index.
@@ -161,8 +154,7 @@ class Index:
     described: Mapping[str, Description]
     references: Mapping[str, np.ndarray] = field(default_factory=dict)
     axes: frozenset[str] = frozenset()
-    defined: frozenset[str] = frozenset()
-    states: np.ndarray | None = None
+    states: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int64))
     study_sha256: str = ""
     version: str = ""
 
@@ -175,10 +167,10 @@ class Index:
         defined
             Units and descriptions of the measures that the study defines.
         """
-        names = dict.fromkeys(name for row in (*runs, *references) for name in row.values)
-        described = {name: defined.get(name) or NUMBERS[name] for name in names}
+        names = {name for row in (*runs, *references) for name in row.values}
+        described = {name: column for name, column in {**defined, **NUMBERS, **defined}.items() if name in names}
         axes = frozenset(key for row in runs for key in row.axes)
-        return cls(_columns(runs), described, _columns(references), axes, frozenset(defined))
+        return cls(_columns(runs, described), described, _columns(references, described), axes)
 
     def __len__(self) -> int:
         return len(self.runs["status"])
@@ -201,14 +193,14 @@ class Index:
         )
 
 
-def _columns(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+def _columns(rows: Sequence[Row], numbers: Iterable[str]) -> dict[str, np.ndarray]:
     """Return the columns of rows: texts, axes, numbers, and repeated timings."""
     columns = {name: np.array([getattr(row, name) for row in rows], object) for name in TEXTS}
     for key in dict.fromkeys(key for row in rows for key in row.axes):
         labels = [row.axes.get(key) for row in rows]
         is_text = any(isinstance(label, str) for label in labels)
         columns[key] = np.array(labels, object if is_text else FLOAT)  # None becomes nan
-    for name in dict.fromkeys(name for row in rows for name in row.values):
+    for name in numbers:
         columns[name] = np.array([row.values.get(name, math.nan) for row in rows], FLOAT)
     if count := max((len(row.repeats) for row in rows), default=0):
         columns[REPEATS] = np.array([[*row.repeats, *[math.nan] * (count - len(row.repeats))] for row in rows])
@@ -240,24 +232,20 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
     SpecError
         If the index cannot be written, as on a full disk. The previous index then remains unchanged.
     """
-    in_blocks = index.states is not None
-    # The file is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
-    with h5py.File(f"index-{id(index)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
+    with hdf5_in_memory() as file:
         set_text(file, "format", FORMAT)
-        set_text(file, "format_version", BLOCKS_VERSION if in_blocks else FILES_VERSION)
-        set_text(file, "mbdkit", mbdkit.__version__)
+        set_text(file, "format_version", FORMAT_VERSION)
+        set_text(file, "mbdkit", own_version())
         set_text(file, "study", spec.canonical_json())
         set_text(file, "study_sha256", spec.sha256())
-        _Table(file, "runs", "run", index).write(index.runs)
-        if index.states is None:
-            _Table(file, "references", "reference", index).write(index.references)
-        else:
+        _write_table(file, "runs", "run", index.runs, index)
+        if index.references:
+            _write_table(file, "references", "reference", index.references, index)
+        if len(index.states):
             _write_states(file, index.states)
         set_text(file, "data_sha256", data_sha256(file))
-        if in_blocks:
-            set_text(file, ATTRIBUTES_HASH, attributes_sha256(file))
-        file.flush()
-        image = file.id.get_file_image()
+        set_text(file, ATTRIBUTES_HASH, attributes_sha256(file))
+        image = file_bytes(file)
     with replacing(path) as temporary:
         temporary.write_bytes(image)
 
@@ -271,67 +259,34 @@ def _write_states(file: h5py.File, states: np.ndarray) -> None:
     create(file, Array("blocks/file_state", ("block", "property"), "1", what, INTEGER), states)
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Writes a group of the index, whose columns have one value for each run or reference run."""
+def _write_table(file: h5py.File, group: str, dim: str, columns: Mapping[str, np.ndarray], index: Index) -> None:
+    """Write a group whose columns have one value for each run or reference run."""
 
-    file: h5py.File
-    group: str
-    dim: str
-    index: Index
+    def write_scale(name: str, count: int, what: str) -> None:
+        create(file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.arange(1, count + 1))
 
-    def write(self, columns: Mapping[str, np.ndarray]) -> None:
-        """Write the columns."""
-        self.file.create_group(self.group)
-        count = len(columns["status"])
-        self._create(self.dim, range(1, count + 1), INTEGER, Description("1", "number of the run"))
-        for index, (name, values) in enumerate(columns.items(), start=1):
-            if name == REPEATS:
-                self._create("repeat", range(1, values.shape[1] + 1), INTEGER, _NUMBER_OF_TIMING, ("repeat",))
-                self._create(name, values, FLOAT, _TIMINGS_OF_RUN, (self.dim, "repeat"))
-            elif self.index.states is None:
-                self._plain(name, values)
-            else:
-                self._coded(name, index, values)
-
-    def _described(self, name: str) -> Description:
+    file.create_group(group)
+    write_scale(dim, len(columns["status"]), "number of the run")
+    for place, (name, values) in enumerate(columns.items(), start=1):
+        is_axis, is_number = name in index.axes, name in index.described
         what = TEXTS.get(name, f"axis of the study: {name} of the run spec")
-        return self.index.described.get(name) or Description("1", what)
-
-    def _create(
-        self, name: str, values: Iterable[Any], dtype: str, told: Description, dims: tuple[str, ...] = ()
-    ) -> h5py.Dataset:
-        array = Array(f"{self.group}/{name}", dims or (self.dim,), told.units, told.long_name, dtype)
-        return create(self.file, array, np.array(values, object if dtype == TEXT else dtype))
-
-    def _plain(self, name: str, values: np.ndarray) -> None:
-        """Write a column of format 1.x."""
-        is_text = values.dtype == object
-        dataset = self._create(
-            axis_column(name), _texts(values) if is_text else values, TEXT if is_text else FLOAT, self._described(name)
-        )
-        if name in self.index.axes or name in self.index.defined:
-            set_text(dataset, "role", "axis" if name in self.index.axes else DEFINED)
-
-    def _coded(self, name: str, place: int, values: np.ndarray) -> None:
-        """Write a column of format 2.x."""
-        described, path = self._described(name), f"{self.group}/{axis_column(name)}"
-        array = Array(path, (self.dim,), described.units, described.long_name)
-        if name in HASHES:
-            write_hashes(self.file, array, [str(value) for value in values])
-        elif values.dtype == object:
-            write_column(self.file, replace(array, dtype=TEXT), _texts(values))
+        units, what = (index.described[name].units, index.described[name].long_name) if is_number else ("1", what)
+        array = Array(f"{group}/{axis_column(name)}", (dim,), units, what)
+        if name == REPEATS:
+            write_scale("repeat", values.shape[1], "number of the timing")
+            create(file, Array(array.path, (dim, "repeat"), "s", "wall time of each serial timing"), values)
+        elif values.dtype != object:
+            write_column(file, replace(array, dtype=INTEGER if values.dtype.kind == "i" else FLOAT), values)
+        elif len(values) <= PLAIN:
+            create(file, replace(array, dtype=TEXT), np.array(_texts(values), object))
+        elif name in HASHES:
+            write_hashes(file, array, _texts(values))
         else:
-            write_column(self.file, replace(array, dtype=INTEGER if values.dtype.kind == "i" else FLOAT), values)
-        dataset = self.file[path]
+            write_column(file, replace(array, dtype=TEXT), _texts(values))
+        dataset = file[array.path]
         dataset.attrs["place"] = np.int64(place)
         set_text(dataset, "name", name)
-        is_axis, is_number = name in self.index.axes, name in self.index.described
         set_text(dataset, "role", "axis" if is_axis else "number" if is_number else "text")
-
-
-_NUMBER_OF_TIMING = Description("1", "number of the timing")
-_TIMINGS_OF_RUN = Description("s", "wall time of each serial timing")
 
 
 def _texts(values: np.ndarray) -> list[str]:
@@ -339,7 +294,7 @@ def _texts(values: np.ndarray) -> list[str]:
 
 
 def read(path: Path) -> Index:
-    """Read an index of format 1.x or 2.x; an index of format 1.x is returned without axis labels.
+    """Read an index.
 
     Raises
     ------
@@ -355,69 +310,32 @@ def read(path: Path) -> Index:
         if file.attrs.get("format") != FORMAT:
             raise ArchiveError("this is not the index of a study", file=path)
         written = str(file.attrs["format_version"])
-        major = written.partition(".")[0]
-        known = [number.partition(".")[0] for number in (FILES_VERSION, BLOCKS_VERSION)]
-        if major not in known:
-            ours = " and ".join(f"{number}.x" for number in known)
-            raise ArchiveError(f"this index has format version {written}, this mbdkit reads {ours}", file=path)
+        if written.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
+            raise ArchiveError(f"this index has format version {written}, this mbdkit reads 1.x", file=path)
         if file.attrs["data_sha256"] != data_sha256(file):
             raise ValueError("data_sha256 does not match")
-        index = _read_plain(file) if major == known[0] else _read_coded(file)
-        lengths = (
-            {len(column) for column in index.runs.values()},
-            {len(reference) for reference in index.references.values()},
-        )
-        if max(map(len, lengths)) > 1:
+        if file.attrs[ATTRIBUTES_HASH] != attributes_sha256(file):
+            raise ValueError("attributes_sha256 does not match")
+        tables = [_read_columns(file[group]) if group in file else {} for group in ("runs", "references")]
+        if any(len(set(map(len, table.values()))) > 1 for table in tables):
             raise ValueError("its columns have different lengths")
-        return index
+        items = {str(item.attrs["name"]): item for item in file["runs"].values() if "role" in item.attrs}
+        return Index(
+            tables[0],
+            {
+                name: Description(str(items[name].attrs["units"]), str(items[name].attrs["long_name"]))
+                for name in tables[0]
+                if items[name].attrs["role"] == "number"
+            },
+            tables[1],
+            axes=frozenset(name for name, item in items.items() if item.attrs["role"] == "axis"),
+            states=file["blocks/file_state"][:] if "blocks/file_state" in file else np.zeros((0, 4), np.int64),
+            study_sha256=str(file.attrs["study_sha256"]),
+            version=str(file.attrs["mbdkit"]),
+        )
 
 
-def _read_plain(file: h5py.File) -> Index:
-    """Return an index of format 1.x."""
-    runs = file["runs"]
-    defined = {name: item for name, item in runs.items() if item.attrs.get("role") == DEFINED}
-    described = {
-        name: Description(str(runs[name].attrs["units"]), str(runs[name].attrs["long_name"]))
-        if name in defined
-        else NUMBERS[name]
-        for name in (*defined, *NUMBERS)
-        if name in runs or name in file["references"]
-    }
-    columns = [
-        _plain_columns(file["runs"], "run", described),
-        _plain_columns(file["references"], "reference", described),
-    ]
-    return Index(
-        columns[0],
-        described,
-        columns[1],
-        defined=frozenset(defined),
-        study_sha256=str(file.attrs["study_sha256"]),
-        version=str(file.attrs["mbdkit"]),
-    )
-
-
-def _plain_columns(group: h5py.Group, dim: str, numbers: Iterable[str]) -> dict[str, np.ndarray]:
-    texts = {name: group[name].asstr()[:] for name in TEXTS}
-    return texts | {name: group[name][:] for name in (*numbers, REPEATS) if name in group}
-
-
-def _read_coded(file: h5py.File) -> Index:
-    """Return an index of format 2.x."""
-    if file.attrs[ATTRIBUTES_HASH] != attributes_sha256(file):
-        raise ValueError("attributes_sha256 does not match")
-    items = [item for item in file["runs"].values() if "role" in item.attrs]
-    items.sort(key=lambda item: int(item.attrs["place"]))
-    by_name = {str(item.attrs["name"]): item for item in items}
-    return Index(
-        {name: read_column(item) for name, item in by_name.items()},
-        {
-            name: Description(str(item.attrs["units"]), str(item.attrs["long_name"]))
-            for name, item in by_name.items()
-            if item.attrs["role"] == "number"
-        },
-        axes=frozenset(name for name, item in by_name.items() if item.attrs["role"] == "axis"),
-        states=file["blocks/file_state"][:] if "blocks/file_state" in file else np.zeros((0, 4), np.int64),
-        study_sha256=str(file.attrs["study_sha256"]),
-        version=str(file.attrs["mbdkit"]),
-    )
+def _read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
+    """Return the columns of a table by name, in the order in which they were written."""
+    items = sorted((item for item in group.values() if "role" in item.attrs), key=lambda item: int(item.attrs["place"]))
+    return {str(item.attrs["name"]): read_column(item) for item in items}

@@ -17,6 +17,9 @@ from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Label, PlannedPoint, PlannedPoints, point_label
 from mbdkit_studies.store.study_index import Index, Row
 
+KEPT = 1000
+"""Number of points of a study that are kept in memory."""
+
 
 @dataclass(frozen=True)
 class StudyPoint:
@@ -28,8 +31,8 @@ class StudyPoint:
         Number of the point in the study, from 1; for a reference run, its number among the reference runs.
     planned
         The planned point from which the spec is built.
-    path
-        Path of the archive; None if it does not exist.
+    folder
+        Folder of the study.
     axes
         Label of the point's value on each axis, by dotted key; empty for a reference run.
     is_reference
@@ -39,9 +42,15 @@ class StudyPoint:
     number: int
     row: Row
     planned: PlannedPoint
-    path: Path | None
+    folder: StudyFolder
     axes: Mapping[str, Label]
     is_reference: bool = False
+
+    @property
+    def path(self) -> Path | None:
+        """Path of the archive; None if the run has none."""
+        path = self.folder.archive(self.run_id)
+        return path if self.run_id and self.status != "missing" and path.exists() else None
 
     @property
     def family(self) -> str:
@@ -97,7 +106,7 @@ class StudyPoint:
 
 
 class Points(Sequence[StudyPoint]):
-    """Points of a study, each created on access.
+    """Points of a study, each created on access; the first `KEPT` are kept, because their specs are read repeatedly.
 
     Parameters
     ----------
@@ -110,6 +119,7 @@ class Points(Sequence[StudyPoint]):
     def __init__(self, planned: PlannedPoints, index: Index, folder: StudyFolder, places: Sequence[int] | None = None):
         self._planned, self._index, self._folder = planned, index, folder
         self._places = range(len(planned)) if places is None else places
+        self._kept: dict[int, StudyPoint] = {}
 
     def __len__(self) -> int:
         return len(self._places)
@@ -124,19 +134,17 @@ class Points(Sequence[StudyPoint]):
         if isinstance(place, slice):
             return tuple(self[index] for index in range(*place.indices(len(self))))
         place = self._places[place]
+        if place in self._kept:
+            return self._kept[place]
         planned, row = self._planned[place], self._index.row(place)
-        path = None if self._index.states is not None else archive_of(row, self._folder)
-        return StudyPoint(planned.number, replace(row, family=planned.family), planned, path, planned.axes)
+        point = StudyPoint(planned.number, replace(row, family=planned.family), planned, self._folder, planned.axes)
+        if place < KEPT:
+            self._kept[place] = point
+        return point
 
     def at(self, places: Sequence[int]) -> Points:
         """Return the points with these indices in the study."""
         return Points(self._planned, self._index, self._folder, places)
-
-
-def archive_of(row: Row, folder: StudyFolder) -> Path | None:
-    """Return the archive of a run; None if there is none."""
-    path = folder.archive(row.run_id)
-    return path if row.run_id and row.status != "missing" and path.exists() else None
 
 
 def point_words(point: StudyPoint, units: Mapping[str, str] | None = None) -> str:

@@ -6,39 +6,33 @@ import math
 import operator
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-import mbdkit
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.measures.take import with_error
-from mbdkit.plugin import MbdkitError, Run, SpecError, did_you_mean, listed, load, simulate
-from mbdkit.plugin.archives import COUNTERS, MeasuredValues, NotStoredError
+from mbdkit.plugin import MbdkitError, Run, SpecError, did_you_mean, listed, simulate
+from mbdkit.plugin.archives import COUNTERS, MeasuredValues, own_version
 from mbdkit.plugin.files import FileRead, only_known
 from mbdkit.plugin.measures import Description
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.planned_points import PlannedPoints
-from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS
+from mbdkit_studies.spec.measures import MEASURES, other_values
 from mbdkit_studies.spec.study_spec import StudySpec
-from mbdkit_studies.store.block_writer import KEEPING_TIMES
-from mbdkit_studies.store.blocks import Block
-from mbdkit_studies.store.study_blocks import StudyBlocks
+from mbdkit_studies.store.storage import JoinedRuns, Storage
 from mbdkit_studies.store.study_index import Index
-from mbdkit_studies.store.study_point import StudyPoint
+from mbdkit_studies.store.study_point import Points, StudyPoint
 
 
 class StudyRuns:
     """Base class of `Study`: its families of points, and the run of each point."""
 
     spec: StudySpec
-    points: Sequence[StudyPoint]
+    points: Points
     references: tuple[StudyPoint, ...]
+    storage: Storage
     _files: StudyFolder
     _index: Index
-    _planned: PlannedPoints
 
     @property
     def folder(self) -> Path:
@@ -92,17 +86,10 @@ class StudyRuns:
             If there is no such run, or not exactly one of `point` and `number` is given.
         """
         chosen = self._point(point, number)
-        path = self._path(chosen)
-        if path is None or (self.spec.in_blocks and not chosen.row.data_sha256):
-            return None
-        if self.spec.in_blocks:
-            with Block(path, self._sha256) as block:
-                run = block.run(chosen.number)
-        else:
-            run = load(path)
+        run = self.storage.open(chosen)
         if run is not None:
             try:
-                _check_stored(run, chosen, path)
+                _check_stored(run, chosen, self.storage.path(chosen))
             except BaseException:
                 run.close()
                 raise
@@ -121,24 +108,6 @@ class StudyRuns:
                 {**known.errors, **{name: values.get(name + ERROR, np.nan) for name in own}},
                 known.remarks,
             )
-
-    def _path(self, point: StudyPoint) -> Path | None:
-        """Return the file that contains a run: its archive, or a block; None if the archive does not exist."""
-        return self._files.block(self._blocks.block_of(point.number - 1)) if self.spec.in_blocks else point.path
-
-    @cached_property
-    def _sha256(self) -> str:
-        return self.spec.sha256()
-
-    @cached_property
-    def _blocks(self) -> StudyBlocks:
-        """The division of the runs into blocks, if they are stored in blocks."""
-        first = self._files.block(0)
-        if self.spec.block is None and first.exists():  # without it, a run must be built, which may read a file
-            with Block(first) as block:
-                return StudyBlocks(len(self._planned), len(block.numbers))
-        with only_known((), allowed=False):
-            return StudyBlocks.of(self.spec, self._planned)
 
     def remake(self, point: StudyPoint | int | None = None, *, number: int | None = None, files: bool = False) -> Run:
         """Integrate the run of a point again, and return it with all of its arrays, in memory.
@@ -163,7 +132,7 @@ class StudyRuns:
             raise MbdkitError(
                 f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
             )
-        (written, read), now = self._written_by(chosen), mbdkit.__version__
+        (written, read), now = self._written_by(chosen), own_version()
         why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
         reference = self.reference(chosen)
         try:
@@ -197,7 +166,7 @@ class StudyRuns:
         """Return the version of mbdkit that computed the run of a point, after checking its file, and the files that
         were read for the run; "unknown" and None without a file.
         """
-        path = self._path(point)
+        path = self.storage.path(point)
         run = self.run(point) if path is not None and path.exists() else None
         if run is None:
             return "unknown", None
@@ -221,27 +190,16 @@ class StudyRuns:
         """Units and descriptions, by column, of the measures that the study defines by expressions or plugins."""
         return {measure.name: self._index.described[measure.name] for measure in self.spec.defined_measures()}
 
-    def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
+    def rows_of_runs(self) -> JoinedRuns:
         """Yield runs that join the rows of one or more runs of the study.
 
         Each item is a joined run, the numbers of its runs in the study, and the number of rows of each of its runs. A
         joined run has the histories of all of its runs, but only the spec and the name of the first one.
         """
-        if not self.spec.in_blocks:
-            for point, run in self.runs():
-                if run is not None:
-                    with run:
-                        yield run, [point.number], np.array([len(run.time)])
-            return
-        if self.spec.store not in KEEPING_TIMES:
-            raise NotStoredError("values over time", str(self.spec.store))
-        for path in filter(Path.exists, map(self._files.block, range(self._blocks.count))):
-            with Block(path, self._sha256) as block:
-                for run, numbers, counts in block.joined_runs():
-                    yield run, numbers.tolist(), counts
+        return self.storage.joined_runs(self.runs())
 
 
-def _check_stored(run: Run, point: StudyPoint, path: Path) -> None:
+def _check_stored(run: Run, point: StudyPoint, path: Path | None) -> None:
     """Check that a stored run is the one that the study plans, and that its data are those in the index.
 
     Parameters
@@ -302,12 +260,11 @@ def _remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str
 def _numbers_of(study: StudySpec, point: StudyPoint, run: Run, reference: Run | None) -> Iterator[tuple[str, float]]:
     """Yield the numbers in the row of a point that are computed from its run and its reference run."""
     known: Mapping[str, float] = point.values
-    for name, measure in (MEASURES if run.accuracy is None else {**MEASURES, **OF_CHECKED_RUNS}).items():
+    for name, measure in MEASURES.items():
         if name in known and (reference is not None or not measure.needs):
             yield name, measure.of(run, reference)
-    for defined in study.defined_measures():
-        if defined.name in known:
-            yield from with_error(defined, run, run.run_spec).items()
+    others = other_values(run, run.run_spec, study.defined_measures())
+    yield from ((name, value) for name, value in others.items() if name in known)
     for name in COUNTERS:
         if name in known and name in run.stats:
             yield name, float(run.stats[name])

@@ -1,0 +1,167 @@
+"""How the runs of a study are read from its folder: from an archive of each run, or from blocks of many runs."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from mbdkit.plugin import Run, load
+from mbdkit.plugin.archives import NotStoredError
+from mbdkit.plugin.files import only_known
+from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.store.block_writer import KEEPING_TIMES
+from mbdkit_studies.store.blocks import Block
+from mbdkit_studies.store.study_blocks import StudyBlocks
+from mbdkit_studies.store.study_point import StudyPoint
+
+JoinedRuns = Iterator[tuple[Run, Sequence[int], np.ndarray]]
+"""Runs that join the rows of one or more runs of a study, each with the numbers of these runs in the study and the
+number of rows of each of them."""
+
+
+class Storage(ABC):
+    """The stored runs of a study.
+
+    Attributes
+    ----------
+    HOW_TO_READ
+        Sentences that say how to read or repeat a run, given its number.
+    CONTENT
+        What a file contains, as a word.
+    """
+
+    HOW_TO_READ: str
+    CONTENT: str
+    _NAME: re.Pattern[str]
+
+    def __init__(self, spec: StudySpec, folder: StudyFolder, planned: PlannedPoints):
+        self.spec, self.folder, self.planned = spec, folder, planned
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """Number of files of the complete study; for archives, number of points."""
+
+    @property
+    def done(self) -> int:
+        """Number of files that exist."""
+        names = [path.name for path in self.folder.runs.iterdir()] if self.folder.runs.is_dir() else []
+        return sum(bool(self._NAME.fullmatch(name)) for name in names)
+
+    @abstractmethod
+    def path(self, point: StudyPoint) -> Path | None:
+        """Return the file that contains the run of a point; None if there is none."""
+
+    @abstractmethod
+    def open(self, point: StudyPoint) -> Run | None:
+        """Return the run of a point with the arrays that the study stores; None if it has no results."""
+
+    @abstractmethod
+    def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:
+        """Yield joined runs; `runs` are the points of the study with their runs, which are opened when needed."""
+
+
+class Archives(Storage):
+    """An archive for each run."""
+
+    HOW_TO_READ = (
+        'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
+        "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
+    )
+    CONTENT = "run"
+    _NAME = re.compile(r"[0-9a-f]{16}\.h5")
+
+    @property
+    def count(self) -> int:
+        """See `Storage.count`."""
+        return len(self.planned)
+
+    def path(self, point: StudyPoint) -> Path | None:
+        """See `Storage.path`."""
+        return point.path
+
+    def open(self, point: StudyPoint) -> Run | None:
+        """See `Storage.open`."""
+        return None if point.path is None else load(point.path)
+
+    def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:
+        """See `Storage.joined_runs`; each run is yielded by itself."""
+        for point, run in runs:
+            if run is not None:
+                with run:
+                    yield run, [point.number], np.array([len(run.time)])
+
+
+class Blocks(Storage):
+    """Blocks of many runs."""
+
+    HOW_TO_READ = (
+        "The study's folder contains the runs in blocks. In Python, mbdkit.load_study(folder).run(number=1) returns "
+        "what is stored of run 1, and remake(number=1) integrates it again with all arrays."
+    )
+    CONTENT = "block"
+    _NAME = re.compile(r"block-[0-9]{6,}\.h5")
+
+    @property
+    def count(self) -> int:
+        """See `Storage.count`."""
+        return self._blocks.count
+
+    def path(self, point: StudyPoint) -> Path | None:
+        """See `Storage.path`."""
+        return self.folder.block(self._blocks.block_of(point.number - 1))
+
+    def open(self, point: StudyPoint) -> Run | None:
+        """See `Storage.open`."""
+        if not point.row.data_sha256:
+            return None
+        with Block(self.folder.block(self._blocks.block_of(point.number - 1)), self._sha256) as block:
+            return block.run(point.number)
+
+    def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:
+        """See `Storage.joined_runs`; the runs of each structure of a block are joined."""
+        if self.spec.store not in KEEPING_TIMES:
+            raise NotStoredError("values over time", str(self.spec.store))
+        for path in filter(Path.exists, map(self.folder.block, range(self._blocks.count))):
+            with Block(path, self._sha256) as block:
+                for run, numbers, counts in block.joined_runs():
+                    yield run, numbers.tolist(), counts
+
+    @cached_property
+    def _sha256(self) -> str:
+        return self.spec.sha256()
+
+    @cached_property
+    def _blocks(self) -> StudyBlocks:
+        first = self.folder.block(0)
+        if self.spec.block is None and first.exists():  # without it, a run must be built, which may read a file
+            with Block(first) as block:
+                return StudyBlocks(len(self.planned), len(block.numbers))
+        with only_known((), allowed=False):
+            return StudyBlocks.of(self.spec, self.planned)
+
+
+def storage_of(spec: StudySpec, folder: StudyFolder, planned: PlannedPoints) -> Storage:
+    """Return how the runs of a study are stored."""
+    return (Blocks if spec.in_blocks else Archives)(spec, folder, planned)
+
+
+def storage_in(folder: Path) -> Storage:
+    """Return how the runs of the study in a folder are stored.
+
+    Raises
+    ------
+    SpecError
+        If the folder contains no valid study spec.
+    """
+    files = StudyFolder(folder)
+    spec = load_study_spec(files.spec)
+    return storage_of(spec, files, PlannedPoints(spec))
