@@ -156,7 +156,6 @@ def _factorize(f, threshold):
 
 @subkernel
 def _solve(f, b):
-    """Replace a right-hand side (n,) by the solution."""
     w, row_of = f.work, f.row_of
     n = len(row_of)
     for k in range(n):

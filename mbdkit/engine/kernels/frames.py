@@ -24,6 +24,7 @@ from mbdkit.engine.kernels.system import (
     solved_rows,
     unfold_multipliers,
 )
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.functions import kernel
 
 
@@ -94,7 +95,7 @@ def evaluate_frames(
                 out.gamma[f, row] = w.gamma[k, r]
                 out.rate[f, row] = constraint_rate(top.pairs, w.jac, w.phi_t, eq.v, k, r)
                 for side in range(2):
-                    body = top.pairs[k, 1 + side]
+                    body = top.pairs[k, PAIR.first + side]
                     if body != ground:
                         for d in range(3):
                             out.jacobian[f, row, 3 * body + d] += w.jac[k, 6 * r + 3 * side + d]

@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple
 
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.arithmetic import is_refused, usable
 from mbdkit.engine.native.functions import inlined, subkernel
 
@@ -46,7 +47,7 @@ class Schur(NamedTuple):
 @inlined
 def diagonal_block(top, jac, k):
     """Return the entries (xx, xy, yy) of the diagonal block of ``Phi_q M^-1 Phi_q^T`` that belongs to pair `k`."""
-    weight, a, b = top.weight, top.pairs[k, 1], top.pairs[k, 2]
+    weight, a, b = top.weight, top.pairs[k, PAIR.first], top.pairs[k, PAIR.second]
     d00 = d01 = d11 = 0.0
     for i in range(3):
         wa, wb = weight[a, i], weight[b, i]

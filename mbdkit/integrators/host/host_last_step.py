@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.kernels.interpolation import fade
 from mbdkit.integrators.host.host_rows import HostRows
 from mbdkit.integrators.interface import SAME_TIME, Failure, Moment, StepTaken, Stretch
 from mbdkit.integrators.run.reached import Interval, Planned, Reached, RejectedError, Row
@@ -67,8 +68,8 @@ class LastStep(HostRows):
             return step.between(theta)
         q, v, z = found[:3]
         if taken.made is not taken.reached:
-            fade = theta * theta * (3.0 - 2.0 * theta)
-            q, v = q + fade * (taken.reached.q - taken.made.q), v + fade * (taken.reached.v - taken.made.v)
+            share = fade(theta)
+            q, v = q + share * (taken.reached.q - taken.made.q), v + share * (taken.reached.v - taken.made.v)
         return with_ground(q), with_ground(v), z
 
     def within(self, theta: float) -> Moment:

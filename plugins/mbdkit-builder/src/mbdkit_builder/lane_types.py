@@ -30,8 +30,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
 from mbdkit.engine.kernels.elementary.tables import entry
-from mbdkit.engine.native.arithmetic import below, is_refused, nearest, number_in, put_in, put_in_place, renewed, usable
-from mbdkit.kernels import FUNCTIONS, WIDTH, any_of, bits_of, from_bits, where
+from mbdkit.kernels import FUNCTIONS, WIDTH, any_of, arithmetic, bits_of, from_bits, where
 from mbdkit_builder.implementation import implement
 
 DOUBLE, _BIT, _WORD = ir.DoubleType(), ir.IntType(1), ir.IntType(64)
@@ -272,7 +271,6 @@ def _where_number(context, builder, signature, arguments):
 
 
 def _both_widths(function: Any, name: str) -> None:
-    """Define a function, for a number and for lanes, by an intrinsic function of LLVM."""
     _define(function, 1, REAL, REAL, _by_intrinsic(name))
 
     @infer_global(function)
@@ -287,24 +285,20 @@ def _both_widths(function: Any, name: str) -> None:
         return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.f64"), arguments)
 
 
-_both_widths(nearest, "rint")
-_both_widths(below, "floor")
+_both_widths(arithmetic.nearest, "rint")
+_both_widths(arithmetic.below, "floor")
 
 
-@implement(number_in)
+@implement(arithmetic.number_in)
 def _number_in(typing_context, x, lane):
-    """Return the number in one lane."""
-
     def generate(context, builder, signature, arguments):
         return builder.extract_element(arguments[0], builder.trunc(arguments[1], ir.IntType(32)))
 
     return types.float64(REAL, types.int64), generate
 
 
-@implement(put_in)
+@implement(arithmetic.put_in)
 def _put_in(typing_context, x, lane, number):
-    """Return lanes with another number in one of them."""
-
     def generate(context, builder, signature, arguments):
         return builder.insert_element(arguments[0], arguments[2], builder.trunc(arguments[1], ir.IntType(32)))
 
@@ -329,8 +323,6 @@ _with_bits(from_bits, types.float64(types.int64), REAL(INTEGER))
 
 @implement(entry)
 def _entry(typing_context, table, index):
-    """Return the number in a table at an index; for each lane, at its own index."""
-
     def generate(context, builder, signature, arguments):
         start = context.make_array(table)(context, builder, arguments[0]).data
         if index != INTEGER:
@@ -363,34 +355,34 @@ def _any_lane_typing(typing_context, condition):
 _any_lane: Any = intrinsic(_any_lane_typing)
 
 
-@overload(is_refused, inline="always")
+@overload(arithmetic.is_refused, inline="always")
 def _is_refused(sound):
     if isinstance(sound, LaneMask):
         return lambda sound: False
     return lambda sound: not sound
 
 
-@overload(usable, inline="always")
+@overload(arithmetic.usable, inline="always")
 def _usable(x, sound):
     if isinstance(sound, LaneMask):
         return lambda x, sound: where(sound, x, np.nan)
     return lambda x, sound: x
 
 
-@overload(renewed, inline="always")
+@overload(arithmetic.renewed, inline="always")
 def _renewed(new, old, condition):
     if isinstance(condition, LaneMask):
         return lambda new, old, condition: where(condition, new, old)
     return lambda new, old, condition: new
 
 
-@overload(put_in_place)
+@overload(arithmetic.put_in_place)
 def _put_in_place(values, place, x):
     if isinstance(x, LaneReal):
 
         def put(values, place, x):
             for lane in range(WIDTH):
-                values[lane, place] = number_in(x, lane)
+                values[lane, place] = arithmetic.number_in(x, lane)
 
     else:
 

@@ -142,7 +142,6 @@ load_taylor = bundle_loader(lambda: new_taylor(4, 6, np.zeros((0, 4), dtype=np.i
 
 @subkernel
 def _expand(c, m, t):
-    """Compute the series from the base state at the time `t`."""
     r = m.relative
     coordinates_of(c.top, r.tree, c.from_q, c.from_v, r.vectors[BASE], r.vectors[BASE_RATES])
     prepare_angles(c.top, c.w, c.from_q)
