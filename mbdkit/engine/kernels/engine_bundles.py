@@ -4,28 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, NamedTuple
 
+from mbdkit.engine.kernels import table_rows as columns
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.schur import Schur
-from mbdkit.engine.kernels.table_rows import (
-    COUPLING,
-    INPUT,
-    INTERACTION,
-    JOINT,
-    LAW_ROW,
-    LINEAR,
-    LOAD,
-    LOAD_VALUE,
-    MULTIPLIER,
-    PAIR,
-    SECTION,
-    SLOPE,
-    SPARE,
-    SPRING,
-    STATE_ROW,
-    STATE_USE,
-    TENSION,
-)
 from mbdkit.engine.native.bundle import bundle_loader
 
 
@@ -45,7 +27,7 @@ class Topology(NamedTuple):
     """(B + 1, 3) inverse of `mass`; ground has zeros, so that no force accelerates it."""
     gravity: RealVector
     """(2,) gravity [m/s^2]."""
-    pairs: Annotated[IntMatrix, len(PAIR)]
+    pairs: Annotated[IntMatrix, len(columns.PAIR)]
     """(P,) pairs of constraint rows."""
     rows: IntVector
     """(P,) number of rows that are solved for, 0, 1 or 2."""
@@ -56,45 +38,45 @@ class Topology(NamedTuple):
     """(P, 2) `length` for rows whose Phi is a length, 1 for angles."""
     pair_parameters: Annotated[RealMatrix, 6]
     """(P, 6) parameters of each pair, the two points first; see `mbdkit.engine.kernels.element_kernels`."""
-    spare: Annotated[IntMatrix, len(SPARE)]
+    spare: Annotated[IntMatrix, len(columns.SPARE)]
     """(D,) redundant directions, which are not solved for."""
     spare_axes: Annotated[RealMatrix, 2]
     """(D, 2) unit vectors of the redundant directions in that frame, as coefficients of the pair's two rows; (1, 0) for
     a pair with a single row."""
-    springs: Annotated[IntMatrix, len(SPRING)]
+    springs: Annotated[IntMatrix, len(columns.SPRING)]
     """(S,) segments of springs."""
     spring_points: Annotated[RealMatrix, 6]
     """(S, 6) parameters of the segments: the points in the frames of both bodies, and further ones."""
-    couplings: Annotated[IntMatrix, len(COUPLING)]
+    couplings: Annotated[IntMatrix, len(columns.COUPLING)]
     """(X,) ordered pairs of different segments of the same spring."""
-    linear: Annotated[RealMatrix, len(LINEAR)]
+    linear: Annotated[RealMatrix, len(columns.LINEAR)]
     """(S,) linear springs."""
-    laws: Annotated[IntMatrix, len(LAW_ROW)]
+    laws: Annotated[IntMatrix, len(columns.LAW_ROW)]
     """(W,) laws of all other springs."""
     law_parameters: RealVector
     """(N,) for each law its number of parameters, followed by their values; a parameter that is a state has its initial
     value."""
-    states: Annotated[IntMatrix, len(STATE_ROW)]
+    states: Annotated[IntMatrix, len(columns.STATE_ROW)]
     """(Z,) first-order states; the states of an element follow one another."""
-    state_places: Annotated[IntMatrix, len(STATE_USE)]
+    state_places: Annotated[IntMatrix, len(columns.STATE_USE)]
     """(Y,) all elements of `law_parameters` that hold the value of a state."""
-    inputs: Annotated[IntMatrix, len(INPUT)]
+    inputs: Annotated[IntMatrix, len(columns.INPUT)]
     """(N,) inputs of expressions of the state."""
-    load_values: Annotated[IntMatrix, len(LOAD_VALUE)]
+    load_values: Annotated[IntMatrix, len(columns.LOAD_VALUE)]
     """(V,) components of loads that are expressions of the state, whose values replace those of motions."""
-    slopes: Annotated[IntMatrix, len(SLOPE)]
+    slopes: Annotated[IntMatrix, len(columns.SLOPE)]
     """(D,) derivatives of these components with respect to their inputs."""
     frictions: IntVector
     """(F,) segment of the force element of each joint with friction."""
-    reactions: Annotated[IntMatrix, len(MULTIPLIER)]
+    reactions: Annotated[IntMatrix, len(columns.MULTIPLIER)]
     """(N,) multipliers on which these frictions depend."""
-    loads: Annotated[IntMatrix, len(LOAD)]
+    loads: Annotated[IntMatrix, len(columns.LOAD)]
     """(L,) forces and torques on bodies."""
     load_points: Annotated[RealMatrix, 2]
     """(L, 2) point of application of each load in the frame of its body [m]."""
-    interactions: Annotated[IntMatrix, len(INTERACTION)]
+    interactions: Annotated[IntMatrix, len(columns.INTERACTION)]
     """(C,) interactions, which are forces and torques on two bodies that depend on their poses and velocities."""
-    sections: Annotated[IntMatrix, len(SECTION)]
+    sections: Annotated[IntMatrix, len(columns.SECTION)]
     """(G,) cross-sections at which the elements of beams are integrated."""
     section_parameters: Annotated[RealMatrix, 16]
     """(G, 16) values and derivatives with respect to the arc length of the shape functions of three nodes, then the
@@ -103,7 +85,7 @@ class Topology(NamedTuple):
     """(S + L,) index of the force element of each segment and of each load."""
     pair_joint: IntVector
     """(P,) number of the joint of each pair."""
-    joints: Annotated[IntMatrix, len(JOINT)]
+    joints: Annotated[IntMatrix, len(columns.JOINT)]
     """(J,) joints whose angle or travel is recorded."""
     joint_lines: Annotated[RealMatrix, 6]
     """(J, 6) line of a travel: the points in the frames of both bodies and the unit vector in the first; else zeros."""
@@ -190,7 +172,7 @@ class Scratch(NamedTuple):
     """(S, 6) gradients s_q of the segments."""
     hess: Annotated[RealMatrix, 36]
     """(S, 36) second derivatives s_qq of the segments."""
-    tension: Annotated[RealMatrix, len(TENSION)]
+    tension: Annotated[RealMatrix, len(columns.TENSION)]
     """(S + 1, 4) force, its derivatives and potential of the spring of each segment; the last row is a work array."""
     interaction: Annotated[RealMatrix, 6]
     """(C, 6) forces and torques of the interactions on their first and second bodies."""

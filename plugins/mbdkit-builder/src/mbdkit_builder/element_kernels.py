@@ -158,15 +158,17 @@ def _reads(expressions: Iterable[sp.Expr], printer: Printer) -> list[str]:
     for symbol, expr in reversed(d.INTERMEDIATES.items()):
         if symbol in used:
             used |= expr.free_symbols
-            inner.append(f"    {symbol} = {printer.doprint(expr)}")
+            inner.append((str(symbol), printer.doprint(expr)))
     names = {str(s) for s in used}
+    vectors = groupby(inner[::-1], lambda element: element[0][:-1] if element[0][-1] in "xy" else element[0])
     read = [(name, text) for name, text in _READS.items() if name in names]
     by_array = groupby(read, lambda element: element[1].partition("[")[0])
-    return [_read_together(list(elements)) for _, elements in by_array] + inner[::-1]
+    return [_assigned(list(elements)) for groups in (by_array, vectors) for _, elements in groups]
 
 
-def _read_together(read: Sequence[tuple[str, str]]) -> str:
-    return f"    {', '.join(name for name, _ in read)} = {', '.join(text for _, text in read)}"
+def _assigned(values: Sequence[tuple[str, str]]) -> str:
+    """Return a line that assigns texts to names: elements of the same array, or both components of a vector."""
+    return f"    {', '.join(name for name, _ in values)} = {', '.join(text for _, text in values)}"
 
 
 def _vanishes(entry: sp.Expr) -> bool:

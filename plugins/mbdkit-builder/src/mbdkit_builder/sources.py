@@ -51,7 +51,7 @@ def _imported(file: str) -> tuple[str, ...]:
             continue
         place = module.replace(".", "/")
         rooms, prefix = (_ROOMS, "") if package == machine_code.CORE else (("kernels/",), f"{package}:")
-        modules = (place, *(f"{place}/{name.strip()}" for name in "".join(names).split(",")))
+        modules = (place, *(f"{place}/{name.split()[0]}" for name in "".join(names).split(",") if name.strip()))
         paths += [f"{prefix}{path}.py" for path in modules if path.startswith(rooms)]
     return tuple(path for path in paths if machine_code.source_file(path).is_file())
 
