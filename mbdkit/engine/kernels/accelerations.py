@@ -108,6 +108,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     pattern, factors = solver.pattern, solver.factors
     if len(pattern.row_of) != len(w.right):  # the pattern is still empty: no pivots have been chosen yet
         return REPIVOT
+    # with rate 0 the terms are those of the index-1 matrix
     gather_values(w.source, solver.scatter, 0.0, 0.0, pattern.weight, factors.a)
     solver.failed[0] = factorize(pattern, factors)
     if solver.failed[0] >= 0:
@@ -179,6 +180,7 @@ def _add_by_address(w, solver, q, v, acc, lam):
     exchanged = w.reacting
     if exchanged.acts[0] == 0:
         return OK
+    # the function has only an engine and its own bundle; state and solution are passed in arrays of the engine
     copy(q, exchanged.q)
     copy(v, exchanged.v)
     copy(acc, exchanged.acc)
@@ -229,6 +231,7 @@ def settle_by_newton(top, w, solver, v, acc, lam, refine):
     count = len(top.frictions)
     if not begin_frictions(top, w, v, lam):
         return OK
+    # multipliers are affine in the frictions: one solution with the same factors gives a column of their matrix
     for f in range(count):
         scale = add_unit(top, w, f, 1.0)
         status = _substitute(top, w, solver, acc, lam, refine)
@@ -237,6 +240,7 @@ def settle_by_newton(top, w, solver, v, acc, lam, refine):
         note_response(top, w, f, lam, scale)
         add_unit(top, w, f, -1.0)
     before, worst = np.inf, 0
+    # the laws are piecewise smooth in the reactions, so that Newton's method ends in two or three steps
     for _ in range(MOST_PASSES):
         rest, worst = newton_step(top, w, v)
         if rest <= SETTLED or (rest >= before and rest <= NEARLY_SETTLED):

@@ -27,6 +27,7 @@ def force_values(top, w, q, v, out):
     """
     springs, loads, place, tension, u = top.springs, top.loads, top.force_place, w.tension, w.u
     for k in range(len(springs)):
+        # only the first segment has the length, rate and tension of the whole pathway
         if springs[k, SPRING.segments] == 0:
             continue
         row, law, pull = place[k], springs[k, SPRING.law], tension[k, TENSION.force]
@@ -52,6 +53,7 @@ def force_values(top, w, q, v, out):
             spin = v[3 * body + 2]
             size = math.hypot(fx, fy)
             power = fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
+            # without a force the direction is undefined, and so is a velocity along it
             out[row, 0] = 0.0
             out[row, 1] = where(size > 0.0, power / size, 0.0)
             out[row, 2] = size
@@ -78,12 +80,14 @@ def joint_values(top, w, q, lam, reactions, out):
             out[j, 0] = lines[j, 4] * (c * x + s * y - lines[j, 0]) + lines[j, 5] * (c * y - s * x - lines[j, 1])
         out[j, 1] = out[j, 2] = out[j, 3] = 0.0
     for k in range(len(pairs)):
+        # a joint may have several pairs of rows, whose reactions add up
         j = top.pair_joint[k]
         out[j, 2] += reactions[k, 0]
         out[j, 3] += reactions[k, 1]
         if pairs[k, PAIR.motion] >= 0:
             out[j, 1] += lam[k, 0] * w.phi_t[k, 0] + lam[k, 1] * w.phi_t[k, 1]
     for j in range(len(joints)):
+        # only now, because reactions of several pairs add up in the global frame
         a, b, x, y = joints[j, JOINT.first], joints[j, JOINT.second], out[j, 2], out[j, 3]
         out[j, 2] = cs[a, 0] * x + cs[a, 1] * y
         out[j, 3] = cs[a, 0] * y - cs[a, 1] * x

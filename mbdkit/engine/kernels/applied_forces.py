@@ -93,6 +93,7 @@ def pathway_lengths(top, w, q):
         else:
             tangent_gradient(k, a, b, q, cs, points, s, grad)
     for k in range(len(springs)):
+        # all segments share the length of the whole, so that tension and derivatives need no case distinction
         for other in range(k + 1, k + springs[k, SPRING.segments]):
             s[k, 0] += s[other, 0]
         if springs[k, SPRING.segments] == 0:
@@ -108,18 +109,23 @@ def choose_side_of_circle(k, points, s, grad):
     to pass the circle on its other side or to wind around it, and if an end is inside of the circle.
     """
     radius, onto, off = points[k - 2, 4], s[k - 2, 0], s[k - 1, 0]
+    # vectors from the center to both ends: no arguments beyond the segments are needed
     ux, uy = radius * -grad[k - 2, 4] - onto * grad[k - 2, 3], radius * grad[k - 2, 3] - onto * grad[k - 2, 4]
     vx, vy = off * grad[k - 1, 3] - radius * grad[k - 1, 4], off * grad[k - 1, 4] + radius * grad[k - 1, 3]
     side, size = where(radius > 0.0, 1.0, -1.0), abs(radius)
+    # the angle from one end to the other about the center, in the sense in which the string runs; it is counted from
+    # -`BEHIND`, because a string that does not touch may sweep a small negative angle
     sweep = -side * math.atan2(ux * vy - uy * vx, ux * vx + uy * vy)
     sweep = where(sweep < -BEHIND, sweep + 2.0 * np.pi, sweep)
     covered = math.atan2(size, onto) + math.atan2(size, off)
+    # the tangents cover the angle from each end to its point of contact; the rest lies on the circle
     turn = sweep + covered - np.pi
     touches = (turn > 0.0) & (sweep <= FARTHEST)
     is_free = (turn <= 0.0) & ((sweep >= 0.0) | (covered - sweep <= np.pi))
     s[k - 2, 0] = where(touches, onto + size * turn, where(is_free, 0.0, np.nan))
     s[k - 1, 0] = where(touches, off, 0.0)
     s[k, 0] = where(touches, 0.0, s[k, 0])
+    # a segment that is not part of the path must not pull its bodies
     for i in range(6):
         grad[k - 2, i] = where(touches, grad[k - 2, i], 0.0)
         grad[k - 1, i] = where(touches, grad[k - 1, i], 0.0)
@@ -325,6 +331,7 @@ def applied_forces(top, w, q, v):
         for i in range(3):
             force[3 * a + i] -= pull * grad[k, i]
             force[3 * b + i] -= pull * grad[k, 3 + i]
+    # expressions may contain tensions, which are known from here on
     if len(top.inputs) + len(top.load_values) > 0:
         evaluate_expressions(top, w, q, v)
     for k in range(len(loads)):
@@ -350,6 +357,7 @@ def add_interaction(top, w, q, v, k):
     law = top.interactions[k, INTERACTION.law]
     place_bodies(top, w, q, v, k)
     evaluate_law(top, w, law, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.interaction, k, 6)
+    # one sum shows whether any of the six values is not finite
     total = 0.0
     for i in range(6):
         w.force[3 * top.interactions[k, INTERACTION.first + i // 3] + i % 3] += w.interaction[k, i]
@@ -381,6 +389,7 @@ def interaction_tangents(top, w, q, v, k):
     law = top.interactions[k, INTERACTION.law] + 1
     place_bodies(top, w, q, v, k)
     evaluate_law(top, w, law, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.interaction_slopes, 0, 72)
+    # the law gives derivatives of forces, tangents are those of -Q
     for i in range(36):
         w.interaction_stiff[k, i] = -w.interaction_slopes[0, i]
         w.interaction_damp[k, i] = -w.interaction_slopes[0, 36 + i]
@@ -459,6 +468,7 @@ def force_tangents(top, w, q, v):
             for j in range(6):
                 stiff[k, 6 * i + j] = stiffness * grad[k, i] * grad[k, j]
                 damp[k, 6 * i + j] = damping * grad[k, i] * grad[k, j]
+        # a straight pathway has no second derivatives, and most mechanisms have no others
         if any_of(curved):
             for j in range(6):
                 bend = 0.0  # column j of (s_q v)_q
@@ -467,6 +477,7 @@ def force_tangents(top, w, q, v):
                 for i in range(6):
                     more = pull * hess[k, 6 * i + j] + damping * grad[k, i] * bend
                     stiff[k, 6 * i + j] = renewed(stiff[k, 6 * i + j] + more, stiff[k, 6 * i + j], curved)
+    # segments of a spring share one tension, which therefore depends on the coordinates of all of them
     for c in range(len(top.couplings)):
         k, other = top.couplings[c, COUPLING.of_force], top.couplings[c, COUPLING.of_coordinates]
         for i in range(6):
@@ -518,6 +529,7 @@ def powers(top, w, v, lam):
         if law < 0:
             lost += top.linear[k, LINEAR.damping] * rate * rate
             continue
+        # the force at rate zero is -dV/ds: what it supplies is stored, only the rest is power or loss
         rest = tension[k, TENSION.force]
         claims = laws[law, LAW_ROW.claims]
         if claims & HAS_POTENTIAL != 0:
@@ -556,6 +568,7 @@ def potential_energy(top, w, q):
     """
     springs, laws, mass, gravity, tension = top.springs, top.laws, top.mass, top.gravity, w.tension
     energy = level = 0.0
+    # the radius of gyration stands for coordinates of joints, whose rounding errors a body at the origin has as well
     for b in range(len(mass) - 1):
         x, y = gravity[0] * q[3 * b], gravity[1] * q[3 * b + 1]
         energy -= mass[b, 0] * (x + y)

@@ -49,6 +49,7 @@ def add_beam_forces(top, w, q, v):
     for k in range(len(sections)):
         for i in range(sections[k, SECTION.count]):
             node, shape, slope = 3 * sections[k, SECTION.node + i], p[k, i], p[k, NODES + i]
+            # virtual work: nodal forces are the section forces times shape functions of the states
             force[node] -= slope * given[k, 0]
             force[node + 1] -= slope * given[k, 1]
             force[node + 2] -= shape * given[k, 2] + slope * given[k, 3]
@@ -116,6 +117,7 @@ def beam_levels(top, w):
     sections, p, z = top.sections, top.section_parameters, w.section
     level_t = level_r = 0.0
     for k in range(len(sections)):
+        # terms are added with their absolute values, as if none of them cancelled
         stretch = abs(z[k, 0]) + abs(z[k, 1])
         rate = abs(z[k, 4]) + abs(z[k, 5]) + stretch * abs(z[k, 6])
         force = (p[k, 7] + p[k, 8]) * (stretch + abs(p[k, 10]) + abs(p[k, 11])) + (p[k, 13] + p[k, 14]) * rate

@@ -92,6 +92,7 @@ def describe_duals(address: int) -> None:
         applied_forces(top, w, q, v)
         for b in range(len(top.mass) - 1):
             for i in range(3):
+                # what the mass needs, minus what acts; reactions are added below
                 pull = acc[3 * b + i] - top.gravity[i] if i < 2 else acc[3 * b + i]
                 lack[r, 3 * b + i] = top.mass[b, i] * pull - w.force[3 * b + i]
         for k in range(len(top.pairs)):

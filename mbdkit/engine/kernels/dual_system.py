@@ -157,6 +157,7 @@ def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
         for r in range(2):
             lam[k, r] = solver.lam[k, r] if r < top.rows[k] else 0.0
     pivoted = n.solver.pivoted[0] != 0
+    # with the values as accelerations, the residual has no value but all derivatives; the second pass refines them
     for _ in range(2 if refine or pivoted else 1):
         _residual(top, w, has_forces, acc, lam, solver.lack, solver.rows)
         if pivoted:
@@ -164,6 +165,7 @@ def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
         else:
             _by_schur(n, solver.lack, solver.rows)
         for d in range(len(acc) - 3):
+            # the value stays the one of a run without derivatives, to the bit
             acc[d] = with_value(acc[d] + solver.lack[d], solver.acc[d])
         for k in range(len(lam)):
             for r in range(top.rows[k]):

@@ -86,6 +86,7 @@ def evaluate_frames(
         prepare(top, w, times[f], eq.q)
         solved_rows(top, w, eq.q, eq.v)
         evaluate_positions(top, w, eq.q)
+        # only independent rows are returned, and the Jacobian has been folded by `solved_rows`
         fold_values(top, w.cs, w.phi)
         fold_values(top, w.cs, w.phi_t)
         for k in range(len(top.pairs)):
@@ -106,6 +107,7 @@ def evaluate_frames(
                 applied_forces(top, w, eq.q, eq.v)
                 for d in range(n):
                     out.force[f, d] = w.force[d]
+            # gravity is an acceleration for the solvers, and not part of the applied forces
             for b in range(ground):
                 out.force[f, 3 * b] += top.mass[b, 0] * eq.gravity[0]
                 out.force[f, 3 * b + 1] += top.mass[b, 1] * eq.gravity[1]
@@ -132,6 +134,7 @@ def reactions_in_frames(
                 multipliers[k, r] = lam[f, eq.solver.row_index[k, r] - n]
         prepare(top, w, times[f], eq.q)
         unfold_multipliers(top, w.cs, multipliers)
+        # reactions belong to the original rows, which `solved_rows` would combine
         constraint_rows(top, w, eq.q, eq.v)
         reactions_of(top, w, multipliers, out.reactions[f])
         applied_forces(top, w, eq.q, eq.v)

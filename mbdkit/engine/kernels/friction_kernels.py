@@ -64,6 +64,7 @@ def begin_frictions(top, w, v, lam):
         room[f, count + 1] = 0.0
         room[f, count + 2] = abs(friction_law(top, w, v, f))
         total += room[f, count + 2]
+    # a joint at rest has no friction to begin with, but steps need a scale other than zero
     for f in range(count):
         room[f, count + 2] = max(room[f, count + 2], NUDGE * total)
     return total > 0.0 and total < np.inf
@@ -100,6 +101,7 @@ def _law_slope(top, w, v, f, j):
     """Return the derivative of the law of friction `f` with respect to friction `j`, which changes the reactions."""
     reactions, response, count = top.reactions, w.response, len(top.frictions)
     k, nudge = top.frictions[f], NUDGE * w.friction[j, count + 2]
+    # a difference, because laws have no derivatives with respect to their parameters
     now = w.tension[k, TENSION.force]
     for i in range(len(reactions)):
         if reactions[i, MULTIPLIER.friction] == f:

@@ -265,6 +265,7 @@ def first_order_rates(
     top, w, solver = h.top, h.w, h.solver
     n3 = 3 * (len(top.mass) - 1)
     q, v, a = acc[0], acc[1], acc[2]
+    # the kernels expect ground behind the bodies
     copy(y[:n3], q)
     copy(y[n3 : 2 * n3], v)
     prepare(top, w, t, q)

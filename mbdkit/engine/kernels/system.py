@@ -38,6 +38,7 @@ def prepare(top, w, t, q):
 def prepare_motions(top, w, t):
     """Evaluate the part of `prepare` that depends on the time only."""
     w.time[0] = t
+    # a step that begins at a discontinuity needs the limits from within the step
     at = min(max(t, w.sides[0]), w.sides[1])
     count = len(top.motion_start) - 1 - OF_CENTER * len(top.centers)
     motions(at, count, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
@@ -191,6 +192,7 @@ def unfold_multipliers(top, cs, lam):
     for i in range(len(top.spare)):
         k = top.spare[i, SPARE.pair]
         dx, dy = spare_direction(top, cs, i)
+        # a single multiplier acts along the combination of rows that was solved for
         across = lam[k, 0] if top.rows[k] == 1 else 0.0
         lam[k, 0] = -dy * across
         lam[k, 1] = dx * across

@@ -43,6 +43,7 @@ def _travel(top, k, q, v):
     bx, by = turned(cb, sb, p[k, 2], p[k, 3])
     wa, wb = v[3 * a + 2], v[3 * b + 2]
     x, y = q[3 * b] - q[3 * a] + bx - ax, q[3 * b + 1] - q[3 * a + 1] + by - ay
+    # the line turns with body a; the rate along it contains no term of its own turning, because the point lies on it
     vx, vy = v[3 * b] - v[3 * a] - wb * by + wa * ay, v[3 * b + 1] - v[3 * a + 1] + wb * bx - wa * ax
     return ux * x + uy * y, ux * vx + uy * vy
 
@@ -73,6 +74,7 @@ def _turn(top, w, tree, y, rates, q, v):
         if k < 0:
             q[3 * b + 2], v[3 * b + 2] = y[3 * b + 2], rates[3 * b + 2]
             continue
+        # a driver or weld gives the angle of the second body minus that of the first
         other, sign = top.pairs[k, PAIR.second - side], 2.0 * side - 1.0
         q[3 * b + 2], v[3 * b + 2] = q[3 * other + 2], v[3 * other + 2]
         if top.pairs[k, PAIR.kind] == _DRIVER:
@@ -98,12 +100,14 @@ def _place(top, w, tree, y, rates, q, v):
         ax, ay = turned(cs[a, 0], cs[a, 1], p[k, 0], p[k, 1])
         bx, by = turned(cs[b, 0], cs[b, 1], p[k, 2], p[k, 3])
         gx, gy = ax - bx, ay - by  # from the centre of mass of the first body to that of the second
+        # the arms turn with their bodies
         vx, vy = wb * by - wa * ay, wa * ax - wb * bx
         if top.pairs[k, PAIR.kind] == _LINE:
             ux, uy = turned(cs[a, 0], cs[a, 1], p[k, 4], p[k, 5])
             s, rate = y[3 * i], rates[3 * i]
             gx += s * ux
             gy += s * uy
+            # the point slides along the line, which turns with the first body
             vx += rate * ux - wa * s * uy
             vy += rate * uy + wa * s * ux
         elif top.pairs[k, PAIR.kind] == _CENTER:

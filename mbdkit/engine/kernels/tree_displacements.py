@@ -40,6 +40,7 @@ def take_arms(top, w, tree, q, arms):
         elif top.pairs[k, PAIR.kind] == _CENTER:
             # the center moves on the first body as the second one turns relative to it
             tx, ty = turned(cs[a, 0], cs[a, 1], w.u[m, 1], w.u[m + 2, 1])
+        # a rotation by a small angle displaces a point at (x, y) by (-y, x)
         arms[n, AX], arms[n, AY] = -y - tx, x - ty
         arms[n, BX], arms[n, BY] = by + tx, ty - bx
         arms[n, UX], arms[n, UY] = ux, uy
@@ -60,6 +61,7 @@ def displace_bodies(top, tree, arms, x):
         other, sign = top.pairs[k, PAIR.second - side], 2.0 * side - 1.0
         alpha, beta, travel = x[3 * a + 2], x[3 * b + 2], x[3 * i]
         for d in range(2):
+            # the parent is known, because bodies come in order from the roots
             apart = arms[n, AX + d] * alpha + arms[n, BX + d] * beta + arms[n, UX + d] * travel
             x[3 * i + d] = x[3 * other + d] + sign * apart
 

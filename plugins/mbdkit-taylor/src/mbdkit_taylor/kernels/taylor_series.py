@@ -17,6 +17,7 @@ from mbdkit.kernels import (
     FACTORIZATIONS,
     NOT_FINITE,
     OK,
+    PAIR,
     PLACE,
     PLACE_SIDE,
     RHS,
@@ -114,7 +115,8 @@ def new_taylor(order: int, size: int, pairs: np.ndarray, springs: int, motions: 
     places = np.full(ground + 1, ground, dtype=np.int64)
     places[tree[:, BODY]] = np.arange(len(tree))
     pins, sides = tree[:, PLACE], tree[:, PLACE_SIDE]
-    before = np.array([places[pairs[k, 2 - side]] if k >= 0 else ground for k, side in zip(pins, sides, strict=True)])
+    others = [pairs[k, PAIR.second - side] if k >= 0 else ground for k, side in zip(pins, sides, strict=True)]
+    before = places[np.array(others, dtype=np.int64)]
     links = np.column_stack([tree[:, BODY], pins, sides, np.where(before == ground, -1, before)]).astype(np.int64)
     nodes, weights = gauss_legendre(order // 2 + 1)
     return Taylor(
