@@ -135,7 +135,7 @@ def _terms(
     both = interactions[:, : INTERACTION.law]
     terms.add_tangents("interaction", 36 * np.arange(len(both)), 6, (both, both), range(6))
     for nodes in range(2, NODES + 1):
-        members = np.flatnonzero(sections[:, SECTION.count] == nodes)
+        members = np.flatnonzero(sections[:, SECTION.node_count] == nodes)
         bodies = sections[members, SECTION.node :]
         terms.add_tangents("beam", 81 * members, 9, (bodies, bodies), range(3 * nodes))
     return terms.joined()

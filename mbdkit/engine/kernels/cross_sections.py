@@ -27,7 +27,7 @@ def evaluate_sections(top, w, q, v):
     for k in range(len(sections)):
         for i in range(8):
             z[k, i] = 0.0
-        for i in range(sections[k, SECTION.count]):
+        for i in range(sections[k, SECTION.node_count]):
             node, shape, slope = 3 * sections[k, SECTION.node + i], p[k, i], p[k, NODES + i]
             z[k, 0] += slope * q[node]
             z[k, 1] += slope * q[node + 1]
@@ -47,7 +47,7 @@ def add_beam_forces(top, w, q, v):
     evaluate_sections(top, w, q, v)
     sections, p, given, force = top.sections, top.section_parameters, w.section_force, w.force
     for k in range(len(sections)):
-        for i in range(sections[k, SECTION.count]):
+        for i in range(sections[k, SECTION.node_count]):
             node, shape, slope = 3 * sections[k, SECTION.node + i], p[k, i], p[k, NODES + i]
             # virtual work: nodal forces are the section forces times shape functions of the states
             force[node] -= slope * given[k, 0]
@@ -62,8 +62,8 @@ def beam_tangents(top, w, q, v):
     sections, p = top.sections, top.section_parameters
     for k in range(len(sections)):
         section_tangents(k, w.section, p, w.section_stiff, w.section_damp)
-        for i in range(sections[k, SECTION.count]):
-            for j in range(sections[k, SECTION.count]):
+        for i in range(sections[k, SECTION.node_count]):
+            for j in range(sections[k, SECTION.node_count]):
                 _spread(p, k, i, j, w.section_stiff, w.beam_stiff)
                 _spread(p, k, i, j, w.section_damp, w.beam_damp)
 
@@ -102,7 +102,7 @@ def beam_values(top, w, out):
             out[element, i] = 0.0
     for k in range(len(sections)):
         element = sections[k, SECTION.element]
-        share = 1.0 / (sections[k, SECTION.count] - 1)  # an element has one cross-section fewer than nodes
+        share = 1.0 / (sections[k, SECTION.node_count] - 1)  # an element has one cross-section fewer than nodes
         for i in range(3):
             out[element, i] += share * stress[k, i]
         out[element, 3] += w.section_energy[k, 0]
@@ -122,10 +122,10 @@ def beam_levels(top, w):
         rate = abs(z[k, 4]) + abs(z[k, 5]) + stretch * abs(z[k, 6])
         force = (p[k, 7] + p[k, 8]) * (stretch + abs(p[k, 10]) + abs(p[k, 11])) + (p[k, 13] + p[k, 14]) * rate
         turn = abs(p[k, 12])
-        for i in range(sections[k, SECTION.count]):
+        for i in range(sections[k, SECTION.node_count]):
             turn += abs(p[k, NODES + i])  # curvature if the angles of the nodes are of the order of 1 rad
         moment = p[k, 9] * turn + p[k, 15] * abs(z[k, 7])
-        for i in range(sections[k, SECTION.count]):
+        for i in range(sections[k, SECTION.node_count]):
             node, shape, slope = sections[k, SECTION.node + i], abs(p[k, i]), abs(p[k, NODES + i])
             level_t = max(level_t, p[k, 6] * slope * force * top.weight[node, 0])
             level_r = max(level_r, p[k, 6] * (shape * force * stretch + slope * moment) * top.weight[node, 2])

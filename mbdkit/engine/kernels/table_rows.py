@@ -60,23 +60,23 @@ class CouplingRow(NamedTuple):
     """Segment with respect to whose coordinates it is differentiated."""
 
 
-class LinearRow(NamedTuple):
-    """A linear spring."""
+class LinearColumns(NamedTuple):
+    """Columns of numbers of a linear spring."""
 
-    stiffness: float
-    damping: float
-    free_length: float
+    stiffness: int
+    damping: int
+    free_length: int
 
 
-class TensionRow(NamedTuple):
-    """The value of a law on a pathway."""
+class TensionColumns(NamedTuple):
+    """Columns of the values of a law on a pathway."""
 
-    force: float
-    by_length: float
+    force: int
+    by_length: int
     """Derivative of the force with respect to the length."""
-    by_rate: float
+    by_rate: int
     """Derivative of the force with respect to the rate of the length."""
-    potential: float
+    potential: int
 
 
 class LawRow(NamedTuple):
@@ -176,7 +176,7 @@ class SectionRow(NamedTuple):
     """A cross-section at which an element of a beam is integrated."""
 
     element: int
-    count: int
+    node_count: int
     """Number of nodes of the element."""
     node: int
     """First node; the others follow."""
@@ -199,8 +199,8 @@ PAIR = PairRow(*range(4))
 SPARE = SpareRow(*range(2))
 SPRING = SpringRow(*range(6))
 COUPLING = CouplingRow(*range(2))
-LINEAR = LinearRow(*range(3))
-TENSION = TensionRow(*range(4))
+LINEAR = LinearColumns(*range(3))
+TENSION = TensionColumns(*range(4))
 LAW_ROW = LawRow(*range(4))
 STATE_ROW = StateRow(*range(3))
 STATE_USE = StateUse(*range(2))

@@ -363,7 +363,7 @@ def new_stages(
 
 def nodes_of_beams(top: Topology) -> np.ndarray:
     """Return the indices of the bodies that are nodes of beams."""
-    nodes = [row[SECTION.node : SECTION.node + row[SECTION.count]] for row in top.sections]
+    nodes = [row[SECTION.node : SECTION.node + row[SECTION.node_count]] for row in top.sections]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *nodes]))
 
 

@@ -13,11 +13,11 @@ from mbdkit.kernels import (
     AT_START_OF_LAST,
     BASE,
     BASE_RATES,
+    BODIES,
     BODY,
     FACTORIZATIONS,
     NOT_FINITE,
     OK,
-    PAIR,
     PLACE,
     PLACE_SIDE,
     RHS,
@@ -115,7 +115,7 @@ def new_taylor(order: int, size: int, pairs: np.ndarray, springs: int, motions: 
     places = np.full(ground + 1, ground, dtype=np.int64)
     places[tree[:, BODY]] = np.arange(len(tree))
     pins, sides = tree[:, PLACE], tree[:, PLACE_SIDE]
-    others = [pairs[k, PAIR.second - side] if k >= 0 else ground for k, side in zip(pins, sides, strict=True)]
+    others = [pairs[k, BODIES][1 - side] if k >= 0 else ground for k, side in zip(pins, sides, strict=True)]
     before = places[np.array(others, dtype=np.int64)]
     links = np.column_stack([tree[:, BODY], pins, sides, np.where(before == ground, -1, before)]).astype(np.int64)
     nodes, weights = gauss_legendre(order // 2 + 1)
