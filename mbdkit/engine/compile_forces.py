@@ -148,8 +148,8 @@ class Lowering:
         first, count = self.first_segments.setdefault(key, len(self.springs)), len(segments)
         for index, segment in enumerate(segments):
             self.spring_places.append(len(self.elements))
-            ends = [self.bodies[body] for body in segment.bodies]
-            self.springs.append(rows.SpringRow(PATHWAYS[segment.kind], *ends, law, first, 0 if index else count))
+            a, b = (self.bodies[body] for body in segment.bodies)
+            self.springs.append(rows.SpringRow(PATHWAYS[segment.kind], a, b, law, first, 0 if index else count))
             self.spring_points.append((*segment.points, *segment.constants))
             self.linear.append(linear)
         own = range(first, first + count)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -405,8 +405,13 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
 
 
 def _new_reacting(size: int, pairs: int) -> Reacting:
-    exchanged, words = np.zeros((3, size)), np.zeros((8, 1), dtype=np.int64)
-    return Reacting(*words, *exchanged, lam=np.zeros((pairs, 2)), power=np.zeros(1))
+    words = ("acts", "add_forces", "engine", "elements", "constrain", "run", "stages", "shows")
+    return Reacting(
+        **{name: np.zeros(1, dtype=np.int64) for name in words},
+        **{name: np.zeros(size) for name in ("q", "v", "acc")},
+        lam=np.zeros((pairs, 2)),
+        power=np.zeros(1),
+    )
 
 
 def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scratch]) -> Scratch:
@@ -420,7 +425,7 @@ def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scra
     """
     plain, offsets = new_scratch(mechanism)
     scratch = converted(plain)
-    views = {}
+    views: dict[str, Any] = {}
     for name, begin in offsets.items():
         if name != "mass":
             rows, columns = getattr(plain, name).shape
