@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         Frames as Frames, Reactions as Reactions, evaluate_frames as evaluate_frames,
         reactions_in_frames as reactions_in_frames,
     )
+    from mbdkit.engine.kernels.interpolation import fade as fade, hermite as hermite
     from mbdkit.engine.kernels.law_programs import OPCODES as OPCODES
     from mbdkit.engine.kernels.lu import (
         Factors as Factors, Pattern as Pattern, factorize as factorize, solve_refined as solve_refined,
@@ -61,6 +62,12 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         evaluate_powers as evaluate_powers, evaluate_tangents as evaluate_tangents, fold_values as fold_values,
         prepare_angles as prepare_angles, solved_rows as solved_rows, unfold_multipliers as unfold_multipliers,
     )
+    from mbdkit.engine.kernels.table_rows import (
+        BODIES as BODIES, COUPLING as COUPLING, INPUT as INPUT, INTERACTION as INTERACTION, JOINT as JOINT,
+        LAW_ROW as LAW_ROW, LINEAR as LINEAR, LOAD as LOAD, LOAD_VALUE as LOAD_VALUE, LawRow as LawRow,
+        MULTIPLIER as MULTIPLIER, PAIR as PAIR, SECTION as SECTION, SLOPE as SLOPE, SPARE as SPARE, SPRING as SPRING,
+        STATE_ROW as STATE_ROW, STATE_USE as STATE_USE, TENSION as TENSION,
+    )
     from mbdkit.engine.kernels.tree import (
         BODY as BODY, PLACE as PLACE, PLACE_SIDE as PLACE_SIDE, coordinates_of as coordinates_of,
         place_bodies as place_bodies, turned as turned,
@@ -68,7 +75,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.engine.kernels.vectors import (
         copy as copy, fill as fill, fill_rows as fill_rows, stays_finite as stays_finite,
     )
-    from mbdkit.engine.native import arithmetic as arithmetic, calls as calls
+    from mbdkit.engine.native import arithmetic as arithmetic, calls as calls, machine_code as machine_code
     from mbdkit.engine.native.arithmetic import (
         DIRECTIONS as DIRECTIONS, any_of as any_of, value_of as value_of, where as where,
     )
@@ -78,11 +85,14 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         new_registers as new_registers, numbers_at as numbers_at,
     )
     from mbdkit.engine.native.functions import (
-        LAWS as LAWS, entry as entry, inlined as inlined, kernel as kernel, law_function as law_function,
+        DECLARED as DECLARED, entry as entry, inlined as inlined, kernel as kernel, law_function as law_function,
         separate as separate, subkernel as subkernel,
     )
     from mbdkit.engine.native.kernel import Entry as Entry, Kernel as Kernel, LawFunction as LawFunction
-    from mbdkit.engine.native.levels import WIDTH as WIDTH, chosen_level as chosen_level, this_platform as this_platform
+    from mbdkit.engine.native.levels import (
+        Level as Level, PLATFORMS as PLATFORMS, Platform as Platform, WIDTH as WIDTH, chosen_level as chosen_level,
+        this_platform as this_platform,
+    )
     from mbdkit.engine.native.number_arrays import (
         ComplexDuals as ComplexDuals, ComplexLanes as ComplexLanes, Duals as Duals, ITEM as ITEM, Lanes as Lanes,
         new_duals as new_duals, new_lanes as new_lanes,

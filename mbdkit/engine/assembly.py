@@ -134,8 +134,6 @@ def tolerances(tolerance: float, far: float, fast: float, search: LeastChange) -
 
 
 class _Assembly:
-    """The assembly of one mechanism."""
-
     def __init__(self, mechanism: Mechanism, search: LeastChange):
         self.mechanism, self.search, self.compiled, self.t0 = mechanism, search, search.compiled, search.t0
         bodies = mechanism.bodies.values()

@@ -14,6 +14,7 @@ from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import ActingForce, ElementState, ForceElement, LawForce, SampledController
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.friction_forces import FrictionForce, friction_forces
+from mbdkit.engine.kernels import table_rows as rows
 from mbdkit.engine.kernels.applied_forces import (
     BODY_FORCE,
     PATHWAYS,
@@ -43,6 +44,11 @@ FRICTION = 200
 """Kinds of elements of lower order are compiled before the friction in joints."""
 
 
+def table(entries: Sequence[tuple[int, ...]], columns: tuple[int, ...]) -> np.ndarray:
+    """Return rows of integers as a table; `columns` are its columns (`mbdkit.engine.kernels.table_rows`)."""
+    return np.array(entries, dtype=np.int64).reshape(-1, len(columns))
+
+
 class Lowering:
     """Collects the force elements on pathways, loads and first-order states of a mechanism in flat lists.
 
@@ -56,19 +62,19 @@ class Lowering:
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: CompiledMotions):
         self.mechanism, self.joints, self.bodies, self.motions = mechanism, mechanism.joints, number, motions
-        self.springs: list[Numbers] = []
+        self.springs: list[rows.SpringRow] = []
         self.spring_points: list[Numbers] = []
-        self.couplings: list[Numbers] = []
+        self.couplings: list[rows.CouplingRow] = []
         self.linear: list[Numbers] = []
         self.laws: list[tuple[str, CompiledLaw]] = []
-        self.law_rows: list[Numbers] = []
+        self.law_rows: list[rows.LawRow] = []
         self.law_parameters: list[float] = []
         self.states: list[ElementState] = []
-        self.state_rows: list[Numbers] = []
-        self.state_places: list[Numbers] = []
-        self.inputs: list[Numbers] = []
-        self.load_values: list[Numbers] = []
-        self.slopes: list[Numbers] = []
+        self.state_rows: list[rows.StateRow] = []
+        self.state_places: list[rows.StateUse] = []
+        self.inputs: list[rows.InputRow] = []
+        self.load_values: list[rows.LoadValueRow] = []
+        self.slopes: list[rows.SlopeRow] = []
         self.first_segments: dict[str, int] = {}
         self.controllers: list[SampledController] = []
         self.acting: list[ActingForce] = []
@@ -77,8 +83,8 @@ class Lowering:
         self.elements: list[ForceElement] = []
         self.spring_places: list[int] = []
         self.load_places: list[int] = []
-        self.loads: list[Numbers] = []
-        self.pairs: list[Numbers] = []
+        self.loads: list[rows.LoadRow] = []
+        self.pairs: list[rows.InteractionRow] = []
         self.load_points: list[Numbers] = []
         self.frictions: list[int] = []
         self.reactions: list[tuple[int, int, int, int]] = []
@@ -103,21 +109,21 @@ class Lowering:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of `Topology` about forces."""
         return {
-            "springs": np.array(self.springs, dtype=np.int64).reshape(-1, 6),
+            "springs": table(self.springs, rows.SPRING),
             "spring_points": np.array(self.spring_points, dtype=float).reshape(-1, 6),
-            "couplings": np.array(self.couplings, dtype=np.int64).reshape(-1, 2),
-            "linear": np.array(self.linear, dtype=float).reshape(-1, 3),
-            "laws": np.array(self.law_rows, dtype=np.int64).reshape(-1, 4),
-            "states": np.array(self.state_rows, dtype=np.int64).reshape(-1, 3),
-            "state_places": np.array(self.state_places, dtype=np.int64).reshape(-1, 2),
-            "inputs": np.array(self.inputs, dtype=np.int64).reshape(-1, 3),
-            "load_values": np.array(self.load_values, dtype=np.int64).reshape(-1, 2),
-            "slopes": np.array(self.slopes, dtype=np.int64).reshape(-1, 5),
+            "couplings": table(self.couplings, rows.COUPLING),
+            "linear": np.array(self.linear, dtype=float).reshape(-1, len(rows.LINEAR)),
+            "laws": table(self.law_rows, rows.LAW_ROW),
+            "states": table(self.state_rows, rows.STATE_ROW),
+            "state_places": table(self.state_places, rows.STATE_USE),
+            "inputs": table(self.inputs, rows.INPUT),
+            "load_values": table(self.load_values, rows.LOAD_VALUE),
+            "slopes": table(self.slopes, rows.SLOPE),
             "law_parameters": np.array(self.law_parameters, dtype=float),
             "frictions": np.array(self.frictions, dtype=np.int64),
-            "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
+            "loads": table(self.loads, rows.LOAD),
             "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
-            "interactions": np.array(self.pairs, dtype=np.int64).reshape(-1, 3),
+            "interactions": table(self.pairs, rows.INTERACTION),
             "force_place": np.array(self.spring_places + self.load_places, dtype=np.int64),
         }
 
@@ -142,16 +148,15 @@ class Lowering:
         first, count = self.first_segments.setdefault(key, len(self.springs)), len(segments)
         for index, segment in enumerate(segments):
             self.spring_places.append(len(self.elements))
-            ends = [self.bodies[body] for body in segment.bodies]
-            self.springs.append((PATHWAYS[segment.kind], *ends, law, first, 0 if index else count))
+            a, b = (self.bodies[body] for body in segment.bodies)
+            self.springs.append(rows.SpringRow(PATHWAYS[segment.kind], a, b, law, first, 0 if index else count))
             self.spring_points.append((*segment.points, *segment.constants))
             self.linear.append(linear)
-        rows = range(first, first + count)
-        self.couplings += [(k, other) for k in rows for other in rows if k != other]
+        own = range(first, first + count)
+        self.couplings += [rows.CouplingRow(k, other) for k in own for other in own if k != other]
         self.elements.append(ForceElement(name, path_ends(segments), pathway.length_unit))
 
     def _add_kind(self, kind: ElementKind) -> None:
-        """Add the elements of a plugin's kind."""
         key, elements = kind.key_in_model, getattr(self.mechanism, kind.key_in_model)
         acting = tuple(self.force(kind.name, key, name, force) for name, force in forces_of(kind, elements).items())
         self.extensions[key] = acting if kind.lower is None else kind.lower()(elements, self, acting)
@@ -183,8 +188,8 @@ class Lowering:
         for number, state in enumerate(law.states, len(self.laws) + 1):
             self.states.append(ElementState(f"{name}.{state.name}", state.unit))
             place = begin + 1 + names.index(state.name)
-            self.state_places.append((len(self.state_rows), place))
-            self.state_rows.append((segment, place, number))
+            self.state_places.append(rows.StateUse(len(self.state_rows), place))
+            self.state_rows.append(rows.StateRow(segment, place, number))
         for one in (compiled, *rates):
             self._add_law_row(name, one, begin)
         self.law_parameters += block
@@ -203,7 +208,7 @@ class Lowering:
         self.elements.append(ForceElement(name, (load.reaction_body, load.body), load.length_unit))
         motions = [self.motions.add(value) for value in load.values]
         bodies = (self.bodies[load.body], self.bodies[load.reaction_body])
-        self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
+        self.loads.append(rows.LoadRow(LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
         self.load_points.append(load.point)
 
     def pair(self, name: str, bodies: tuple[int, int], laws: Sequence[CompiledLaw], numbers: Sequence[float]) -> int:
@@ -221,7 +226,7 @@ class Lowering:
             Parameters of the laws, preceded by their number.
         """
         begin, first = len(self.law_parameters), len(self.laws)
-        self.pairs.append((*bodies, first))
+        self.pairs.append(rows.InteractionRow(*bodies, first))
         self.law_parameters += numbers
         for law in laws:
             self._add_law_row(name, law, begin)
@@ -251,8 +256,12 @@ class Lowering:
             motions = [self.motions.add(f'loads["{name}"].{len(self.loads)}.{one}') for one in components]
             self.load_places.append(len(self.elements))
             self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
-            self.load_values += [(laws[one], motion) for one, motion in zip(components, motions, strict=True)]
-            self.loads.append((LOADS[kind], body, self.bodies["ground"], *motions, *[-1] * (2 - len(motions))))
+            self.load_values += [
+                rows.LoadValueRow(laws[i], motion) for i, motion in zip(components, motions, strict=True)
+            ]
+            self.loads.append(
+                rows.LoadRow(LOADS[kind], body, self.bodies["ground"], *motions, *[-1] * (2 - len(motions)))
+            )
             self.load_points.append((0.0, 0.0))
 
     def add_expressions(self, mechanism: Mechanism) -> None:
@@ -287,16 +296,16 @@ class Lowering:
         for name, value, initial in held:
             self.state(f"{name}.{value}", "1", initial)
         for name, controller in mechanism.controllers.items():
-            rows = {
+            laws = {
                 key: self.expression(f"model.controllers.{quoted(name)}.{key}", name, text)
                 for key, text in controller.expressions()
             }
             place = numbering.states
             outputs = tuple(
-                (place[f"{name}.{value}"], rows[f"outputs.{quoted(value)}"]) for value in controller.outputs
+                (place[f"{name}.{value}"], laws[f"outputs.{quoted(value)}"]) for value in controller.outputs
             )
             states = tuple(
-                (place[f"{name}.{value}"], rows[f"states.{quoted(value)}.next"]) for value in controller.states
+                (place[f"{name}.{value}"], laws[f"states.{quoted(value)}.next"]) for value in controller.states
             )
             self.controllers.append(SampledController(name, controller.period, controller.delay, outputs, states))
 
@@ -316,8 +325,8 @@ class Lowering:
         """
         place = len(self.law_parameters) + 1
         self.law_parameters += [1.0, initial]
-        self.state_places.append((len(self.states), place))
-        self.state_rows.append((-1, place, law))
+        self.state_places.append(rows.StateUse(len(self.states), place))
+        self.state_rows.append(rows.StateRow(-1, place, law))
         self.states.append(ElementState(name, unit, by_method))
         return len(self.states) - 1
 
@@ -330,7 +339,7 @@ class Lowering:
 
     def set_rate(self, state: int, law: int) -> None:
         """Replace the rate of a first-order state by a law, see `expression`; both are given by their index."""
-        self.state_rows[state] = (-1, self.state_rows[state][1], law)
+        self.state_rows[state] = rows.StateRow(-1, self.state_rows[state].parameter, law)
 
     def expression(self, key: str, name: str, text: str) -> int:
         """Add an expression of the state as a law, and return its index; only in `ElementKind.lower_expressions`.
@@ -346,18 +355,16 @@ class Lowering:
 
     def _add_load_value(self, name: str, load: int, component: int, text: str) -> None:
         law, begin, expression = self._add_expression(f"model.forces.{quoted(name)}.value", name, text)
-        self.load_values.append((law, int(self.loads[load][3 + component])))
+        self.load_values.append(rows.LoadValueRow(law, self.loads[load][rows.LOAD.x + component]))
         inputs = iter(range(len(self.inputs) - len(expression.slopes), len(self.inputs)))
         for slope, number in zip(expression.slopes, inputs, strict=True):
-            kind, index, _ = self.inputs[number]
+            kind, source, _ = self.inputs[number]
             is_coordinate = kind in (POSITION_INPUT, VELOCITY_INPUT)
-            for segment in range(1 if is_coordinate else int(self.springs[int(index)][5])):
-                place = -1 if is_coordinate else int(index) + segment
-                self.slopes.append((load, component, len(self.laws), number, place))
+            for segment in [-1] if is_coordinate else range(source, source + self.springs[source].segments):
+                self.slopes.append(rows.SlopeRow(load, component, len(self.laws), number, segment))
             self._add_law_row(name, slope, begin)
 
     def _add_expression(self, key: str, name: str, text: str) -> tuple[int, int, StateExpression]:
-        """Add an expression; return the index of its law, where its parameters begin, and the expression."""
         try:
             expression = self.numbering.expression(text, name)
         except SpecError as error:
@@ -369,14 +376,14 @@ class Lowering:
         for i, (kind, index) in enumerate(expression.inputs):
             place = begin + 1 + names.index(f"input_{i}")
             if kind == STATE_INPUT:
-                self.state_places.append((index, place))
+                self.state_places.append(rows.StateUse(index, place))
             else:
-                self.inputs.append((kind, index, place))
+                self.inputs.append(rows.InputRow(kind, index, place))
         return law, begin, expression
 
     def _add_law_row(self, name: str, law: CompiledLaw, begin: int) -> None:
         self.laws.append((name, law))
-        self.law_rows.append((law.address, begin, law.claims, law.program))
+        self.law_rows.append(rows.LawRow(law.address, begin, law.claims, law.program))
 
 
 def acting_kinds(mechanism: Mechanism) -> list[ElementKind]:
@@ -390,6 +397,5 @@ def acting_kinds(mechanism: Mechanism) -> list[ElementKind]:
 
 @cache
 def _held_law() -> TracedLaw:
-    """Return a law whose value is its only parameter."""
     held = Traced(Source(), "parameters[0]")
     return TracedLaw(lambda length, rate, time, p: held, dict, has_derivatives=False)

@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
-from mbdkit.engine.compile_forces import Lowering, Numbers, acting_kinds
+from mbdkit.engine.compile_forces import Lowering, Numbers, acting_kinds, table
 from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
 from mbdkit.engine.elimination_order import neighbours
@@ -21,6 +21,17 @@ from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.table_rows import (
+    JOINT,
+    MULTIPLIER,
+    PAIR,
+    SECTION,
+    SPARE,
+    JointRow,
+    MultiplierRow,
+    PairRow,
+    SectionRow,
+)
 from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element
@@ -84,10 +95,14 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         **_of_bodies(mechanism),
         **_of_pairs([pairs[k] for k in order], rows, min(1.0, length)),
         **forces.arrays(),
-        reactions=np.array(
-            [(*place_of_row[joint, row], *one) for joint, row, *one in forces.reactions], dtype=np.int64
-        ).reshape(-1, 4),
-        sections=np.array(beams.sections, dtype=np.int64).reshape(-1, 2 + NODES),
+        reactions=table(
+            [
+                MultiplierRow(*place_of_row[joint, row], parameter, friction)
+                for joint, row, parameter, friction in forces.reactions
+            ],
+            MULTIPLIER,
+        ),
+        sections=table(beams.sections, SECTION),
         section_parameters=np.array(beams.parameters, dtype=float).reshape(-1, PARAMETERS),
         **_of_joints_and_markers(mechanism, number),
         centers=np.array([pair.bodies for pair in centered], dtype=np.int64).reshape(-1, 2),
@@ -127,7 +142,6 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
 
 
 def _members(mechanism: Mechanism, extensions: Mapping[str, Any]) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
-    """Return `CompiledMechanism.members`."""
     members, kinds = {}, element_kinds()
     for key, handle in extensions.items():
         own = kinds[key].members
@@ -137,7 +151,6 @@ def _members(mechanism: Mechanism, extensions: Mapping[str, Any]) -> dict[str, t
 
 
 def _of_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
-    """Return the arrays of `Topology` about masses and inertias, ground last, and gravity."""
     mass = np.ones((len(mechanism.bodies) + 1, 3))
     for i, body in enumerate(mechanism.bodies.values()):
         mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
@@ -155,25 +168,26 @@ def _of_pairs(pairs: Sequence[_Pair], rows: Sequence[Row], unit: float) -> dict[
     for one in rows:
         if one.unit == "rad":
             row_units[one.pair, one.place] = 1.0
-    codes = [(KINDS[pair.kind], *pair.bodies, pair.motion) for pair in pairs]
     return {
-        "pairs": np.array(codes, dtype=np.int64).reshape(-1, 4),
+        "pairs": table([PairRow(KINDS[pair.kind], *pair.bodies, pair.motion) for pair in pairs], PAIR),
         "rows": np.array([pair.rows for pair in pairs], dtype=np.int64),
         "length": np.array([unit]),
         "row_units": row_units,
         "pair_parameters": np.array([pair.parameters for pair in pairs], dtype=float).reshape(-1, 6),
-        "spare": np.zeros((0, 2), dtype=np.int64),
+        "spare": table([], SPARE),
         "spare_axes": np.zeros((0, 2)),
         "pair_joint": np.array([pair.joint for pair in pairs], dtype=np.int64),
     }
 
 
 def _of_joints_and_markers(mechanism: Mechanism, number: dict[str, int]) -> dict[str, np.ndarray]:
-    """Return the arrays of `Topology` about recorded angles and travels of joints, and about markers."""
     joints, markers = mechanism.joints.values(), mechanism.markers.values()
-    recorded = [(ANGLE if joint.travel is None else TRAVEL, *(number[x] for x in joint.bodies)) for joint in joints]
+    recorded = [
+        JointRow(ANGLE if joint.travel is None else TRAVEL, *(number[body] for body in joint.bodies))
+        for joint in joints
+    ]
     return {
-        "joints": np.array(recorded, dtype=np.int64).reshape(-1, 3),
+        "joints": table(recorded, JOINT),
         "joint_lines": np.array([joint.travel or (0.0,) * 6 for joint in joints], dtype=float).reshape(-1, 6),
         "markers": np.array([number[marker.body] for marker in markers], dtype=np.int64),
         "marker_points": np.array([marker.held for marker in markers], dtype=float).reshape(-1, 2),
@@ -260,10 +274,8 @@ def _add_centers(pairs: list[_Pair], motions: CompiledMotions) -> list[_Pair]:
 
 
 class _Beams:
-    """Collects the cross-sections of all beams: elements, nodes and parameters."""
-
     def __init__(self, mechanism: Mechanism, number: dict[str, int]):
-        self.sections: list[Numbers] = []
+        self.sections: list[SectionRow] = []
         self.parameters: list[Numbers] = []
         elements = 0
         for name, beam in mechanism.beams.items():
@@ -272,7 +284,7 @@ class _Beams:
             for section in beam.sections(name):
                 nodes = [number[node] for node in section.nodes]
                 spare = NODES - len(nodes)
-                self.sections.append((elements + section.element, len(nodes), *nodes, *nodes[-1:] * spare))
+                self.sections.append(SectionRow(elements + section.element, len(nodes), *nodes, *nodes[-1:] * spare))
                 shapes = (*section.shape, *[0.0] * spare, *section.slope, *[0.0] * spare)
                 self.parameters.append((*shapes, section.length, *stiffness, *section.reference, *damping))
             elements += beam.elements

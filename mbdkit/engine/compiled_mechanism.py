@@ -14,6 +14,7 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.table_rows import BODIES, LINEAR, PAIR, STATE_ROW
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
 from mbdkit.mechanism.values import Motion
@@ -276,7 +277,7 @@ class CompiledMechanism:
     @property
     def initial_states(self) -> np.ndarray:
         """(Z,) initial values of the first-order states."""
-        return self.topology.law_parameters[self.topology.states[:, 1]]
+        return self.topology.law_parameters[self.topology.states[:, STATE_ROW.parameter]]
 
     @property
     def reacting(self) -> ChosenTreatment | None:
@@ -342,13 +343,13 @@ class CompiledMechanism:
 
     def does_work(self, top: Topology) -> bool:
         """Return the same for a topology without some of these loads and laws."""
-        damped = np.any(top.linear[:, 1]) or np.any(top.section_parameters[:, -3:])
+        damped = np.any(top.linear[:, LINEAR.damping]) or np.any(top.section_parameters[:, -3:])
         return bool(len(top.loads) or len(self.drives) or damped or len(top.laws))
 
     @cached_property
     def drives(self) -> np.ndarray:
         """Indices of the motions that drive constraints, in increasing order."""
-        motions = self.topology.pairs[:, 3]
+        motions = self.topology.pairs[:, PAIR.motion]
         return np.unique(motions[(motions >= 0) & (motions < len(self.motions))])
 
     @cached_property
@@ -357,7 +358,7 @@ class CompiledMechanism:
         system.
         """
         top = self.topology
-        on_body = np.bincount(top.pairs[:, 1:3].ravel(), minlength=len(top.mass))[:-1]
+        on_body = np.bincount(top.pairs[:, BODIES].ravel(), minlength=len(top.mass))[:-1]
         crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(top.pairs), 1)
         return crowded or not self.well_scaled
 
@@ -397,12 +398,11 @@ class CompiledMechanism:
         return "the mechanism"
 
     def _joints_on(self, body: int) -> str:
-        """Return a clause that lists the joints attached to a body; empty if there are none."""
         pairs = self.topology.pairs
         held = [
             name
             for name, members in zip(self.joints, self.joint_pairs, strict=True)
-            if any(body in pairs[k, 1:3] for k in members)
+            if any(body in pairs[k, BODIES] for k in members)
         ]
         if not held:
             return ""

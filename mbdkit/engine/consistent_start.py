@@ -12,6 +12,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import AssembledState, assemble, search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
+from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.self_stress import looped_rows
@@ -124,7 +125,7 @@ def _with_states_at(mechanism: Mechanism, compiled: CompiledMechanism, q: np.nda
     for handle, kind in compiled.kinds():
         at_start = kind.at_start
         for state, value in at_start()(handle, mechanism, t0, q).items() if at_start is not None else ():
-            parameters[compiled.topology.states[state, 1]] = value
+            parameters[compiled.topology.states[state, STATE_ROW.parameter]] = value
     return replace(compiled, topology=compiled.topology._replace(law_parameters=parameters))
 
 

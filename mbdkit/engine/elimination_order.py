@@ -237,7 +237,6 @@ def _row_sums(n: int, row: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _column_order(ordering: str, n: int, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Return the order (n,) of the columns of a pattern with one of the orderings of `PIVOT_STRATEGIES`."""
     if ordering == "natural":
         return np.arange(n)
     if ordering == "symmetric":

@@ -300,14 +300,12 @@ class EquationsOfMotion(EvaluatedEquations):
         return float(max(lengths, change[:, 2].max() / max(1.0, size[:, 2].max())))
 
     def _sparse_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
-        """See `tangents`; without the derivatives that involve first-order states."""
         self._evaluate_tangents(t, q, v, a, lam)
         return Tangents(*self._tangent_parts.arrays(self.terms_now))
 
     def _matrix(
         self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, factors: np.ndarray
     ) -> IterationMatrix:
-        """See `iteration_matrix`; without the rows of first-order states."""
         try:
             tangents = partial(self._evaluate_tangents, t, q, v, a, lam)
             return self._matrices.factorized(factors, self._evaluate_at_start, tangents, self._factorized)

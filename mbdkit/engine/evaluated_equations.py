@@ -204,13 +204,11 @@ class EvaluatedEquations:
         return bool(self._calls.arrive(float(t), vector(q, self.n), vector(v, self.n), worst))
 
     def _residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """See `residual`; the evaluation is not counted."""
         self._take(q, v, a, lam)
         self._evaluate(self._calls.residual, t)
         return self._calls.x.copy()
 
     def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
-        """See `derivatives`; the evaluation is not counted."""
         if not len(self.z0):
             self._at(q, v)
             return *self._solved(self._calls.accelerations, t), vector(z, 0).copy()
@@ -220,7 +218,6 @@ class EvaluatedEquations:
         return found
 
     def _solved(self, solve: Callable[[float], int], t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Solve a system with the index-1 matrix."""
         self.solved_by(solve, t)
         return self._calls.x.copy(), self._calls.mu.copy()
 
@@ -251,7 +248,6 @@ class EvaluatedEquations:
         put(self._calls.v, v)
 
     def _take(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> None:
-        """Pass a state, accelerations and multipliers to the kernels."""
         self._at(q, v)
         put(self._calls.a, a)
         put(self._calls.lam, lam)

@@ -119,7 +119,6 @@ def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[
 
 
 def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw:
-    """Compile a law; `example` maps the names of an expression's parameters to example values."""
     claims = HAS_POTENTIAL * (law.potential not in (None, False)) | PASSIVE * law.passive
     try:
         address, program, keeper = _code_of(law, example, duals=False)
@@ -301,7 +300,6 @@ class _Compiler:
         return np.concatenate([np.array(code, dtype=np.int64), np.array(self.constants).view(np.int64)])
 
     def _registers(self) -> dict[int, int]:
-        """Return the register of every value."""
         fixed = 3 + self.parameters
         places = {i: i for i in range(fixed)} | {-1 - i: fixed + i for i in range(len(self.constants))}
         last = {value: i for i, (name, *operands) in enumerate(self.code) for value in _used(name, operands)}
@@ -323,7 +321,6 @@ class _Compiler:
 
 
 def _used(name: str, operands: list[int]) -> list[int]:
-    """Return the values that an instruction reads."""
     count = {"select": 3, "power_of_integer": 1}.get(name, 2)
     return operands[:count]
 

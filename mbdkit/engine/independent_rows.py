@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base import elementary
+from mbdkit.engine.kernels.table_rows import PAIR
 
 WELL_HELD = 0.1
 """A row may be removed only if, at every position, the component of its pair in the self-stresses is at least this,
@@ -76,13 +77,11 @@ def choose_spare(
 
 
 def _largest_part(x: np.ndarray) -> np.ndarray:
-    """Return the largest singular value of each block (2, r) of `x` (P, 2, r)."""
     a, b, c = _products(x[:, 0], x[:, 1])
     return np.asarray(np.sqrt((a + c) / 2 + np.sqrt(((a - c) / 2) ** 2 + b**2)))
 
 
 def _products(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the sums of ``x x``, ``x y`` and ``y y`` over the last axis."""
     return np.sum(x * x, axis=-1), np.sum(x * y, axis=-1), np.sum(y * y, axis=-1)
 
 
@@ -127,7 +126,7 @@ def direction_frames(
             second = any(one.pair == pair for one in spare)
             spare.append(Spare(pair, ground, (0.0, 1.0) if second else (1.0, 0.0)))
             continue
-        near = [int(pairs[pair, 1]), int(pairs[pair, 2]), ground]
+        near = [int(pairs[pair, PAIR.first]), int(pairs[pair, PAIR.second]), ground]
         fits = [_in_frame(directions, angles[:, body]) for body in near]
         if min(fit[0] for fit in fits) > SAME_FRAME:
             near = list(range(ground + 1))

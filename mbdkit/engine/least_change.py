@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.observe import constraints_at, stiffness_at
+from mbdkit.engine.kernels.table_rows import BODIES, PAIR
 from mbdkit.engine.linear_systems import SparseFactors
 from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.engine.repeated_call import RepeatedCall
@@ -94,7 +95,7 @@ class LeastChange:
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """(6 m,) row and column of each entry of the Jacobian, including those of ground."""
-        bodies = self.compiled.topology.pairs[self.rows[:, 0], 1:3]
+        bodies = self.compiled.topology.pairs[self.rows[:, 0], BODIES]
         columns = (3 * bodies[:, :, None] + np.arange(3)).ravel()
         return np.repeat(np.arange(len(self.rows)), 6), columns
 
@@ -230,11 +231,11 @@ class LeastChange:
         The Jacobian of a distance joint is not defined if its points coincide.
         """
         top = self.compiled.topology
-        for k in np.flatnonzero(top.pairs[:, 0] == KINDS["distance"]):
+        for k in np.flatnonzero(top.pairs[:, PAIR.kind] == KINDS["distance"]):
             self._constraints(self.t0, with_ground(q), self._at_rest)
             if np.all(np.isfinite(self.scratch.jac[k])):
                 continue
-            for body in top.pairs[k, [2, 1]]:
+            for body in top.pairs[k, [PAIR.second, PAIR.first]]:
                 if 3 * body in self.free:
                     q = q.copy()
                     q[3 * body] += top.pair_parameters[k, 4]
@@ -288,7 +289,7 @@ class LeastChange:
 
         Bodies are ordered by minimum degree, and the rows of a pair follow the coordinates of one of its bodies.
         """
-        pairs = self.compiled.topology.pairs[:, 1:3].tolist()
+        pairs = self.compiled.topology.pairs[:, BODIES].tolist()
         rows_after: list[list[int]] = [[] for _ in range(self.n // 3 + 1)]
         adjacent: list[set[int]] = [set() for _ in rows_after]
         for place, pair in enumerate(self.rows[:, 0].tolist()):

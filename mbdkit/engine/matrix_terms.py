@@ -24,6 +24,7 @@ from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES
+from mbdkit.engine.kernels.table_rows import BODIES, COUPLING, INTERACTION, LOAD, PAIR, SECTION, SLOPE, SPARE, SPRING
 
 CONSTANT, RATE, MINUS_RATE, RATE_SQUARED = range(4)
 """Classes of factors: 1, h mu, -h mu and (h mu)^2."""
@@ -109,38 +110,38 @@ def _terms(
     diagonal = np.arange(3 * count)
     terms.add(diagonal, diagonal, diagonal, CONSTANT)
     for kind, code in KINDS.items():
-        terms.add_constraints(kind, np.flatnonzero(pairs[:, 0] == code), pairs, rows, spare, stabilized)
+        terms.add_constraints(kind, np.flatnonzero(pairs[:, PAIR.kind] == code), pairs, rows, spare, stabilized)
     for path, code in PATHWAYS.items():
-        members = np.flatnonzero(springs[:, 0] == code)
-        bodies = springs[members, 1:3]
+        members = np.flatnonzero(springs[:, SPRING.pathway] == code)
+        bodies = springs[members, BODIES]
         terms.add_tangents("spring", 36 * members, 6, (bodies, bodies), e.GRADIENT_ENTRIES[path])
     for path, code in PATHWAYS.items():
-        members = np.flatnonzero(springs[couplings[:, 0], 0] == code)
-        sides = springs[couplings[members, 0], 1:3], springs[couplings[members, 1], 1:3]
+        members = np.flatnonzero(springs[couplings[:, COUPLING.of_force], SPRING.pathway] == code)
+        of_force, of_coordinates = couplings[members].T
+        sides = springs[of_force, BODIES], springs[of_coordinates, BODIES]
         terms.add_tangents("coupled", 36 * members, 6, sides, e.GRADIENT_ENTRIES[path])
     for kind_of_load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
-        members = np.flatnonzero(loads[:, 0] == kind_of_load)
-        first = 3 * loads[members, 1]
+        members = np.flatnonzero(loads[:, LOAD.kind] == kind_of_load)
+        first = 3 * loads[members, LOAD.body]
         for entry in entries:
             terms.add(terms.offsets["load_stiff"] + 3 * members + entry, first + entry, first + 2, RATE_SQUARED)
     if len(slopes):
-        given, segment = inputs[slopes[:, 3]], slopes[:, 4]
+        given, segment = inputs[slopes[:, SLOPE.input]], slopes[:, SLOPE.segment]
         by_coordinate = np.repeat(given[:, 1:2] // 3, 2, axis=1)
-        of_input = np.where(segment[:, None] < 0, by_coordinate, springs[:, 1:3][segment] if len(springs) else 0)
-        sides = loads[slopes[:, 0], 1:3], of_input
+        of_input = np.where(segment[:, None] < 0, by_coordinate, springs[:, BODIES][segment] if len(springs) else 0)
+        sides = loads[slopes[:, SLOPE.load], BODIES], of_input
         # If an input is a coordinate, the columns of its second body are zero.
         terms.add_tangents("slope", 36 * np.arange(len(slopes)), 6, sides, range(6))
-    both = interactions[:, :2]
+    both = interactions[:, : INTERACTION.law]
     terms.add_tangents("interaction", 36 * np.arange(len(both)), 6, (both, both), range(6))
     for nodes in range(2, NODES + 1):
-        members = np.flatnonzero(sections[:, 1] == nodes)
-        bodies = sections[members, 2:]
+        members = np.flatnonzero(sections[:, SECTION.node_count] == nodes)
+        bodies = sections[members, SECTION.node :]
         terms.add_tangents("beam", 81 * members, 9, (bodies, bodies), range(3 * nodes))
     return terms.joined()
 
 
 def _coordinate(bodies: np.ndarray, column: int) -> np.ndarray:
-    """Return the index of coordinate `column` among the coordinates of the `bodies` of each element."""
     return 3 * bodies[:, column // 3] + column % 3
 
 
@@ -164,8 +165,8 @@ class _Terms:
         self, kind: str, members: np.ndarray, pairs: np.ndarray, rows: np.ndarray, spare: np.ndarray, stabilized: bool
     ) -> None:
         """Add the terms of the pairs of one kind of constraint."""
-        offsets, bodies = self.offsets, pairs[members, 1:3]
-        reduced = np.isin(members, spare[:, 0])
+        offsets, bodies = self.offsets, pairs[members, BODIES]
+        reduced = np.isin(members, spare[:, SPARE.pair])
 
         def is_listed(entry: int) -> np.ndarray:
             # If one of the two rows is redundant, the other is a combination of both and has no structural zeros. A

@@ -81,7 +81,6 @@ def dissection(adjacent: Sequence[set[int]]) -> list[int]:
 
 
 def _divided(adjacent: Sequence[set[int]], part: set[int]) -> Division:
-    """Divide a part of a graph by the best of several separators."""
     ends = _distances(adjacent, part, min(part))
     if len(ends) < len(part):
         return set(), set(ends), part - set(ends)

@@ -160,24 +160,20 @@ class StateObserver:
         return None
 
     def _note_gaps(self, rows: slice, q: np.ndarray, observed: Observed, stress: SelfStress) -> None:
-        """Compute `gaps` and `gap_uncertainty` for some rows."""
         distance = observed.singularity_distance
         found = unexplained_gaps(self.workspace.mechanism, q, observed.phi, distance, stress.lam)
         self.gaps[rows], self.gap_uncertainty[rows] = found
 
     def _share(self, observed: Observed, stress: SelfStress) -> None:
-        """Replace the reactions of redundant joints by those of least norm."""
         mechanism = self.workspace.mechanism
         joint, length = mechanism.topology.pair_joint, mechanism.length
         share_evenly(observed.lam, observed.reactions, stress.lam, stress.reactions, joint, length)
 
     def _most_states(self) -> int:
-        """Return the number of states whose self-stresses fit into the buffer."""
         size = 40 * self._directions * self._pairs
         return max(1, SELF_STRESS_BYTES // size) if size else np.iinfo(np.int64).max
 
     def _self_stress(self, states: int) -> SelfStress:
-        """Return arrays for the self-stresses of at least `states` states."""
         if self._directions and len(self._stress.lam) < states:
             self._stress = SelfStress.zeros(states, self._directions, self._pairs)
         return self._stress

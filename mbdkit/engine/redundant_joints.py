@@ -15,6 +15,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.orthogonal import solve_each_least_squares
+from mbdkit.engine.kernels.table_rows import SPARE
 
 DEPENDENT = 1e-14
 """Self-stresses whose reactions depend on those of others to this share are rounding errors."""
@@ -54,7 +55,7 @@ def unexplained_gaps(
     """
     top, units = mechanism.topology, units_of_pairs(mechanism)
     relative = phi / units[:, None]
-    multipliers = self_stress * (units[:, None] / units[top.spare[:, 0], None, None])
+    multipliers = self_stress * (units[:, None] / units[top.spare[:, SPARE.pair], None, None])
     gap = np.abs(np.sum(multipliers * relative[:, None], axis=(2, 3)))
     others = relative.copy()
     for (pair, frame), (x, y) in zip(top.spare, top.spare_axes, strict=True):

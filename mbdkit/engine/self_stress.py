@@ -13,6 +13,7 @@ import numpy as np
 
 from mbdkit.engine.elimination_order import symmetric_order
 from mbdkit.engine.kernels.orthogonal import nearly_null_rows, orthonormalize_rows, rotate_to_singular_rows
+from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.linear_systems import SparseFactors
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ If a body has hundreds of joints, J J^T has too many entries to be factorized.
 def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
     """Return the indices (m',) of the constraint rows of all joints that can be part of closed loops."""
     ground = len(compiled.bodies)
-    ends = [compiled.topology.pairs[members[0], 1:3].tolist() for members in compiled.joint_pairs]
+    ends = [compiled.topology.pairs[members[0], BODIES].tolist() for members in compiled.joint_pairs]
     on_body: dict[int, set[int]] = {}
     for joint, bodies in enumerate(ends):
         for body in bodies:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.engine.kernels.singularity_kernels import COLUMNS, L_XX, L_YX, L_YY, independent_jacobian
+from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.self_stress import scaled_matrix, smallest_stress
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
     near = new_vectors(mechanism)
     independent_jacobian(workspace.engine, float(t), full, np.zeros_like(full), near)
     pair, place = np.array([row.pair for row in rows]), np.array([row.place for row in rows])
-    blocks = w.jac.reshape(-1, 2, 2, 3) * np.sqrt(top.weight[top.pairs[:, 1:3]])[:, None]
+    blocks = w.jac.reshape(-1, 2, 2, 3) * np.sqrt(top.weight[top.pairs[:, BODIES]])[:, None]
     with np.errstate(all="ignore"):
         first = blocks[:, 0] / near[:, L_XX, None, None]
         second = (blocks[:, 1] - near[:, L_YX, None, None] * first) / near[:, L_YY, None, None]
@@ -74,7 +75,7 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
     finite = np.all(np.isfinite(values), axis=1)
     if not np.all(finite):
         return 0.0, _joint_of(mechanism, int(pair[np.argmin(finite)]))
-    ends = 3 * np.repeat(top.pairs[pair, 1:3], 3, axis=1) + np.tile(np.arange(3), 2)
+    ends = 3 * np.repeat(top.pairs[pair, BODIES], 3, axis=1) + np.tile(np.arange(3), 2)
     held = ends < mechanism.size - 3
     row = np.broadcast_to(np.arange(len(rows))[:, None], ends.shape)
     vector, smallest = smallest_stress(scaled_matrix(len(rows), row[held], ends[held], values[held]))
@@ -106,5 +107,4 @@ def describe_nearness(workspace: Workspace, t: float, q: np.ndarray) -> str:
 
 
 def _joint_of(mechanism: CompiledMechanism, pair: int) -> str:
-    """Return the name of the joint that a pair of rows belongs to."""
     return next(name for name, held in zip(mechanism.joints, mechanism.joint_pairs, strict=True) if pair in held)

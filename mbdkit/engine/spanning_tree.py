@@ -14,6 +14,7 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree import COLUMNS, PLACE, TURN
 
 _PLACING = {KINDS["revolute"]: 0, KINDS["moving_center"]: 0, KINDS["point_on_line"]: 1}
@@ -54,7 +55,7 @@ def spanning_tree(top: Topology) -> np.ndarray:
         """Return the pair that determines the angle of a body relative to a body in the tree, and the side of `body` in
         this pair; (-1, 0) if there is no such pair.
         """
-        known = (one for one in turning[body] if depth[int(top.pairs[one[0], 2 - one[1]])] >= 0)
+        known = (one for one in turning[body] if depth[int(top.pairs[one[0], PAIR.second - one[1]])] >= 0)
         return next(known, (-1, 0))
 
     def put(body: int, place: int, side: int, level: int) -> None:
@@ -64,9 +65,9 @@ def spanning_tree(top: Topology) -> np.ndarray:
     def leave(body: int, level: int) -> None:
         depth[body] = level
         for k, side in placing[body]:
-            other = int(top.pairs[k, 2 - side])
+            other = int(top.pairs[k, PAIR.second - side])
             if depth[other] < 0:
-                free = _PLACING[int(top.pairs[k, 0])] + (turned(other)[0] < 0)
+                free = _PLACING[int(top.pairs[k, PAIR.kind])] + (turned(other)[0] < 0)
                 heappush(reached, (free, level + 1, k, other, 1 - side))
 
     leave(ground, 0)
@@ -88,7 +89,7 @@ def is_tree_of_pins(top: Topology, tree: np.ndarray) -> bool:
     if len(top.frictions):
         return False
     pins = tree[:, PLACE][tree[:, PLACE] >= 0]
-    return bool(len(pins) == len(top.pairs) and np.all(top.pairs[:, 0] == KINDS["revolute"]))
+    return bool(len(pins) == len(top.pairs) and np.all(top.pairs[:, PAIR.kind] == KINDS["revolute"]))
 
 
 def cut_joints(mechanism: CompiledMechanism) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from mbdkit.engine.iteration_matrix import StateTangents, put
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.kernels.system import fold_values
+from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.linear_systems import factors_of
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.workspace import Workspace
@@ -76,7 +77,7 @@ class StateDerivatives:
         # Loads and drivers are motions; laws may use the time.
         self._may_change = len(top.motion_start) - 1 > OF_CENTER * len(top.centers) or len(top.laws) > 0
         self._is_exact = not len(top.frictions)  # they depend on multipliers, which the tangents hold constant
-        changing = top.states[top.states[:, 2] >= 0]
+        changing = top.states[top.states[:, STATE_ROW.rate] >= 0]
         self._coupled = len(changing) > 0 and (bool(np.any(changing[:, 0] >= 0)) or len(top.inputs) > 0)
         n, count, pairs = 3 * len(mechanism.bodies), len(top.states), len(top.pairs)
         index = mechanism.row_index.ravel()

@@ -112,8 +112,6 @@ def _names(count: int) -> list[str]:
 
 
 class _Terms:
-    """Translates quantities to SymPy source in terms of inputs and constants of the mechanism."""
-
     def __init__(self, numbering: Numbering):
         self.numbering = numbering
         self.inputs: list[Input] = []
@@ -164,7 +162,6 @@ class _Terms:
         return self._input(kind, 3 * self.numbering.bodies[name] + places[attribute])
 
     def _of_point(self, body: str, point: Sequence[float], attribute: str) -> str:
-        """Return a coordinate or velocity of a point of a body, as SymPy source."""
         px, py = (self._constant(one) for one in point)
         angle, spin = self._of_body(body, "angle"), self._of_body(body, "angular_velocity")
         x = f"({px}*cos({angle}) - {py}*sin({angle}))"
@@ -173,7 +170,6 @@ class _Terms:
         return f"({self._of_body(body, attribute)} + {moved})"
 
     def _coordinate(self, name: str) -> str:
-        """Return the angle or travel of a joint, as SymPy source; see `mbdkit.engine.kernels.acting.joint_values`."""
         joint = self.numbering.mechanism.joints[name]
         a, b = joint.bodies
         if joint.travel is None:

@@ -163,7 +163,6 @@ def _is_zero(slope: Any) -> bool:
 
 
 def _plain(slope: Any) -> Any:
-    """Return a derivative, as a number if it is constant."""
     return slope.term if isinstance(slope, Traced) and not isinstance(slope.term, str) else slope
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,10 +23,21 @@ from mbdkit.engine.elimination_order import (
 )
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.cross_sections import STATE
-from mbdkit.engine.kernels.engine_bundles import Engine, Scatter, Scratch, Solver, Topology
+from mbdkit.engine.kernels.engine_bundles import Engine, Reacting, Scatter, Scratch, Solver, Topology
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.kernels.table_rows import (
+    BODIES,
+    INTERACTION,
+    LAW_ROW,
+    LOAD,
+    LOAD_VALUE,
+    PAIR,
+    SPRING,
+    STATE_ROW,
+    TENSION,
+)
 from mbdkit.engine.matrix_terms import MatrixTerms, matrix_terms
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stabilization import NONE, Stabilization
@@ -74,7 +85,7 @@ class Workspace:
         top = self.mechanism.topology
         stabilized = bool(np.any(self.stabilization.coefficients))
         self.stepping_topology = top._replace(baumgarte=self.stabilization.coefficients) if stabilized else top
-        pairs = [(int(a), int(b)) for a, b in top.pairs[:, 1:3]]
+        pairs = [(int(a), int(b)) for a, b in top.pairs[:, BODIES]]
         pivoted = self.mechanism.needs_pivots
         ground = len(self.mechanism.bodies)
         below = [set(later) for later in self.mechanism.below]
@@ -123,10 +134,10 @@ class Workspace:
         `mbdkit.engine.compile_forces.Lowering.held_load`.
         """
         top, is_set = self.stepping_topology, [state.by_method for state in self.mechanism.states]
-        held = self.mechanism.topology.states[np.flatnonzero(is_set), 1]
-        of_held = np.isin(top.laws[:, 1] + 1, held)
-        is_shown = np.isin(top.load_values[:, 0], np.flatnonzero(of_held))
-        is_held = np.isin(top.loads[:, 3], top.load_values[is_shown, 1])
+        held = self.mechanism.topology.states[np.flatnonzero(is_set), STATE_ROW.parameter]
+        of_held = np.isin(top.laws[:, LAW_ROW.parameters] + 1, held)
+        is_shown = np.isin(top.load_values[:, LOAD_VALUE.law], np.flatnonzero(of_held))
+        is_held = np.isin(top.loads[:, LOAD.x], top.load_values[is_shown, LOAD_VALUE.motion])
         loads, laws = (len(some) - np.count_nonzero(some) for some in (is_held, of_held))
         if not all(is_held[loads:]) or not all(of_held[laws:]):  # others have to keep their indices
             return
@@ -195,7 +206,7 @@ class Workspace:
     def _inertial_scale(self) -> np.ndarray:
         """Return (n,) powers of two near M^-1/2 for coordinates and diag(Phi_q M^-1 Phi_q^T)^-1/2 for multipliers."""
         top, jac = self.mechanism.topology, self.scratch.jac.reshape(-1, 2, 2, 3)
-        weight = top.weight[top.pairs[:, 1:3]]
+        weight = top.weight[top.pairs[:, BODIES]]
         diagonal = np.einsum("krsc,ksc->kr", jac**2, weight)
         scale = np.ones(self.unknowns)
         scale[: 3 * len(self.mechanism.bodies)] = np.sqrt(top.weight[:-1].ravel())
@@ -238,9 +249,9 @@ class Workspace:
         """Return a clause that names the force or motion that was not finite in the last evaluation; empty if all were
         finite.
         """
-        if self.scratch.faulty[0] in self.mechanism.topology.load_values[:, 0]:
+        if self.scratch.faulty[0] in self.mechanism.topology.load_values[:, LOAD_VALUE.law]:
             return f"the value of load '{self.unusable_law()}' is not finite"
-        if self.scratch.faulty[0] in self.mechanism.topology.interactions[:, 2]:
+        if self.scratch.faulty[0] in self.mechanism.topology.interactions[:, INTERACTION.law]:
             return f"the force of {self.unusable_law()} is not finite"
         if self.locks:
             return (
@@ -257,7 +268,7 @@ class Workspace:
     def locks(self) -> bool:
         """Whether the last evaluation failed because the friction in the joints has no solution."""
         top = self.mechanism.topology
-        return bool(self.scratch.faulty[0] in top.springs[top.frictions, 3])
+        return bool(self.scratch.faulty[0] in top.springs[top.frictions, SPRING.law])
 
     @property
     def cause(self) -> Literal["self-locking", "not-finite"]:
@@ -342,7 +353,7 @@ class Workspace:
 
 def finite_motions(top: Topology, u: np.ndarray) -> bool:
     """Return whether all values of `u` (motions, 3) that are used are finite; the derivatives of loads are not used."""
-    driven = np.unique(top.pairs[:, 3][top.pairs[:, 3] >= 0])
+    driven = np.unique(top.pairs[:, PAIR.motion][top.pairs[:, PAIR.motion] >= 0])
     centers = u[len(u) - OF_CENTER * len(top.centers) :]
     return all(bool(np.all(np.isfinite(x))) for x in (u[:, 0], u[driven], centers))
 
@@ -367,51 +378,40 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     source = np.zeros(total)
     source[:n3] = top.mass[:-1].ravel()
     views = {name: source[offsets[name] : offsets[name] + r * c].reshape(r, c) for name, (r, c) in shapes.items()}
-    cs = np.zeros((len(mechanism.bodies) + 1, 2))
-    cs[:, 0] = 1.0
-    unknowns = mechanism.unknowns
-    reacts = mechanism.reacting is not None
     changing = len(top.states) + len(top.inputs) + len(top.reactions) + len(top.interactions) > 0
+    frictions, reactions = len(top.frictions), mechanism.size if mechanism.reacting is not None else 0
+    zeros = {
+        "time": 1, "u": (len(top.motion_start) - 1, 3), "stack": (MAX_DEPTH, 3), "force": mechanism.size,
+        "phi": (p, 2), "phi_t": (p, 2), "gamma": (p, 2), "refinement": (p, 2),
+        "s": (s, 1), "grad": (s, 6), "hess": (s, 36), "tension": (s + 1, len(TENSION)),
+        "interaction": (len(top.interactions), 6), "interaction_slopes": (1, 72),
+        "section": (sections, STATE), "section_force": (sections, 4), "section_stress": (sections, 3),
+        "section_energy": (sections, 2), "section_stiff": (sections, 16), "section_damp": (sections, 16),
+        "friction": (frictions, frictions + 3), "response": (len(top.reactions), frictions + 1),
+        "loose": (len(top.spare), 6), "push": mechanism.size,
+        "right": mechanism.unknowns, "solution": mechanism.unknowns, "correction": mechanism.unknowns,
+    }  # fmt: skip
     scratch = Scratch(
-        time=np.zeros(1),
         sides=np.array([-np.inf, np.inf]),
-        cs=cs,
-        u=np.zeros((len(top.motion_start) - 1, 3)),
-        stack=np.zeros((MAX_DEPTH, 3)),
-        force=np.zeros(mechanism.size),
-        phi=np.zeros((p, 2)),
-        phi_t=np.zeros((p, 2)),
-        gamma=np.zeros((p, 2)),
-        refinement=np.zeros((p, 2)),
-        s=np.zeros((s, 1)),
-        grad=np.zeros((s, 6)),
-        hess=np.zeros((s, 36)),
-        tension=np.zeros((s + 1, 4)),
-        interaction=np.zeros((len(top.interactions), 6)),
-        interaction_slopes=np.zeros((1, 72)),
-        section=np.zeros((sections, STATE)),
-        section_force=np.zeros((sections, 4)),
-        section_stress=np.zeros((sections, 3)),
-        section_energy=np.zeros((sections, 2)),
-        section_stiff=np.zeros((sections, 16)),
-        section_damp=np.zeros((sections, 16)),
+        cs=np.tile([1.0, 0.0], (len(mechanism.bodies) + 1, 1)),
         law_values=top.law_parameters.copy() if changing else top.law_parameters,
-        friction=np.zeros((len(top.frictions), len(top.frictions) + 3)),
-        response=np.zeros((len(top.reactions), len(top.frictions) + 1)),
-        reacting=np.zeros(8, dtype=np.int64),
-        reaction=np.zeros((3, mechanism.size) if reacts else (0, 0)),
-        reaction_lam=np.zeros((p if reacts else 0, 2)),
-        reaction_power=np.zeros(1),
+        reacting=_new_reacting(reactions, p if reactions else 0),
         faulty=np.array([-1]),
         source=source,
-        loose=np.zeros((len(top.spare), 6)),
-        push=np.zeros(mechanism.size),
-        right=np.zeros(unknowns),
-        solution=np.zeros(unknowns),
-        correction=np.zeros(unknowns),
+        **{name: np.zeros(shape) for name, shape in zeros.items()},
         **views,
     )
     return scratch, offsets
+
+
+def _new_reacting(size: int, pairs: int) -> Reacting:
+    words = ("acts", "add_forces", "engine", "elements", "constrain", "run", "stages", "shows")
+    return Reacting(
+        **{name: np.zeros(1, dtype=np.int64) for name in words},
+        **{name: np.zeros(size) for name in ("q", "v", "acc")},
+        lam=np.zeros((pairs, 2)),
+        power=np.zeros(1),
+    )
 
 
 def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scratch]) -> Scratch:
@@ -425,7 +425,7 @@ def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scra
     """
     plain, offsets = new_scratch(mechanism)
     scratch = converted(plain)
-    views = {}
+    views: dict[str, Any] = {}
     for name, begin in offsets.items():
         if name != "mass":
             rows, columns = getattr(plain, name).shape

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.quantities.names import archive_names
@@ -37,7 +38,7 @@ class _WatchedStates(States):
     @property
     def coordinate(self) -> np.ndarray:
         """(T, J) angle or travel of each joint [rad or m]."""
-        first, second = self.mechanism.topology.joints[:, 1:3].T
+        first, second = self.mechanism.topology.joints[:, BODIES].T
         angles = self.q[:, 3 * second + 2] - self.q[:, 3 * first + 2]
         if not self.travels:
             return np.asarray(angles)

@@ -12,6 +12,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.kernels.table_rows import SPARE
 from mbdkit.engine.observed_states import SingularState, StateObserver
 from mbdkit.engine.redundant_joints import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
@@ -185,7 +186,7 @@ class Recorder:
         row = int(np.argmax(np.any(apart, axis=1)))
         direction = int(np.argmax(np.where(apart[row], gaps[row], 0.0)))
         mechanism = self.workspace.mechanism
-        pair = int(mechanism.topology.spare[direction, 0])
+        pair = int(mechanism.topology.spare[direction, SPARE.pair])
         gap = float(gaps[row, direction] * units_of_pairs(mechanism)[pair])
         unit = next(one.unit for one in mechanism.rows if one.pair == pair)
         return row, self._contradicting(pair, f"{gap:.2g} {unit} at {_at(stretch, row)}")

@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import constraints_at, first_order_rates, tangents_at
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
@@ -54,7 +55,7 @@ class Compiled:
         jacobian = np.zeros((len(rows), len(q)))
         for i, (pair, place) in enumerate(rows):
             for side in range(2):
-                body = self.top.pairs[pair, 1 + side]
+                body = self.top.pairs[pair, PAIR.first + side]
                 columns = slice(6 * place + 3 * side, 6 * place + 3 * side + 3)
                 jacobian[i, 3 * body : 3 * body + 3] += w.jac[pair, columns]
         values = (np.array([x[row] for row in rows]) for x in (w.phi, w.phi_t, w.gamma))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.mechanism.mechanism import Mechanism
 
 from .compiled import Compiled, assert_close, gradient
@@ -78,7 +79,7 @@ def test_tangents_of_a_cable_couple_all_bodies_that_it_passes() -> None:
         blocks = [(k, k, one) for k, one in enumerate(own)]
         blocks += [(*pair, one) for pair, one in zip(c.top.couplings, coupled, strict=True)]
         for k, other, entries in blocks:
-            rows, columns = ([3 * body + i for body in c.top.springs[x, 1:3] for i in range(3)] for x in (k, other))
+            rows, columns = ([3 * body + i for body in c.top.springs[x, BODIES] for i in range(3)] for x in (k, other))
             full[np.ix_(rows, columns)] += entries.reshape(6, 6)
         assert_close(full[: c.n, : c.n], factor * np.outer(s_q, s_q)[: c.n, : c.n])
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.mechanism.mechanism import Mechanism
 
 from .compiled import Compiled, assert_close, gradient, place
@@ -136,7 +137,7 @@ def test_tangents_of_a_spring_are_the_derivatives_of_its_force(
 def assembled(c: Compiled, entries: np.ndarray) -> np.ndarray:
     """Return the (6, 6) matrix of bodies a and b from the 36 entries of the one spring."""
     full = np.zeros((9, 9))
-    first, second = c.top.springs[0, 1:3]
+    first, second = c.top.springs[0, BODIES]
     places = [3 * body + i for body in (first, second) for i in range(3)]
     full[np.ix_(places, places)] += entries.reshape(6, 6)
     return full[:6, :6]

@@ -18,6 +18,7 @@ from mbdkit.engine.elimination_order import (
     symbolic_lu,
 )
 from mbdkit.engine.kernels import lu, schur
+from mbdkit.engine.kernels.table_rows import BODIES
 
 Graph = list[tuple[int, int]]
 
@@ -130,7 +131,7 @@ def test_a_repeated_row_is_reported_as_a_vanished_pivot(name: str) -> None:
     rng = np.random.default_rng(1)
     bodies, graph = GRAPHS[name](rng)
     blocks = Blocks(bodies, [*graph, graph[2]], rng)
-    twins = [k for k in range(len(blocks.pairs)) if tuple(blocks.pairs[k, 1:3]) == graph[2]]
+    twins = [k for k in range(len(blocks.pairs)) if tuple(blocks.pairs[k, BODIES]) == graph[2]]
     blocks.jac[twins[0]] = blocks.jac[twins[1]]
     blocks.rows[twins] = 2
     blocks.jac[twins, 6:] = rng.normal(size=6)

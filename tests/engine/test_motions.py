@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import assemble
+from mbdkit.engine.kernels.table_rows import LOAD
 from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -40,7 +41,7 @@ def jets(texts: list[Any], times: tuple[float, ...]) -> np.ndarray:
     found = []
     for t in times:
         c.constraints(c.q, t=t)
-        found.append(c.scratch.u[c.top.loads[:, 3]].copy())
+        found.append(c.scratch.u[c.top.loads[:, LOAD.x]].copy())
     return np.array(found)
 
 

@@ -14,6 +14,7 @@ import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.constraints import KINDS as CONSTRAINTS
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree import PLACE, TURN
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.spanning_tree import cut_joints, is_tree_of_pins, spanning_tree
@@ -30,7 +31,8 @@ def test_a_spanning_tree_has_the_coordinates_counted_by_hand(kind: str) -> None:
     make, cut, count = KINDS[kind]
     compiled = compile_mechanism(make(np.random.default_rng(1)))
     found = spanning_tree(compiled.topology)
-    line = (compiled.topology.pairs[found[:, PLACE], 0] == CONSTRAINTS["point_on_line"]) & (found[:, PLACE] >= 0)
+    kinds = compiled.topology.pairs[found[:, PLACE], PAIR.kind]
+    line = (kinds == CONSTRAINTS["point_on_line"]) & (found[:, PLACE] >= 0)
     free = 2 * np.sum(found[:, PLACE] < 0) + np.sum(line) + np.sum(found[:, TURN] < 0)
     assert (set(cut_joints(compiled)), int(free)) == (cut, count)
     assert is_tree_of_pins(compiled.topology, found) == (kind in ("chain", "tree", "floating", "laws"))

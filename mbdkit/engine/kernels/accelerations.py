@@ -25,6 +25,7 @@ from mbdkit.engine.kernels.lu import factorize, solve_refined
 from mbdkit.engine.kernels.schur import factor as schur_factor
 from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, REPIVOT, gather_values, solved_rows, unfold_multipliers
+from mbdkit.engine.kernels.table_rows import PAIR, SPARE, SPRING
 from mbdkit.engine.kernels.vectors import copy, fill_rows
 from mbdkit.engine.native.arithmetic import any_of, renewed
 from mbdkit.engine.native.calls import call_entry
@@ -59,7 +60,7 @@ def joint_right_side(top, w, acc, lam):
     """Write ``Phi_q a - gamma``, the right-hand side of the Schur complement, into `lam` (P, 2)."""
     pairs, rows, jac, gamma = top.pairs, top.rows, w.jac, w.gamma
     for k in range(len(pairs)):
-        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        a, b = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
         r0, r1 = -gamma[k, 0], -gamma[k, 1]
         for i in range(3):
             r0 += jac[k, i] * acc[a + i] + jac[k, 3 + i] * acc[b + i]
@@ -73,7 +74,7 @@ def apply_multipliers(top, w, lam, acc, wanted):
     """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations `acc` (3 (B + 1),); in lanes, only where `wanted`."""
     pairs, jac, weight = top.pairs, w.jac, top.weight
     for k in range(len(pairs)):
-        a, b = pairs[k, 1], pairs[k, 2]
+        a, b = pairs[k, PAIR.first], pairs[k, PAIR.second]
         l0, l1 = lam[k, 0], lam[k, 1]
         for i in range(3):
             x, y = acc[3 * a + i], weight[a, i] * (jac[k, i] * l0 + jac[k, 6 + i] * l1)
@@ -107,6 +108,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     pattern, factors = solver.pattern, solver.factors
     if len(pattern.row_of) != len(w.right):  # the pattern is still empty: no pivots have been chosen yet
         return REPIVOT
+    # with rate 0 the terms are those of the index-1 matrix
     gather_values(w.source, solver.scatter, 0.0, 0.0, pattern.weight, factors.a)
     solver.failed[0] = factorize(pattern, factors)
     if solver.failed[0] >= 0:
@@ -174,18 +176,20 @@ def solve_loaded(top, w, solver, q, v, acc, lam, refine):
 
 @inlined
 def _add_by_address(w, solver, q, v, acc, lam):
-    """Add the accelerations and multipliers due to reactions of elements, by the function in ``w.reacting``, if any."""
-    if w.reacting[0] == 0:
+    """Add the accelerations and multipliers due to reactions of elements, by their own function; return its status."""
+    exchanged = w.reacting
+    if exchanged.acts[0] == 0:
         return OK
-    copy(q, w.reaction[0])
-    copy(v, w.reaction[1])
-    copy(acc, w.reaction[2])
+    # the function has only an engine and its own bundle; state and solution are passed in arrays of the engine
+    copy(q, exchanged.q)
+    copy(v, exchanged.v)
+    copy(acc, exchanged.acc)
     for k in range(len(lam)):
-        copy(lam[k], w.reaction_lam[k])
-    status = call_entry(w.reacting[1], w.reacting[2], w.reacting[3], w.time[0], 0.0, 0.0)
-    copy(w.reaction[2], acc)
+        copy(lam[k], exchanged.lam[k])
+    status = call_entry(exchanged.add_forces[0], exchanged.engine[0], exchanged.elements[0], w.time[0], 0.0, 0.0)
+    copy(exchanged.acc, acc)
     for k in range(len(lam)):
-        copy(w.reaction_lam[k], lam[k])
+        copy(exchanged.lam[k], lam[k])
     return status
 
 
@@ -227,6 +231,7 @@ def settle_by_newton(top, w, solver, v, acc, lam, refine):
     count = len(top.frictions)
     if not begin_frictions(top, w, v, lam):
         return OK
+    # multipliers are affine in the frictions: one solution with the same factors gives a column of their matrix
     for f in range(count):
         scale = add_unit(top, w, f, 1.0)
         status = _substitute(top, w, solver, acc, lam, refine)
@@ -235,6 +240,7 @@ def settle_by_newton(top, w, solver, v, acc, lam, refine):
         note_response(top, w, f, lam, scale)
         add_unit(top, w, f, -1.0)
     before, worst = np.inf, 0
+    # the laws are piecewise smooth in the reactions, so that Newton's method ends in two or three steps
     for _ in range(MOST_PASSES):
         rest, worst = newton_step(top, w, v)
         if rest <= SETTLED or (rest >= before and rest <= NEARLY_SETTLED):
@@ -247,7 +253,7 @@ def settle_by_newton(top, w, solver, v, acc, lam, refine):
         if status != OK:
             return status
         take_reactions(top, w, lam)
-    w.faulty[0] = top.springs[top.frictions[worst], 3]
+    w.faulty[0] = top.springs[top.frictions[worst], SPRING.law]
     return NOT_FINITE
 
 
@@ -341,7 +347,7 @@ def transferred(top, w, solver, i, lam):
     multipliers. Overwrites ``w.gamma`` or the vectors of the pivoted system.
     """
     n3 = 3 * (len(top.mass) - 1)
-    a, b = top.pairs[top.spare[i, 0], 1], top.pairs[top.spare[i, 0], 2]
+    a, b = top.pairs[top.spare[i, SPARE.pair], PAIR.first], top.pairs[top.spare[i, SPARE.pair], PAIR.second]
     lam[:, :] = 0.0
     if solver.pivoted[0] != 0:
         right, solution, correction = w.right, w.solution, w.correction

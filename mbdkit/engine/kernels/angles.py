@@ -36,13 +36,10 @@ def _is_far(x):
 
 
 def _near(x):
-    """Return cosine and sine of an angle below `FAR`."""
     return trigonometric.cosine_and_sine_of_near(x)
 
 
 def _of_any(of_number):
-    """Return a function that chooses, by the type of the argument, the form for numbers or for dual numbers."""
-
     def choose(x):
         if not is_dual(x):
             return lambda x: of_number(x)

@@ -15,6 +15,22 @@ import numpy as np
 
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.cross_sections import add_beam_forces, beam_tangents
+from mbdkit.engine.kernels.table_rows import (
+    COUPLING,
+    INPUT,
+    INTERACTION,
+    LAW_ROW,
+    LINEAR,
+    LOAD,
+    LOAD_VALUE,
+    MULTIPLIER,
+    PAIR,
+    SLOPE,
+    SPRING,
+    STATE_ROW,
+    STATE_USE,
+    TENSION,
+)
 from mbdkit.engine.kernels.vectors import fill
 from mbdkit.engine.native.arithmetic import any_of, is_refused, put_in_place, renewed, where
 from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE, call_law
@@ -54,33 +70,34 @@ def pathway_lengths(top, w, q):
     """
     springs, points, cs, s, grad = top.springs, top.spring_points, w.cs, w.s, w.grad
     for k in range(len(springs)):
-        a, b = springs[k, 1], springs[k, 2]
-        if springs[k, 0] == _TWO_POINTS:
+        a, b = springs[k, SPRING.first], springs[k, SPRING.second]
+        if springs[k, SPRING.pathway] == _TWO_POINTS:
             two_points_gradient(k, a, b, q, cs, points, s, grad)
             if any_of(s[k, 0] == 0.0):  # coincident points define no direction (0/0): the spring then exerts no force
                 for i in range(6):
                     grad[k, i] = where(s[k, 0] == 0.0, 0.0, grad[k, i])
-        elif springs[k, 0] == _RELATIVE_ANGLE:
+        elif springs[k, SPRING.pathway] == _RELATIVE_ANGLE:
             relative_angle_gradient(k, a, b, q, cs, points, s, grad)
-        elif springs[k, 0] == _COORDINATE_X:
+        elif springs[k, SPRING.pathway] == _COORDINATE_X:
             coordinate_x_gradient(k, a, b, q, cs, points, s, grad)
-        elif springs[k, 0] == _COORDINATE_Y:
+        elif springs[k, SPRING.pathway] == _COORDINATE_Y:
             coordinate_y_gradient(k, a, b, q, cs, points, s, grad)
-        elif springs[k, 0] == _PULLEY:
+        elif springs[k, SPRING.pathway] == _PULLEY:
             pulley_gradient(k, a, b, q, cs, points, s, grad)
-        elif springs[k, 0] == _LIFTED:
+        elif springs[k, SPRING.pathway] == _LIFTED:
             lifted_gradient(k, a, b, q, cs, points, s, grad)
-            if k >= 2 and springs[k - 1, 0] == _TANGENT:  # the straight line of a string that may touch a circle
+            if k >= 2 and springs[k - 1, SPRING.pathway] == _TANGENT:  # a string that may touch a circle
                 choose_side_of_circle(k, points, s, grad)
-        elif springs[k, 0] == _TRAVEL:
+        elif springs[k, SPRING.pathway] == _TRAVEL:
             travel_gradient(k, a, b, q, cs, points, s, grad)
         else:
             tangent_gradient(k, a, b, q, cs, points, s, grad)
     for k in range(len(springs)):
-        for other in range(k + 1, k + springs[k, 5]):
+        # all segments share the length of the whole, so that tension and derivatives need no case distinction
+        for other in range(k + 1, k + springs[k, SPRING.segments]):
             s[k, 0] += s[other, 0]
-        if springs[k, 5] == 0:
-            s[k, 0] = s[springs[k, 4], 0]
+        if springs[k, SPRING.segments] == 0:
+            s[k, 0] = s[springs[k, SPRING.leader], 0]
 
 
 @subkernel
@@ -92,18 +109,23 @@ def choose_side_of_circle(k, points, s, grad):
     to pass the circle on its other side or to wind around it, and if an end is inside of the circle.
     """
     radius, onto, off = points[k - 2, 4], s[k - 2, 0], s[k - 1, 0]
+    # vectors from the center to both ends: no arguments beyond the segments are needed
     ux, uy = radius * -grad[k - 2, 4] - onto * grad[k - 2, 3], radius * grad[k - 2, 3] - onto * grad[k - 2, 4]
     vx, vy = off * grad[k - 1, 3] - radius * grad[k - 1, 4], off * grad[k - 1, 4] + radius * grad[k - 1, 3]
     side, size = where(radius > 0.0, 1.0, -1.0), abs(radius)
+    # the angle from one end to the other about the center, in the sense in which the string runs; it is counted from
+    # -`BEHIND`, because a string that does not touch may sweep a small negative angle
     sweep = -side * math.atan2(ux * vy - uy * vx, ux * vx + uy * vy)
     sweep = where(sweep < -BEHIND, sweep + 2.0 * np.pi, sweep)
     covered = math.atan2(size, onto) + math.atan2(size, off)
+    # the tangents cover the angle from each end to its point of contact; the rest lies on the circle
     turn = sweep + covered - np.pi
     touches = (turn > 0.0) & (sweep <= FARTHEST)
     is_free = (turn <= 0.0) & ((sweep >= 0.0) | (covered - sweep <= np.pi))
     s[k - 2, 0] = where(touches, onto + size * turn, where(is_free, 0.0, np.nan))
     s[k - 1, 0] = where(touches, off, 0.0)
     s[k, 0] = where(touches, 0.0, s[k, 0])
+    # a segment that is not part of the path must not pull its bodies
     for i in range(6):
         grad[k - 2, i] = where(touches, grad[k - 2, i], 0.0)
         grad[k - 1, i] = where(touches, grad[k - 1, i], 0.0)
@@ -114,8 +136,8 @@ def choose_side_of_circle(k, points, s, grad):
 def path_rate(k, springs, v, grad):
     """Return the rate ``s' = s_q v`` of the pathway whose first segment is `k`; 0 for other segments."""
     rate = 0.0
-    for segment in range(k, k + springs[k, 5]):
-        a, b = springs[segment, 1], springs[segment, 2]
+    for segment in range(k, k + springs[k, SPRING.segments]):
+        a, b = springs[segment, SPRING.first], springs[segment, SPRING.second]
         for i in range(3):
             rate += grad[segment, i] * v[3 * a + i] + grad[segment, 3 + i] * v[3 * b + i]
     return rate
@@ -130,20 +152,20 @@ def evaluate_tension(top, w, k, rate):
     Linear springs are computed here, without a call by address. Only the first segment of a spring is evaluated, with
     the `rate` of the whole pathway; the rows of its other segments are copies.
     """
-    length, law, tension = w.s[k, 0], top.springs[k, 3], w.tension
-    if top.springs[k, 5] == 0:
+    length, law, tension = w.s[k, 0], top.springs[k, SPRING.law], w.tension
+    if top.springs[k, SPRING.segments] == 0:
         for i in range(4):
-            tension[k, i] = tension[top.springs[k, 4], i]
+            tension[k, i] = tension[top.springs[k, SPRING.leader], i]
     elif law < 0:
-        stiffness, damping, stretch = top.linear[k, 0], top.linear[k, 1], length - top.linear[k, 2]
-        tension[k, 0] = stiffness * stretch + damping * rate
-        tension[k, 1] = stiffness
-        tension[k, 2] = damping
-        tension[k, 3] = 0.5 * stiffness * stretch * stretch
+        stiffness, damping = top.linear[k, LINEAR.stiffness], top.linear[k, LINEAR.damping]
+        stretch = length - top.linear[k, LINEAR.free_length]
+        tension[k, TENSION.force] = stiffness * stretch + damping * rate
+        tension[k, TENSION.by_length] = stiffness
+        tension[k, TENSION.by_rate] = damping
+        tension[k, TENSION.potential] = 0.5 * stiffness * stretch * stretch
     else:
-        code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
-        call_law(code, program, length, rate, w.time[0], w.law_values, first, tension, k, 4)
-        is_law_at_fault = (abs(length) < np.inf) & (abs(rate) < np.inf) & (not abs(tension[k, 0]) < np.inf)
+        evaluate_law(top, w, law, length, rate, w.time[0], tension, k, 4)
+        is_law_at_fault = (abs(length) < np.inf) & (abs(rate) < np.inf) & (not abs(tension[k, TENSION.force]) < np.inf)
         if is_refused(not is_law_at_fault):
             w.faulty[0] = law
 
@@ -152,30 +174,37 @@ def evaluate_tension(top, w, k, rate):
 def take_states(top, w, z):
     """Use the values `z` (Z,) of first-order states in the forces and rates that are evaluated next."""
     for i in range(len(top.state_places)):
-        put_in_place(w.law_values, top.state_places[i, 1], z[top.state_places[i, 0]])
+        put_in_place(w.law_values, top.state_places[i, STATE_USE.parameter], z[top.state_places[i, STATE_USE.state]])
 
 
 @subkernel
 def take_multipliers(top, w, lam):
     """Use the multipliers `lam` (P, 2) in the friction of joints that is evaluated next."""
     for i in range(len(top.reactions)):
-        put_in_place(w.law_values, top.reactions[i, 2], lam[top.reactions[i, 0], top.reactions[i, 1]])
+        value = lam[top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]]
+        put_in_place(w.law_values, top.reactions[i, MULTIPLIER.parameter], value)
+
+
+@inlined
+def evaluate_law(top, w, law, length, rate, t, out, row, count):
+    """Write the `count` values of the law in row `law` of ``top.laws`` into row `row` of `out`."""
+    address, program = top.laws[law, LAW_ROW.address], top.laws[law, LAW_ROW.program]
+    call_law(address, program, length, rate, t, w.law_values, top.laws[law, LAW_ROW.parameters], out, row, count)
 
 
 @subkernel
 def law_value(top, w, law, length, rate, t):
     """Return the value of the law in row `law` of ``top.laws`` for its current parameters."""
     spare = len(top.springs)
-    code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
-    call_law(code, program, length, rate, t, w.law_values, first, w.tension, spare, 4)
-    return w.tension[spare, 0]
+    evaluate_law(top, w, law, length, rate, t, w.tension, spare, 4)
+    return w.tension[spare, TENSION.force]
 
 
 @subkernel
 def state_rates(top, w, v, out):
     """Write the rates of all first-order states to `out` (Z,); requires `take_states` and `applied_forces`."""
     for i in range(len(top.states)):
-        k, law = top.states[i, 0], top.states[i, 2]
+        k, law = top.states[i, STATE_ROW.segment], top.states[i, STATE_ROW.rate]
         if law < 0:
             out[i] = 0.0
         elif k >= 0:
@@ -198,7 +227,7 @@ def evaluate_expressions(top, w, q, v):
     The inputs of all expressions are copied to their parameters, also those of expressions for rates of states.
     """
     for i in range(len(top.inputs)):
-        kind, k, place = top.inputs[i, 0], top.inputs[i, 1], top.inputs[i, 2]
+        kind, k, place = top.inputs[i, INPUT.kind], top.inputs[i, INPUT.source], top.inputs[i, INPUT.parameter]
         if kind == POSITION_INPUT:
             put_in_place(w.law_values, place, q[k])
         elif kind == VELOCITY_INPUT:
@@ -208,11 +237,11 @@ def evaluate_expressions(top, w, q, v):
         elif kind == RATE_INPUT:
             put_in_place(w.law_values, place, path_rate(k, top.springs, v, w.grad))
         else:
-            put_in_place(w.law_values, place, w.tension[k, 0])
+            put_in_place(w.law_values, place, w.tension[k, TENSION.force])
     for i in range(len(top.load_values)):
-        law = top.load_values[i, 0]
+        law = top.load_values[i, LOAD_VALUE.law]
         value = expression_value(top, w, law)
-        w.u[top.load_values[i, 1], 0] = value
+        w.u[top.load_values[i, LOAD_VALUE.motion], 0] = value
         if is_refused(abs(value) < np.inf):
             w.faulty[0] = law
 
@@ -224,9 +253,9 @@ def load_slope(top, w, v, i):
     The rows belong to the coordinates of the two bodies of the load, the columns to those of the bodies of the input.
     Requires the second derivatives of the pathways.
     """
-    load, component, law = top.slopes[i, 0], top.slopes[i, 1], top.slopes[i, 2]
-    given, k = top.slopes[i, 3], top.slopes[i, 4]
-    kind = top.inputs[given, 0]
+    load, component, law = top.slopes[i, SLOPE.load], top.slopes[i, SLOPE.component], top.slopes[i, SLOPE.law]
+    given, k = top.slopes[i, SLOPE.input], top.slopes[i, SLOPE.segment]
+    kind = top.inputs[given, INPUT.kind]
     slope = expression_value(top, w, law)
     stiff, damp = w.slope_stiff[i], w.slope_damp[i]
     for row in range(6):
@@ -235,10 +264,10 @@ def load_slope(top, w, v, i):
             stiff[6 * row + column] = 0.0
             damp[6 * row + column] = 0.0
             if kind == POSITION_INPUT:
-                if column == top.inputs[given, 1] % 3:
+                if column == top.inputs[given, INPUT.source] % 3:
                     stiff[6 * row + column] = along
             elif kind == VELOCITY_INPUT:
-                if column == top.inputs[given, 1] % 3:
+                if column == top.inputs[given, INPUT.source] % 3:
                     damp[6 * row + column] = along
             elif kind == LENGTH_INPUT:
                 stiff[6 * row + column] = along * w.grad[k, column]
@@ -246,17 +275,19 @@ def load_slope(top, w, v, i):
                 stiff[6 * row + column] = along * rate_slope(top, w, v, k, column)
                 damp[6 * row + column] = along * w.grad[k, column]
             else:
-                by_position = w.tension[k, 1] * w.grad[k, column]
-                stiff[6 * row + column] = along * (by_position + w.tension[k, 2] * rate_slope(top, w, v, k, column))
-                damp[6 * row + column] = along * w.tension[k, 2] * w.grad[k, column]
+                by_position = w.tension[k, TENSION.by_length] * w.grad[k, column]
+                stiff[6 * row + column] = along * (
+                    by_position + w.tension[k, TENSION.by_rate] * rate_slope(top, w, v, k, column)
+                )
+                damp[6 * row + column] = along * w.tension[k, TENSION.by_rate] * w.grad[k, column]
 
 
 @subkernel
 def rate_slope(top, w, v, k, column):
     """Return the derivative ``(s_q v)_q`` of the rate of segment `k` with respect to a coordinate of its two bodies."""
-    a, b = top.springs[k, 1], top.springs[k, 2]
+    a, b = top.springs[k, SPRING.first], top.springs[k, SPRING.second]
     bend = 0.0 * w.cs[0, 0]
-    if top.springs[k, 0] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y, _LIFTED, _TRAVEL, _TANGENT):
+    if top.springs[k, SPRING.pathway] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y, _LIFTED, _TRAVEL, _TANGENT):
         for i in range(3):
             bend += w.hess[k, 6 * i + column] * v[3 * a + i] + w.hess[k, 6 * (3 + i) + column] * v[3 * b + i]
     return where(w.s[k, 0] != 0.0, bend, 0.0)
@@ -268,16 +299,16 @@ def load_direction(top, w, k, component, i):
     `i` of its two bodies.
     """
     loads, points, cs = top.loads, top.load_points, w.cs
-    body = loads[k, 1]
+    body = loads[k, LOAD.body]
     c, sn = cs[body, 0], cs[body, 1]
     px, py = c * points[k, 0] - sn * points[k, 1], sn * points[k, 0] + c * points[k, 1]
     none = 0.0 * c
-    if loads[k, 0] == TORQUE:
+    if loads[k, LOAD.kind] == TORQUE:
         return none + 1.0 if i == 2 else (none - 1.0 if i == 5 else none)
     if i > 2:
         return none
     x, y = none + (1.0 if component == 0 else 0.0), none + (1.0 if component == 1 else 0.0)
-    if loads[k, 0] == BODY_FORCE:
+    if loads[k, LOAD.kind] == BODY_FORCE:
         x, y = c * x - sn * y, sn * x + c * y
     if i == 0:
         return x
@@ -294,20 +325,21 @@ def applied_forces(top, w, q, v):
     fill(force, 0.0)
     pathway_lengths(top, w, q)
     for k in range(len(springs)):
-        a, b = springs[k, 1], springs[k, 2]
+        a, b = springs[k, SPRING.first], springs[k, SPRING.second]
         evaluate_tension(top, w, k, path_rate(k, springs, v, grad))
-        pull = w.tension[k, 0]
+        pull = w.tension[k, TENSION.force]
         for i in range(3):
             force[3 * a + i] -= pull * grad[k, i]
             force[3 * b + i] -= pull * grad[k, 3 + i]
+    # expressions may contain tensions, which are known from here on
     if len(top.inputs) + len(top.load_values) > 0:
         evaluate_expressions(top, w, q, v)
     for k in range(len(loads)):
-        body = loads[k, 1]
-        if loads[k, 0] == TORQUE:
-            value = u[loads[k, 3], 0]
+        body = loads[k, LOAD.body]
+        if loads[k, LOAD.kind] == TORQUE:
+            value = u[loads[k, LOAD.x], 0]
             force[3 * body + 2] += value
-            force[3 * loads[k, 2] + 2] -= value
+            force[3 * loads[k, LOAD.reaction_body] + 2] -= value
         else:
             fx, fy, px, py = point_force(top, w, k)
             force[3 * body] += fx
@@ -322,13 +354,13 @@ def applied_forces(top, w, q, v):
 @subkernel
 def add_interaction(top, w, q, v, k):
     """Evaluate the forces and torques of interaction `k` into its row of ``w.interaction`` (C, 6), and add them."""
-    law = top.interactions[k, 2]
+    law = top.interactions[k, INTERACTION.law]
     place_bodies(top, w, q, v, k)
-    code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
-    call_law(code, program, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.law_values, first, w.interaction, k, 6)
+    evaluate_law(top, w, law, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.interaction, k, 6)
+    # one sum shows whether any of the six values is not finite
     total = 0.0
     for i in range(6):
-        w.force[3 * top.interactions[k, i // 3] + i % 3] += w.interaction[k, i]
+        w.force[3 * top.interactions[k, INTERACTION.first + i // 3] + i % 3] += w.interaction[k, i]
         total += w.interaction[k, i]
     if is_refused(abs(total) < np.inf):
         w.faulty[0] = law
@@ -339,9 +371,9 @@ def place_bodies(top, w, q, v, k):
     """Store the states of the bodies of interaction `k` as the first parameters of its law: for each body x, y, cosine
     and sine of the angle, and the velocities.
     """
-    place = top.laws[top.interactions[k, 2], 1] + 1
+    place = top.laws[top.interactions[k, INTERACTION.law], LAW_ROW.parameters] + 1
     for side in range(2):
-        body = top.interactions[k, side]
+        body = top.interactions[k, INTERACTION.first + side]
         put_in_place(w.law_values, place, q[3 * body])
         put_in_place(w.law_values, place + 1, q[3 * body + 1])
         put_in_place(w.law_values, place + 2, w.cs[body, 0])
@@ -354,10 +386,10 @@ def place_bodies(top, w, q, v, k):
 @subkernel
 def interaction_tangents(top, w, q, v, k):
     """Write -dQ/dq and -dQ/dv of interaction `k` into ``w.interaction_stiff`` and ``w.interaction_damp``."""
-    law = top.interactions[k, 2] + 1
+    law = top.interactions[k, INTERACTION.law] + 1
     place_bodies(top, w, q, v, k)
-    code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
-    call_law(code, program, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.law_values, first, w.interaction_slopes, 0, 72)
+    evaluate_law(top, w, law, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.interaction_slopes, 0, 72)
+    # the law gives derivatives of forces, tangents are those of -Q
     for i in range(36):
         w.interaction_stiff[k, i] = -w.interaction_slopes[0, i]
         w.interaction_damp[k, i] = -w.interaction_slopes[0, 36 + i]
@@ -370,10 +402,10 @@ def point_force(top, w, k):
     The lever arm is the vector from the centre of mass to the point of application.
     """
     loads, points, cs, u = top.loads, top.load_points, w.cs, w.u
-    body = loads[k, 1]
-    fx, fy = u[loads[k, 3], 0], u[loads[k, 4], 0]
+    body = loads[k, LOAD.body]
+    fx, fy = u[loads[k, LOAD.x], 0], u[loads[k, LOAD.y], 0]
     c, sn = cs[body, 0], cs[body, 1]
-    if loads[k, 0] == BODY_FORCE:
+    if loads[k, LOAD.kind] == BODY_FORCE:
         fx, fy = c * fx - sn * fy, sn * fx + c * fy
     px, py = c * points[k, 0] - sn * points[k, 1], sn * points[k, 0] + c * points[k, 1]
     return fx, fy, px, py
@@ -383,20 +415,20 @@ def point_force(top, w, k):
 def pathway_hessian(top, w, k, q):
     """Write s_qq of segment `k` into row `k` of ``w.hess`` (S, 36), and return whether it may differ from zero."""
     springs, points, cs, grad, hess = top.springs, top.spring_points, w.cs, w.grad, w.hess
-    a, b = springs[k, 1], springs[k, 2]
+    a, b = springs[k, SPRING.first], springs[k, SPRING.second]
     curved = True
-    if springs[k, 0] == _TWO_POINTS:
+    if springs[k, SPRING.pathway] == _TWO_POINTS:
         curved = w.s[k, 0] != 0.0
         if any_of(curved):
             two_points_hessian(k, a, b, q, cs, points, hess)
-    elif springs[k, 0] == _COORDINATE_X:
+    elif springs[k, SPRING.pathway] == _COORDINATE_X:
         coordinate_x_hessian(k, a, b, q, cs, points, hess)
-    elif springs[k, 0] == _COORDINATE_Y:
+    elif springs[k, SPRING.pathway] == _COORDINATE_Y:
         coordinate_y_hessian(k, a, b, q, cs, points, hess)
-    elif springs[k, 0] == _TRAVEL:
+    elif springs[k, SPRING.pathway] == _TRAVEL:
         travel_hessian(k, a, b, q, cs, points, hess)
-    elif springs[k, 0] == _LIFTED or springs[k, 0] == _TANGENT:
-        if springs[k, 0] == _LIFTED:
+    elif springs[k, SPRING.pathway] == _LIFTED or springs[k, SPRING.pathway] == _TANGENT:
+        if springs[k, SPRING.pathway] == _LIFTED:
             lifted_hessian(k, a, b, q, cs, points, hess)
         else:
             tangent_hessian(k, a, b, q, cs, points, hess)
@@ -424,17 +456,19 @@ def force_tangents(top, w, q, v):
     grad, hess, stiff, damp, load_stiff = w.grad, w.hess, w.spring_stiff, w.spring_damp, w.load_stiff
     pathway_lengths(top, w, q)
     for k in range(len(springs)):
-        a, b = springs[k, 1], springs[k, 2]
+        a, b = springs[k, SPRING.first], springs[k, SPRING.second]
         evaluate_tension(top, w, k, path_rate(k, springs, v, grad))
-        pull, stiffness, damping = w.tension[k, 0], w.tension[k, 1], w.tension[k, 2]
+        pull = w.tension[k, TENSION.force]
+        stiffness, damping = w.tension[k, TENSION.by_length], w.tension[k, TENSION.by_rate]
         has_derivatives = (abs(stiffness) < np.inf) & (abs(damping) < np.inf)
         if is_refused(has_derivatives | (not abs(pull) < np.inf)):
-            w.faulty[0] = springs[k, 3]
+            w.faulty[0] = springs[k, SPRING.law]
         curved = pathway_hessian(top, w, k, q)
         for i in range(6):
             for j in range(6):
                 stiff[k, 6 * i + j] = stiffness * grad[k, i] * grad[k, j]
                 damp[k, 6 * i + j] = damping * grad[k, i] * grad[k, j]
+        # a straight pathway has no second derivatives, and most mechanisms have no others
         if any_of(curved):
             for j in range(6):
                 bend = 0.0  # column j of (s_q v)_q
@@ -443,16 +477,17 @@ def force_tangents(top, w, q, v):
                 for i in range(6):
                     more = pull * hess[k, 6 * i + j] + damping * grad[k, i] * bend
                     stiff[k, 6 * i + j] = renewed(stiff[k, 6 * i + j] + more, stiff[k, 6 * i + j], curved)
+    # segments of a spring share one tension, which therefore depends on the coordinates of all of them
     for c in range(len(top.couplings)):
-        k, other = top.couplings[c, 0], top.couplings[c, 1]
+        k, other = top.couplings[c, COUPLING.of_force], top.couplings[c, COUPLING.of_coordinates]
         for i in range(6):
             for j in range(6):
                 product = grad[k, i] * grad[other, j]
-                w.coupled_stiff[c, 6 * i + j] = w.tension[k, 1] * product
-                w.coupled_damp[c, 6 * i + j] = w.tension[k, 2] * product
-        if springs[k, 0] != _PULLEY:
+                w.coupled_stiff[c, 6 * i + j] = w.tension[k, TENSION.by_length] * product
+                w.coupled_damp[c, 6 * i + j] = w.tension[k, TENSION.by_rate] * product
+        if springs[k, SPRING.pathway] != _PULLEY:
             for j in range(6):
-                bend = w.tension[k, 2] * rate_slope(top, w, v, other, j)
+                bend = w.tension[k, TENSION.by_rate] * rate_slope(top, w, v, other, j)
                 for i in range(6):
                     w.coupled_stiff[c, 6 * i + j] += grad[k, i] * bend
     if len(top.inputs) + len(top.load_values) > 0:
@@ -460,10 +495,10 @@ def force_tangents(top, w, q, v):
     for i in range(len(top.slopes)):
         load_slope(top, w, v, i)
     for k in range(len(loads)):
-        if loads[k, 0] == TORQUE:
+        if loads[k, LOAD.kind] == TORQUE:
             continue
         fx, fy, px, py = point_force(top, w, k)
-        if loads[k, 0] == BODY_FORCE:  # force and arm turn together, so the moment is constant
+        if loads[k, LOAD.kind] == BODY_FORCE:  # force and arm turn together, so the moment is constant
             load_stiff[k, 0] = fy
             load_stiff[k, 1] = -fx
         else:
@@ -487,39 +522,37 @@ def powers(top, w, v, lam):
     work = 0.0
     lost = 0.0
     for k in range(len(springs)):
-        if springs[k, 5] == 0:
+        if springs[k, SPRING.segments] == 0:
             continue
         rate = path_rate(k, springs, v, w.grad)
-        law = springs[k, 3]
+        law = springs[k, SPRING.law]
         if law < 0:
-            lost += top.linear[k, 1] * rate * rate
+            lost += top.linear[k, LINEAR.damping] * rate * rate
             continue
-        rest = tension[k, 0]
-        claims = laws[law, 2]
+        # the force at rate zero is -dV/ds: what it supplies is stored, only the rest is power or loss
+        rest = tension[k, TENSION.force]
+        claims = laws[law, LAW_ROW.claims]
         if claims & HAS_POTENTIAL != 0:
-            spare = len(springs)
-            code, program, first = laws[law, 0], laws[law, 3], laws[law, 1]
-            call_law(code, program, w.s[k, 0], 0.0, w.time[0], w.law_values, first, tension, spare, 4)
-            rest -= tension[spare, 0]
+            rest -= law_value(top, w, law, w.s[k, 0], 0.0, w.time[0])
         if claims & PASSIVE != 0:
             lost += rest * rate
         else:
             work -= rest * rate
     for k in range(len(loads)):
-        body = loads[k, 1]
-        if loads[k, 0] == TORQUE:
-            work += u[loads[k, 3], 0] * (v[3 * body + 2] - v[3 * loads[k, 2] + 2])
+        body = loads[k, LOAD.body]
+        if loads[k, LOAD.kind] == TORQUE:
+            work += u[loads[k, LOAD.x], 0] * (v[3 * body + 2] - v[3 * loads[k, LOAD.reaction_body] + 2])
         else:
             fx, fy, px, py = point_force(top, w, k)
             spin = v[3 * body + 2]
             work += fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
     for k in range(len(top.interactions)):
         for i in range(6):
-            work += w.interaction[k, i] * v[3 * top.interactions[k, i // 3] + i % 3]
+            work += w.interaction[k, i] * v[3 * top.interactions[k, INTERACTION.first + i // 3] + i % 3]
     for k in range(len(top.sections)):
         lost += w.section_energy[k, 1]
     for k in range(len(pairs)):
-        if pairs[k, 3] >= 0:
+        if pairs[k, PAIR.motion] >= 0:
             work += lam[k, 0] * w.phi_t[k, 0] + lam[k, 1] * w.phi_t[k, 1]
     return work, lost
 
@@ -535,16 +568,17 @@ def potential_energy(top, w, q):
     """
     springs, laws, mass, gravity, tension = top.springs, top.laws, top.mass, top.gravity, w.tension
     energy = level = 0.0
+    # the radius of gyration stands for coordinates of joints, whose rounding errors a body at the origin has as well
     for b in range(len(mass) - 1):
         x, y = gravity[0] * q[3 * b], gravity[1] * q[3 * b + 1]
         energy -= mass[b, 0] * (x + y)
         level += mass[b, 0] * (abs(x) + abs(y))
         level += sqrt(mass[b, 0] * mass[b, 2]) * (abs(gravity[0]) + abs(gravity[1]))
     for k in range(len(springs)):
-        law = springs[k, 3]
-        if springs[k, 5] > 0 and (law < 0 or laws[law, 2] & HAS_POTENTIAL != 0):
-            energy += tension[k, 3]
-            level += abs(tension[k, 3]) + abs(tension[k, 0] * w.s[k, 0])
+        law = springs[k, SPRING.law]
+        if springs[k, SPRING.segments] > 0 and (law < 0 or laws[law, LAW_ROW.claims] & HAS_POTENTIAL != 0):
+            energy += tension[k, TENSION.potential]
+            level += abs(tension[k, TENSION.potential]) + abs(tension[k, TENSION.force] * w.s[k, 0])
     for k in range(len(top.sections)):
         energy += w.section_energy[k, 0]
         level += w.section_energy[k, 0]

@@ -14,6 +14,7 @@ are not needed for a step; those of recorded states are solved for by `mbdkit.en
 
 from __future__ import annotations
 
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree import BODY, PLACE, PLACE_SIDE, turned
 from mbdkit.engine.native.functions import subkernel
 
@@ -29,6 +30,7 @@ def _begin(top, cs, tree, has_forces, force, v, bodies):
     for n in range(len(tree)):
         i, k, side = tree[n, BODY], tree[n, PLACE], tree[n, PLACE_SIDE]
         x, mass, inertia = bodies[i], top.mass[i, 0], top.mass[i, 2]
+        # gravity belongs to the bias of each body: the acceleration of ground is zero
         fx, fy = mass * top.gravity[0], mass * top.gravity[1]
         x[MXX], x[MYY] = mass, mass
         x[MXY] = x[RX] = x[RY] = x[HX] = x[HY] = x[TORQUE] = 0.0
@@ -38,6 +40,7 @@ def _begin(top, cs, tree, has_forces, force, v, bodies):
             x[TORQUE] = -force[3 * i + 2]
         if k >= 0:
             sx, sy = turned(cs[i, 0], cs[i, 1], p[k, 2 * side], p[k, 2 * side + 1])
+            # moments refer to the pin: Steiner's term, the torque of the force, and the centripetal force
             square = v[3 * i + 2] * v[3 * i + 2]
             x[RX], x[RY] = -sx, -sy
             x[HX], x[HY] = mass * sy, -mass * sx
@@ -56,7 +59,7 @@ def _gather(top, cs, tree, v, bodies):
         i, k, side = tree[n, BODY], tree[n, PLACE], tree[n, PLACE_SIDE]
         if k < 0:
             continue
-        x, before = bodies[i], top.pairs[k, 2 - side]
+        x, before = bodies[i], top.pairs[k, PAIR.second - side]
         inverse = 1.0 / x[INERTIA]
         x[INERTIA] = inverse
         if before == ground:
@@ -66,6 +69,7 @@ def _gather(top, cs, tree, v, bodies):
         dx += y[RX]
         dy += y[RY]
         x[DX], x[DY] = dx, dy
+        # eliminate alpha: what is left of the body is a mass K and a bias at its pin
         gx, gy = x[HX] * inverse, x[HY] * inverse
         kxx, kxy, kyy = x[MXX] - gx * x[HX], x[MXY] - gx * x[HY], x[MYY] - gy * x[HY]
         square = v[3 * before + 2] * v[3 * before + 2]
@@ -95,12 +99,13 @@ def _spread(top, tree, v, bodies, acc):
             gx, gy = x[HX] * inverse, x[HY] * inverse
             kxx, kxy, kyy = x[MXX] - gx * x[HX], x[MXY] - gx * x[HY], x[MYY] - gy * x[HY]
             fx, fy = x[BX] - gx * x[TORQUE], x[BY] - gy * x[TORQUE]
+            # a free body: no force acts at its reference point, so K A = -f
             scale = 1.0 / (kxx * kyy - kxy * kxy)
             ax, ay = scale * (kxy * fy - kyy * fx), scale * (kxy * fx - kxx * fy)
             x[INERTIA], x[MXX], x[MXY] = inverse, ax, ay
             acc[3 * i], acc[3 * i + 1] = ax, ay
         else:
-            before = top.pairs[k, 2 - tree[n, PLACE_SIDE]]
+            before = top.pairs[k, PAIR.second - tree[n, PLACE_SIDE]]
             if before == ground:
                 x[MXX] = x[MXY] = 0.0
             else:

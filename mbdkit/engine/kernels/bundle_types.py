@@ -75,5 +75,4 @@ def kept(bundle: Any, *roles: str) -> dict[str, np.ndarray]:
 
 
 def _leaves(bundle: Any) -> dict[str, np.ndarray]:
-    """Return all arrays of a bundle of arrays by name."""
     return dict(zip(bundle._fields, bundle, strict=True))

@@ -124,6 +124,7 @@ def _factorize(f, threshold):
             return NO_ROOM
         for x in range(top, n):
             w[s[x, REACHED]] = 0.0
+        # several terms may have the same entry
         for e in range(f.start[column], f.start[column + 1]):
             w[f.row[e]] += f.value[e]
         best, largest, is_sound = -1, 0.0, True
@@ -140,8 +141,10 @@ def _factorize(f, threshold):
                 if size > largest:
                     best, largest = row, size
                 is_sound = is_sound and size >= 0.0
+        # a NaN is neither larger nor smaller than another entry, and must not become or hide a pivot
         if best < 0 or not is_sound:
             return k
+        # the diagonal is preferred: it keeps the fill that the order of the columns was chosen for
         if s[column, MARK] == k and place[column] < 0 and w[column] != 0.0 and _size(w[column]) >= threshold * largest:
             best = column
         f.row_of[k], place[best], f.pivot[k] = best, k, w[best]
@@ -156,7 +159,6 @@ def _factorize(f, threshold):
 
 @subkernel
 def _solve(f, b):
-    """Replace a right-hand side (n,) by the solution."""
     w, row_of = f.work, f.row_of
     n = len(row_of)
     for k in range(n):

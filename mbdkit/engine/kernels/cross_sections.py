@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.element_kernels import section_forces, section_tangents
+from mbdkit.engine.kernels.table_rows import SECTION
 from mbdkit.engine.native.functions import inlined, subkernel
 
 STATE, PARAMETERS = 10, 16
@@ -26,8 +27,8 @@ def evaluate_sections(top, w, q, v):
     for k in range(len(sections)):
         for i in range(8):
             z[k, i] = 0.0
-        for i in range(sections[k, 1]):
-            node, shape, slope = 3 * sections[k, 2 + i], p[k, i], p[k, NODES + i]
+        for i in range(sections[k, SECTION.node_count]):
+            node, shape, slope = 3 * sections[k, SECTION.node + i], p[k, i], p[k, NODES + i]
             z[k, 0] += slope * q[node]
             z[k, 1] += slope * q[node + 1]
             z[k, 2] += shape * q[node + 2]
@@ -46,8 +47,9 @@ def add_beam_forces(top, w, q, v):
     evaluate_sections(top, w, q, v)
     sections, p, given, force = top.sections, top.section_parameters, w.section_force, w.force
     for k in range(len(sections)):
-        for i in range(sections[k, 1]):
-            node, shape, slope = 3 * sections[k, 2 + i], p[k, i], p[k, NODES + i]
+        for i in range(sections[k, SECTION.node_count]):
+            node, shape, slope = 3 * sections[k, SECTION.node + i], p[k, i], p[k, NODES + i]
+            # virtual work: nodal forces are the section forces times shape functions of the states
             force[node] -= slope * given[k, 0]
             force[node + 1] -= slope * given[k, 1]
             force[node + 2] -= shape * given[k, 2] + slope * given[k, 3]
@@ -60,8 +62,8 @@ def beam_tangents(top, w, q, v):
     sections, p = top.sections, top.section_parameters
     for k in range(len(sections)):
         section_tangents(k, w.section, p, w.section_stiff, w.section_damp)
-        for i in range(sections[k, 1]):
-            for j in range(sections[k, 1]):
+        for i in range(sections[k, SECTION.node_count]):
+            for j in range(sections[k, SECTION.node_count]):
                 _spread(p, k, i, j, w.section_stiff, w.beam_stiff)
                 _spread(p, k, i, j, w.section_damp, w.beam_damp)
 
@@ -99,8 +101,8 @@ def beam_values(top, w, out):
         for i in range(4):
             out[element, i] = 0.0
     for k in range(len(sections)):
-        element = sections[k, 0]
-        share = 1.0 / (sections[k, 1] - 1)  # an element has one cross-section fewer than nodes
+        element = sections[k, SECTION.element]
+        share = 1.0 / (sections[k, SECTION.node_count] - 1)  # an element has one cross-section fewer than nodes
         for i in range(3):
             out[element, i] += share * stress[k, i]
         out[element, 3] += w.section_energy[k, 0]
@@ -115,15 +117,16 @@ def beam_levels(top, w):
     sections, p, z = top.sections, top.section_parameters, w.section
     level_t = level_r = 0.0
     for k in range(len(sections)):
+        # terms are added with their absolute values, as if none of them cancelled
         stretch = abs(z[k, 0]) + abs(z[k, 1])
         rate = abs(z[k, 4]) + abs(z[k, 5]) + stretch * abs(z[k, 6])
         force = (p[k, 7] + p[k, 8]) * (stretch + abs(p[k, 10]) + abs(p[k, 11])) + (p[k, 13] + p[k, 14]) * rate
         turn = abs(p[k, 12])
-        for i in range(sections[k, 1]):
+        for i in range(sections[k, SECTION.node_count]):
             turn += abs(p[k, NODES + i])  # curvature if the angles of the nodes are of the order of 1 rad
         moment = p[k, 9] * turn + p[k, 15] * abs(z[k, 7])
-        for i in range(sections[k, 1]):
-            node, shape, slope = sections[k, 2 + i], abs(p[k, i]), abs(p[k, NODES + i])
+        for i in range(sections[k, SECTION.node_count]):
+            node, shape, slope = sections[k, SECTION.node + i], abs(p[k, i]), abs(p[k, NODES + i])
             level_t = max(level_t, p[k, 6] * slope * force * top.weight[node, 0])
             level_r = max(level_r, p[k, 6] * (shape * force * stretch + slope * moment) * top.weight[node, 2])
     return level_t, level_r

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
 from mbdkit.engine.kernels.engine_bundles import Engine, Scratch, Topology
 from mbdkit.engine.kernels.observe import Observed, describe
 from mbdkit.engine.kernels.system import OK, constraint_rows, evaluate_powers, prepare
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import kernel
 from mbdkit.engine.native.number_arrays import new_duals
@@ -41,13 +42,15 @@ class DualStates(NamedTuple):
 def _example() -> DualStates:
     engine = example_of(Engine)
 
-    def dual(given: tuple[np.ndarray, ...]) -> list[np.ndarray]:
-        return [new_duals(*x.shape) if x.dtype.kind == "f" else x for x in given]
+    def dual(given: Any) -> Any:
+        if isinstance(given, tuple):
+            return type(given)(*map(dual, given))
+        return new_duals(*given.shape) if given.dtype.kind == "f" else given
 
-    w = Scratch(*dual(engine.w))._replace(time=engine.w.time, sides=engine.w.sides)
-    top = Topology(*dual(engine.top))
+    w = dual(engine.w)._replace(time=engine.w.time, sides=engine.w.sides)
+    top = dual(engine.top)
     six = np.zeros((0, 6), dtype=np.int64)  # `Observed.zeros` reads a column of the springs
-    observed = Observed(*dual(Observed.zeros(0, engine.top._replace(springs=six))))
+    observed = dual(Observed.zeros(0, engine.top._replace(springs=six)))
     solver = new_dual_solver(engine, engine.solver.row_index)
     q, v, power, lack = new_duals(0, 0), new_duals(0, 0), new_duals(0, 2), new_duals(0, 0)
     return DualStates(top, w, solver, np.zeros(0), q, v, observed, power, lack)
@@ -89,11 +92,12 @@ def describe_duals(address: int) -> None:
         applied_forces(top, w, q, v)
         for b in range(len(top.mass) - 1):
             for i in range(3):
+                # what the mass needs, minus what acts; reactions are added below
                 pull = acc[3 * b + i] - top.gravity[i] if i < 2 else acc[3 * b + i]
                 lack[r, 3 * b + i] = top.mass[b, i] * pull - w.force[3 * b + i]
         for k in range(len(top.pairs)):
             for side in range(2):
-                first = 3 * top.pairs[k, 1 + side]
+                first = 3 * top.pairs[k, PAIR.first + side]
                 for i in range(3):
                     for row in range(2):
                         lack[r, first + i] += w.jac[k, 6 * row + 3 * side + i] * lam[k, row]

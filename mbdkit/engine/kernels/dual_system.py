@@ -20,6 +20,7 @@ from mbdkit.engine.kernels.engine_bundles import Engine
 from mbdkit.engine.kernels.lu import Factors, substitute
 from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.arithmetic import value_of, with_value
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 from mbdkit.engine.native.number_arrays import new_duals
@@ -87,7 +88,7 @@ def _residual(top, w, has_forces, acc, lam, lack, rows):
             pull = top.gravity[i] - acc[d] if i < 2 else -acc[d]
             lack[d] = mass[b, i] * pull + w.force[d] if has_forces else mass[b, i] * pull
     for k in range(len(pairs)):
-        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        a, b = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
         l0, l1, r0, r1 = lam[k, 0], lam[k, 1], w.gamma[k, 0], w.gamma[k, 1]
         for i in range(3):
             lack[a + i] -= jac[k, i] * l0 + jac[k, 6 + i] * l1
@@ -106,7 +107,7 @@ def _by_schur(n, lack, rows):
         for i in range(3):
             lack[3 * b + i] = weight[b, i] * lack[3 * b + i]
     for k in range(len(pairs)):
-        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        a, b = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
         r0, r1 = rows[k, 0] * -1.0, rows[k, 1] * -1.0
         for i in range(3):
             r0 += jac[k, i] * lack[a + i] + jac[k, 3 + i] * lack[b + i]
@@ -115,7 +116,7 @@ def _by_schur(n, lack, rows):
         rows[k, 1] = r1 if n.top.rows[k] == 2 else r1 * 0.0
     schur_solve(n.solver.schur, rows)
     for k in range(len(pairs)):
-        a, b = pairs[k, 1], pairs[k, 2]
+        a, b = pairs[k, PAIR.first], pairs[k, PAIR.second]
         l0, l1 = rows[k, 0], rows[k, 1]
         for i in range(3):
             lack[3 * a + i] -= weight[a, i] * (jac[k, i] * l0 + jac[k, 6 + i] * l1)
@@ -156,6 +157,7 @@ def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
         for r in range(2):
             lam[k, r] = solver.lam[k, r] if r < top.rows[k] else 0.0
     pivoted = n.solver.pivoted[0] != 0
+    # with the values as accelerations, the residual has no value but all derivatives; the second pass refines them
     for _ in range(2 if refine or pivoted else 1):
         _residual(top, w, has_forces, acc, lam, solver.lack, solver.rows)
         if pivoted:
@@ -163,6 +165,7 @@ def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
         else:
             _by_schur(n, solver.lack, solver.rows)
         for d in range(len(acc) - 3):
+            # the value stays the one of a run without derivatives, to the bit
             acc[d] = with_value(acc[d] + solver.lack[d], solver.acc[d])
         for k in range(len(lam)):
             for r in range(top.rows[k]):

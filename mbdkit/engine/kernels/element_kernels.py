@@ -5,7 +5,7 @@ calls the kernels of all pairs of constraint rows. Arguments:
 
 k : index of the element; a, b : first and second body; m : index of the motion that drives the element, or of the
     first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative
-pairs : (P, 4) kind, first body, second body and motion of each pair of constraint rows
+pairs : (P, 4) pairs of constraint rows, see `PairRow`
 q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, velocities and accelerations; ground comes last
 cs : (B + 1, 2) cosine and sine of every theta
 p : (K, 6) parameters, points in body frames first
@@ -24,6 +24,7 @@ because projections and Baumgarte's terms change them.
 # fmt: off
 from math import sqrt
 
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.functions import subkernel
 
 
@@ -109,24 +110,12 @@ HESSIAN_ENTRIES = {
 @subkernel
 def revolute_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = p_b - p_a of two points that coincide, and Phi_t."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     phi[k, 0] = gx
     phi[k, 1] = gy
 
@@ -134,29 +123,18 @@ def revolute_position(k, a, b, m, q, cs, p, u, phi, phi_t):
 @subkernel
 def revolute_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
-    wa = v[3*a+2]
-    wb = v[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    wa, wb = v[3*a+2], v[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = (wa*wa)
     t1 = (wb*wb)
-    jac[k, 0] = -1.0
+    jac[k, 0] = jac[k, 7] = -1.0
     jac[k, 2] = ay
-    jac[k, 3] = 1.0
+    jac[k, 3] = jac[k, 10] = 1.0
     jac[k, 5] = -by
-    jac[k, 7] = -1.0
     jac[k, 8] = -ax
-    jac[k, 10] = 1.0
     jac[k, 11] = bx
     gamma[k, 0] = -ax*t0 + bx*t1
     gamma[k, 1] = -ay*t0 + by*t1
@@ -165,24 +143,13 @@ def revolute_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
 @subkernel
 def revolute_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
-    wa = v[3*a+2]
-    wb = v[3*b+2]
-    ala = acc[3*a+2]
-    alb = acc[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    lam0 = lam[k, 0]
-    lam1 = lam[k, 1]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    wa, wb = v[3*a+2], v[3*b+2]
+    ala, alb = acc[3*a+2], acc[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    lam0, lam1 = lam[k, 0], lam[k, 1]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = 2*wa
     t1 = 2*wb
     t2 = (wa*wa)
@@ -202,25 +169,12 @@ def revolute_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
 @subkernel
 def distance_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = |p_b - p_a| - length, and Phi_t."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3, p4 = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     length = sqrt((gx*gx) + (gy*gy))
     phi[k, 0] = length - p4
 
@@ -228,30 +182,13 @@ def distance_position(k, a, b, m, q, cs, p, u, phi, phi_t):
 @subkernel
 def distance_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    vxa = v[3*a+0]
-    vya = v[3*a+1]
-    wa = v[3*a+2]
-    vxb = v[3*b+0]
-    vyb = v[3*b+1]
-    wb = v[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     length = sqrt((gx*gx) + (gy*gy))
     t0 = (1.0/length)
     t1 = gx*t0
@@ -280,37 +217,15 @@ def distance_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
 @subkernel
 def distance_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    vxa = v[3*a+0]
-    vya = v[3*a+1]
-    wa = v[3*a+2]
-    vxb = v[3*b+0]
-    vyb = v[3*b+1]
-    wb = v[3*b+2]
-    axa = acc[3*a+0]
-    aya = acc[3*a+1]
-    ala = acc[3*a+2]
-    axb = acc[3*b+0]
-    ayb = acc[3*b+1]
-    alb = acc[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    axa, aya, ala, axb, ayb, alb = acc[3*a+0], acc[3*a+1], acc[3*a+2], acc[3*b+0], acc[3*b+1], acc[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
     lam0 = lam[k, 0]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     length = sqrt((gx*gx) + (gy*gy))
     t0 = (1.0/(length*length))
     t1 = (gx*gx)*t0 - 1
@@ -440,41 +355,22 @@ def distance_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
     t125 = t0*t124
     t126 = gx*wb
     t127 = t0*t126
-    stiff[k, 0] = t4
-    stiff[k, 1] = t6
-    stiff[k, 2] = t11
-    stiff[k, 3] = t12
-    stiff[k, 4] = t5
-    stiff[k, 5] = t15
-    stiff[k, 6] = t6
-    stiff[k, 7] = t17
-    stiff[k, 8] = t20
-    stiff[k, 9] = t5
-    stiff[k, 10] = t21
-    stiff[k, 11] = t23
-    stiff[k, 12] = t11
-    stiff[k, 13] = t20
+    stiff[k, 0] = stiff[k, 21] = t4
+    stiff[k, 1] = stiff[k, 6] = stiff[k, 22] = stiff[k, 27] = t6
+    stiff[k, 2] = stiff[k, 12] = t11
+    stiff[k, 3] = stiff[k, 18] = t12
+    stiff[k, 4] = stiff[k, 9] = stiff[k, 19] = stiff[k, 24] = t5
+    stiff[k, 5] = stiff[k, 30] = t15
+    stiff[k, 7] = stiff[k, 28] = t17
+    stiff[k, 8] = stiff[k, 13] = t20
+    stiff[k, 10] = stiff[k, 25] = t21
+    stiff[k, 11] = stiff[k, 31] = t23
     stiff[k, 14] = t26*t3
-    stiff[k, 15] = t10
-    stiff[k, 16] = t27
-    stiff[k, 17] = t29
-    stiff[k, 18] = t12
-    stiff[k, 19] = t5
-    stiff[k, 20] = t10
-    stiff[k, 21] = t4
-    stiff[k, 22] = t6
-    stiff[k, 23] = t30
-    stiff[k, 24] = t5
-    stiff[k, 25] = t21
-    stiff[k, 26] = t27
-    stiff[k, 27] = t6
-    stiff[k, 28] = t17
-    stiff[k, 29] = t31
-    stiff[k, 30] = t15
-    stiff[k, 31] = t23
-    stiff[k, 32] = t29
-    stiff[k, 33] = t30
-    stiff[k, 34] = t31
+    stiff[k, 15] = stiff[k, 20] = t10
+    stiff[k, 16] = stiff[k, 26] = t27
+    stiff[k, 17] = stiff[k, 32] = t29
+    stiff[k, 23] = stiff[k, 33] = t30
+    stiff[k, 29] = stiff[k, 34] = t31
     stiff[k, 35] = -t3*t34
     gamma_v[k, 0] = t2*(t36*wa - t50)
     gamma_v[k, 1] = t2*(-t19*wa - t61)
@@ -493,10 +389,8 @@ def distance_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
 @subkernel
 def driver_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = theta_b - theta_a - u(t), and Phi_t."""
-    tha = q[3*a+2]
-    thb = q[3*b+2]
-    u_value = u[m, 0]
-    u_dot = u[m, 1]
+    tha, thb = q[3*a+2], q[3*b+2]
+    u_value, u_dot = u[m, 0], u[m, 1]
     phi[k, 0] = -tha + thb - u_value
     phi_t[k, 0] = -u_dot
 
@@ -518,20 +412,11 @@ def driver_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, r
 @subkernel
 def driver_x_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = x of b's point in a's frame - u(t), and Phi_t."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    u_value = u[m, 0]
-    u_dot = u[m, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    u_value, u_dot = u[m, 0], u[m, 1]
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     phi[k, 0] = ca*(bx - xa + xb) + sa*(by - ya + yb) - u_value
     phi_t[k, 0] = -u_dot
 
@@ -539,25 +424,12 @@ def driver_x_position(k, a, b, m, q, cs, p, u, phi, phi_t):
 @subkernel
 def driver_x_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    vxa = v[3*a+0]
-    vya = v[3*a+1]
-    wa = v[3*a+2]
-    vxb = v[3*b+0]
-    vyb = v[3*b+1]
-    wb = v[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
     u_ddot = u[m, 2]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = by - ya + yb
     t1 = bx - xa + xb
     jac[k, 0] = -ca
@@ -572,31 +444,13 @@ def driver_x_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
 @subkernel
 def driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    vxa = v[3*a+0]
-    vya = v[3*a+1]
-    wa = v[3*a+2]
-    vxb = v[3*b+0]
-    vyb = v[3*b+1]
-    wb = v[3*b+2]
-    axa = acc[3*a+0]
-    aya = acc[3*a+1]
-    ala = acc[3*a+2]
-    axb = acc[3*b+0]
-    ayb = acc[3*b+1]
-    alb = acc[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    axa, aya, ala, axb, ayb, alb = acc[3*a+0], acc[3*a+1], acc[3*a+2], acc[3*b+0], acc[3*b+1], acc[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p2, p3 = p[k, 2], p[k, 3]
     lam0 = lam[k, 0]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = lam0*sa
     t1 = ca*lam0
     t2 = -t1
@@ -624,17 +478,12 @@ def driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
     t24 = -sa*t21 + t23
     t25 = sa*t19
     t26 = ca*t19
-    stiff[k, 2] = t0
-    stiff[k, 8] = t2
-    stiff[k, 12] = t0
-    stiff[k, 13] = t2
+    stiff[k, 2] = stiff[k, 12] = t0
+    stiff[k, 8] = stiff[k, 13] = t2
     stiff[k, 14] = -lam0*t5
-    stiff[k, 15] = t6
-    stiff[k, 16] = t1
-    stiff[k, 17] = t10
-    stiff[k, 20] = t6
-    stiff[k, 26] = t1
-    stiff[k, 32] = t10
+    stiff[k, 15] = stiff[k, 20] = t6
+    stiff[k, 16] = stiff[k, 26] = t1
+    stiff[k, 17] = stiff[k, 32] = t10
     stiff[k, 35] = -t10
     gamma_v[k, 0] = -t12
     gamma_v[k, 1] = t13
@@ -653,20 +502,11 @@ def driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
 @subkernel
 def driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = y of b's point in a's frame - u(t), and Phi_t."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    u_value = u[m, 0]
-    u_dot = u[m, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    u_value, u_dot = u[m, 0], u[m, 1]
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     phi[k, 0] = ca*(by - ya + yb) - sa*(bx - xa + xb) - u_value
     phi_t[k, 0] = -u_dot
 
@@ -674,25 +514,12 @@ def driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t):
 @subkernel
 def driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    vxa = v[3*a+0]
-    vya = v[3*a+1]
-    wa = v[3*a+2]
-    vxb = v[3*b+0]
-    vyb = v[3*b+1]
-    wb = v[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
     u_ddot = u[m, 2]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = bx - xa + xb
     t1 = by - ya + yb
     jac[k, 0] = sa
@@ -707,31 +534,13 @@ def driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
 @subkernel
 def driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    vxa = v[3*a+0]
-    vya = v[3*a+1]
-    wa = v[3*a+2]
-    vxb = v[3*b+0]
-    vyb = v[3*b+1]
-    wb = v[3*b+2]
-    axa = acc[3*a+0]
-    aya = acc[3*a+1]
-    ala = acc[3*a+2]
-    axb = acc[3*b+0]
-    ayb = acc[3*b+1]
-    alb = acc[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    axa, aya, ala, axb, ayb, alb = acc[3*a+0], acc[3*a+1], acc[3*a+2], acc[3*b+0], acc[3*b+1], acc[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p2, p3 = p[k, 2], p[k, 3]
     lam0 = lam[k, 0]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = ca*lam0
     t1 = lam0*sa
     t2 = by - ya + yb
@@ -758,17 +567,12 @@ def driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
     t23 = ca*t20 + t22
     t24 = ca*t18
     t25 = sa*t18
-    stiff[k, 2] = t0
-    stiff[k, 8] = t1
-    stiff[k, 12] = t0
-    stiff[k, 13] = t1
+    stiff[k, 2] = stiff[k, 12] = t0
+    stiff[k, 8] = stiff[k, 13] = t1
     stiff[k, 14] = lam0*t4
-    stiff[k, 15] = t5
-    stiff[k, 16] = t6
-    stiff[k, 17] = t9
-    stiff[k, 20] = t5
-    stiff[k, 26] = t6
-    stiff[k, 32] = t9
+    stiff[k, 15] = stiff[k, 20] = t5
+    stiff[k, 16] = stiff[k, 26] = t6
+    stiff[k, 17] = stiff[k, 32] = t9
     stiff[k, 35] = lam0*t8
     gamma_v[k, 0] = -t11
     gamma_v[k, 1] = -t12
@@ -787,62 +591,27 @@ def driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
 @subkernel
 def point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = distance of b's point from the line through a's, and Phi_t."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    p5 = p[k, 5]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    nx = -ca*p5 - p4*sa
-    ny = ca*p4 - p5*sa
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3, p4, p5 = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4], p[k, 5]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    nx, ny = -ca*p5 - p4*sa, ca*p4 - p5*sa
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     phi[k, 0] = gx*nx + gy*ny
 
 
 @subkernel
 def point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    vxa = v[3*a+0]
-    vya = v[3*a+1]
-    wa = v[3*a+2]
-    vxb = v[3*b+0]
-    vyb = v[3*b+1]
-    wb = v[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    p5 = p[k, 5]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    nx = -ca*p5 - p4*sa
-    ny = ca*p4 - p5*sa
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3, p4, p5 = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4], p[k, 5]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    nx, ny = -ca*p5 - p4*sa, ca*p4 - p5*sa
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     t0 = nx*wa
     t1 = ny*wa
     t2 = bx*wb
@@ -859,41 +628,16 @@ def point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
 @subkernel
 def point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    vxa = v[3*a+0]
-    vya = v[3*a+1]
-    wa = v[3*a+2]
-    vxb = v[3*b+0]
-    vyb = v[3*b+1]
-    wb = v[3*b+2]
-    axa = acc[3*a+0]
-    aya = acc[3*a+1]
-    ala = acc[3*a+2]
-    axb = acc[3*b+0]
-    ayb = acc[3*b+1]
-    alb = acc[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    p5 = p[k, 5]
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    axa, aya, ala, axb, ayb, alb = acc[3*a+0], acc[3*a+1], acc[3*a+2], acc[3*b+0], acc[3*b+1], acc[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3, p4, p5 = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4], p[k, 5]
     lam0 = lam[k, 0]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    nx = -ca*p5 - p4*sa
-    ny = ca*p4 - p5*sa
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    nx, ny = -ca*p5 - p4*sa, ca*p4 - p5*sa
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     t0 = lam0*ny
     t1 = lam0*nx
     t2 = -t1
@@ -919,17 +663,12 @@ def point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, 
     t22 = wa - wb
     t23 = ny*wb
     t24 = nx*wb
-    stiff[k, 2] = t0
-    stiff[k, 8] = t2
-    stiff[k, 12] = t0
-    stiff[k, 13] = t2
+    stiff[k, 2] = stiff[k, 12] = t0
+    stiff[k, 8] = stiff[k, 13] = t2
     stiff[k, 14] = -lam0*t5
-    stiff[k, 15] = t6
-    stiff[k, 16] = t1
-    stiff[k, 17] = t10
-    stiff[k, 20] = t6
-    stiff[k, 26] = t1
-    stiff[k, 32] = t10
+    stiff[k, 15] = stiff[k, 20] = t6
+    stiff[k, 16] = stiff[k, 26] = t1
+    stiff[k, 17] = stiff[k, 32] = t10
     stiff[k, 35] = -t10
     gamma_v[k, 0] = -t12
     gamma_v[k, 1] = t13
@@ -948,8 +687,7 @@ def point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, 
 @subkernel
 def fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = theta_b - theta_a - angle, and Phi_t."""
-    tha = q[3*a+2]
-    thb = q[3*b+2]
+    tha, thb = q[3*a+2], q[3*b+2]
     p4 = p[k, 4]
     phi[k, 0] = -p4 - tha + thb
 
@@ -970,26 +708,13 @@ def fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, re
 @subkernel
 def moving_center_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = p_b - p_a - c, c in a's frame a function of theta_b - theta_a, and Phi_t."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    cx0 = u[m, 0]
-    cy0 = u[m + 2, 0]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    cx0, cy0 = u[m, 0], u[m + 2, 0]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     hx0 = ca*cx0 - cy0*sa
     hy0 = ca*cy0 + cx0*sa
     phi[k, 0] = gx - hx0
@@ -999,26 +724,12 @@ def moving_center_position(k, a, b, m, q, cs, p, u, phi, phi_t):
 @subkernel
 def moving_center_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
-    wa = v[3*a+2]
-    wb = v[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    cx0 = u[m, 0]
-    cx1 = u[m, 1]
-    cx2 = u[m, 2]
-    cy0 = u[m + 2, 0]
-    cy1 = u[m + 2, 1]
-    cy2 = u[m + 2, 2]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    wa, wb = v[3*a+2], v[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    cx0, cx1, cx2, cy0, cy1, cy2 = u[m, 0], u[m, 1], u[m, 2], u[m + 2, 0], u[m + 2, 1], u[m + 2, 2]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     hx0 = ca*cx0 - cy0*sa
     hx1 = ca*cx1 - cy1*sa
     hx2 = ca*cx2 - cy2*sa
@@ -1029,13 +740,11 @@ def moving_center_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     t1 = -hy1
     t2 = hx0 + t1
     t3 = wa - wb
-    jac[k, 0] = -1.0
+    jac[k, 0] = jac[k, 7] = -1.0
     jac[k, 2] = ay + t0
-    jac[k, 3] = 1.0
+    jac[k, 3] = jac[k, 10] = 1.0
     jac[k, 5] = -by - hx1
-    jac[k, 7] = -1.0
     jac[k, 8] = -ax - t2
-    jac[k, 10] = 1.0
     jac[k, 11] = bx + t1
     gamma[k, 0] = -wa*(ax*wa + t2*wa - t3*(hx2 + hy1)) - wb*(-bx*wb + hx2*t3 + hy1*wa)
     gamma[k, 1] = -wa*(ay*wa + t0*wa + t3*(hx1 - hy2)) + wb*(by*wb + hx1*wa - hy2*t3)
@@ -1044,32 +753,14 @@ def moving_center_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
 @subkernel
 def moving_center_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
-    wa = v[3*a+2]
-    wb = v[3*b+2]
-    ala = acc[3*a+2]
-    alb = acc[3*b+2]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    cx0 = u[m, 0]
-    cx1 = u[m, 1]
-    cx2 = u[m, 2]
-    cy0 = u[m + 2, 0]
-    cy1 = u[m + 2, 1]
-    cy2 = u[m + 2, 2]
-    cx3 = u[m + 1, 2]
-    cy3 = u[m + 3, 2]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    lam0 = lam[k, 0]
-    lam1 = lam[k, 1]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    wa, wb = v[3*a+2], v[3*b+2]
+    ala, alb = acc[3*a+2], acc[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    cx0, cx1, cx2, cy0, cy1, cy2, cx3, cy3 = u[m, 0], u[m, 1], u[m, 2], u[m + 2, 0], u[m + 2, 1], u[m + 2, 2], u[m + 1, 2], u[m + 3, 2]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    lam0, lam1 = lam[k, 0], lam[k, 1]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     hx0 = ca*cx0 - cy0*sa
     hx1 = ca*cx1 - cy1*sa
     hx2 = ca*cx2 - cy2*sa
@@ -1113,7 +804,8 @@ def moving_center_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, 
 def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
     """Evaluate Phi and Phi_t of every pair: (P, 2) arrays."""
     for k in range(len(pairs)):
-        kind, a, b, m = pairs[k, 0], pairs[k, 1], pairs[k, 2], pairs[k, 3]
+        kind, a, b = pairs[k, PAIR.kind], pairs[k, PAIR.first], pairs[k, PAIR.second]
+        m = pairs[k, PAIR.motion]
         if kind == 0:
             revolute_position(k, a, b, m, q, cs, p, u, phi, phi_t)
         elif kind == 1:
@@ -1136,7 +828,8 @@ def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
 def constraint_accelerations(pairs, p, q, v, cs, u, jac, gamma):
     """Evaluate the Jacobian (P, 12) and the right-hand side gamma (P, 2) of every pair."""
     for k in range(len(pairs)):
-        kind, a, b, m = pairs[k, 0], pairs[k, 1], pairs[k, 2], pairs[k, 3]
+        kind, a, b = pairs[k, PAIR.kind], pairs[k, PAIR.first], pairs[k, PAIR.second]
+        m = pairs[k, PAIR.motion]
         if kind == 0:
             revolute_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
         elif kind == 1:
@@ -1159,7 +852,8 @@ def constraint_accelerations(pairs, p, q, v, cs, u, jac, gamma):
 def constraint_tangents(pairs, p, q, v, acc, cs, u, lam, stiff, gamma_v, res_q):
     """Evaluate d(Phi_q^T lam)/dq (P, 36), d gamma/dv (P, 12) and d(Phi_q a - gamma)/dq (P, 12) of every pair."""
     for k in range(len(pairs)):
-        kind, a, b, m = pairs[k, 0], pairs[k, 1], pairs[k, 2], pairs[k, 3]
+        kind, a, b = pairs[k, PAIR.kind], pairs[k, PAIR.first], pairs[k, PAIR.second]
+        m = pairs[k, PAIR.motion]
         if kind == 0:
             revolute_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
         elif kind == 1:
@@ -1181,24 +875,12 @@ def constraint_tangents(pairs, p, q, v, acc, cs, u, lam, stiff, gamma_v, res_q):
 @subkernel
 def two_points_gradient(k, a, b, q, cs, p, s, grad):
     """Length s = |p_b - p_a| [m] and its gradient."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     length = sqrt((gx*gx) + (gy*gy))
     t0 = (1.0/length)
     t1 = gx*t0
@@ -1215,24 +897,12 @@ def two_points_gradient(k, a, b, q, cs, p, s, grad):
 @subkernel
 def two_points_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of the length s = |p_b - p_a| [m]."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     length = sqrt((gx*gx) + (gy*gy))
     t0 = (1.0/length)
     t1 = (1.0/(length*length))
@@ -1258,49 +928,29 @@ def two_points_hessian(k, a, b, q, cs, p, hess):
     t21 = t0*(-ax*bx - ay*by + t1*t11*t6)
     t22 = -t12
     t23 = t0*t18
-    hess[k, 0] = t3
-    hess[k, 1] = t5
-    hess[k, 2] = t9
-    hess[k, 3] = t10
-    hess[k, 4] = t4
-    hess[k, 5] = t12
-    hess[k, 6] = t5
-    hess[k, 7] = t14
-    hess[k, 8] = t16
-    hess[k, 9] = t4
-    hess[k, 10] = t17
-    hess[k, 11] = t19
-    hess[k, 12] = t9
-    hess[k, 13] = t16
+    hess[k, 0] = hess[k, 21] = t3
+    hess[k, 1] = hess[k, 6] = hess[k, 22] = hess[k, 27] = t5
+    hess[k, 2] = hess[k, 12] = t9
+    hess[k, 3] = hess[k, 18] = t10
+    hess[k, 4] = hess[k, 9] = hess[k, 19] = hess[k, 24] = t4
+    hess[k, 5] = hess[k, 30] = t12
+    hess[k, 7] = hess[k, 28] = t14
+    hess[k, 8] = hess[k, 13] = t16
+    hess[k, 10] = hess[k, 25] = t17
+    hess[k, 11] = hess[k, 31] = t19
     hess[k, 14] = t0*((ax*ax) + ax*gx + (ay*ay) + ay*gy - t1*(t6*t6))
-    hess[k, 15] = t8
-    hess[k, 16] = t20
-    hess[k, 17] = t21
-    hess[k, 18] = t10
-    hess[k, 19] = t4
-    hess[k, 20] = t8
-    hess[k, 21] = t3
-    hess[k, 22] = t5
-    hess[k, 23] = t22
-    hess[k, 24] = t4
-    hess[k, 25] = t17
-    hess[k, 26] = t20
-    hess[k, 27] = t5
-    hess[k, 28] = t14
-    hess[k, 29] = t23
-    hess[k, 30] = t12
-    hess[k, 31] = t19
-    hess[k, 32] = t21
-    hess[k, 33] = t22
-    hess[k, 34] = t23
+    hess[k, 15] = hess[k, 20] = t8
+    hess[k, 16] = hess[k, 26] = t20
+    hess[k, 17] = hess[k, 32] = t21
+    hess[k, 23] = hess[k, 33] = t22
+    hess[k, 29] = hess[k, 34] = t23
     hess[k, 35] = t0*((bx*bx) - bx*gx + (by*by) - by*gy - t1*(t11*t11))
 
 
 @subkernel
 def relative_angle_gradient(k, a, b, q, cs, p, s, grad):
     """Length s = theta_b - theta_a [rad] and its gradient."""
-    tha = q[3*a+2]
-    thb = q[3*b+2]
+    tha, thb = q[3*a+2], q[3*b+2]
     s[k, 0] = -tha + thb
     grad[k, 2] = -1.0
     grad[k, 5] = 1.0
@@ -1309,18 +959,10 @@ def relative_angle_gradient(k, a, b, q, cs, p, s, grad):
 @subkernel
 def coordinate_x_gradient(k, a, b, q, cs, p, s, grad):
     """Length s = x of b's point in a's frame [m] and its gradient."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = bx - xa + xb
     t1 = by - ya + yb
     s[k, 0] = ca*t0 + sa*t1
@@ -1335,50 +977,29 @@ def coordinate_x_gradient(k, a, b, q, cs, p, s, grad):
 @subkernel
 def coordinate_x_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of the length s = x of b's point in a's frame [m]."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = -ca
     t1 = -sa
     t2 = bx*ca + by*sa
-    hess[k, 2] = sa
-    hess[k, 8] = t0
-    hess[k, 12] = sa
-    hess[k, 13] = t0
+    hess[k, 2] = hess[k, 12] = sa
+    hess[k, 8] = hess[k, 13] = t0
     hess[k, 14] = -ca*(bx - xa + xb) - sa*(by - ya + yb)
-    hess[k, 15] = t1
-    hess[k, 16] = ca
-    hess[k, 17] = t2
-    hess[k, 20] = t1
-    hess[k, 26] = ca
-    hess[k, 32] = t2
+    hess[k, 15] = hess[k, 20] = t1
+    hess[k, 16] = hess[k, 26] = ca
+    hess[k, 17] = hess[k, 32] = t2
     hess[k, 35] = -t2
 
 
 @subkernel
 def coordinate_y_gradient(k, a, b, q, cs, p, s, grad):
     """Length s = y of b's point in a's frame [m] and its gradient."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = by - ya + yb
     t1 = bx - xa + xb
     s[k, 0] = ca*t0 - sa*t1
@@ -1393,43 +1014,28 @@ def coordinate_y_gradient(k, a, b, q, cs, p, s, grad):
 @subkernel
 def coordinate_y_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of the length s = y of b's point in a's frame [m]."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = -ca
     t1 = -sa
     t2 = bx*sa - by*ca
     t3 = -t2
-    hess[k, 2] = ca
-    hess[k, 8] = sa
-    hess[k, 12] = ca
-    hess[k, 13] = sa
+    hess[k, 2] = hess[k, 12] = ca
+    hess[k, 8] = hess[k, 13] = sa
     hess[k, 14] = -ca*(by - ya + yb) + sa*(bx - xa + xb)
-    hess[k, 15] = t0
-    hess[k, 16] = t1
-    hess[k, 17] = t3
-    hess[k, 20] = t0
-    hess[k, 26] = t1
-    hess[k, 32] = t3
+    hess[k, 15] = hess[k, 20] = t0
+    hess[k, 16] = hess[k, 26] = t1
+    hess[k, 17] = hess[k, 32] = t3
     hess[k, 35] = t2
 
 
 @subkernel
 def pulley_gradient(k, a, b, q, cs, p, s, grad):
     """Length s = L - r (theta_b - theta_a) [m] and its gradient."""
-    tha = q[3*a+2]
-    thb = q[3*b+2]
-    p4 = p[k, 4]
-    p5 = p[k, 5]
+    tha, thb = q[3*a+2], q[3*b+2]
+    p4, p5 = p[k, 4], p[k, 5]
     s[k, 0] = p4*(tha - thb) + p5
     grad[k, 2] = p4
     grad[k, 5] = -p4
@@ -1438,25 +1044,12 @@ def pulley_gradient(k, a, b, q, cs, p, s, grad):
 @subkernel
 def lifted_gradient(k, a, b, q, cs, p, s, grad):
     """Length s = sqrt(|p_b - p_a|^2 + h^2) [m] and its gradient."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3, p4 = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     length = sqrt((gx*gx) + (gy*gy))
     t0 = sqrt((length*length) + (p4*p4))
     t1 = (1.0/t0)
@@ -1474,25 +1067,12 @@ def lifted_gradient(k, a, b, q, cs, p, s, grad):
 @subkernel
 def lifted_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of the length s = sqrt(|p_b - p_a|^2 + h^2) [m]."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3, p4 = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     length = sqrt((gx*gx) + (gy*gy))
     t0 = (length*length) + (p4*p4)
     t1 = (1.0/sqrt(t0))
@@ -1519,61 +1099,32 @@ def lifted_hessian(k, a, b, q, cs, p, hess):
     t22 = t1*(-ax*bx - ay*by + t12*t2*t7)
     t23 = -t13
     t24 = t1*t19
-    hess[k, 0] = t4
-    hess[k, 1] = t6
-    hess[k, 2] = t10
-    hess[k, 3] = t11
-    hess[k, 4] = t5
-    hess[k, 5] = t13
-    hess[k, 6] = t6
-    hess[k, 7] = t15
-    hess[k, 8] = t17
-    hess[k, 9] = t5
-    hess[k, 10] = t18
-    hess[k, 11] = t20
-    hess[k, 12] = t10
-    hess[k, 13] = t17
+    hess[k, 0] = hess[k, 21] = t4
+    hess[k, 1] = hess[k, 6] = hess[k, 22] = hess[k, 27] = t6
+    hess[k, 2] = hess[k, 12] = t10
+    hess[k, 3] = hess[k, 18] = t11
+    hess[k, 4] = hess[k, 9] = hess[k, 19] = hess[k, 24] = t5
+    hess[k, 5] = hess[k, 30] = t13
+    hess[k, 7] = hess[k, 28] = t15
+    hess[k, 8] = hess[k, 13] = t17
+    hess[k, 10] = hess[k, 25] = t18
+    hess[k, 11] = hess[k, 31] = t20
     hess[k, 14] = t1*((ax*ax) + ax*gx + (ay*ay) + ay*gy - t2*(t7*t7))
-    hess[k, 15] = t9
-    hess[k, 16] = t21
-    hess[k, 17] = t22
-    hess[k, 18] = t11
-    hess[k, 19] = t5
-    hess[k, 20] = t9
-    hess[k, 21] = t4
-    hess[k, 22] = t6
-    hess[k, 23] = t23
-    hess[k, 24] = t5
-    hess[k, 25] = t18
-    hess[k, 26] = t21
-    hess[k, 27] = t6
-    hess[k, 28] = t15
-    hess[k, 29] = t24
-    hess[k, 30] = t13
-    hess[k, 31] = t20
-    hess[k, 32] = t22
-    hess[k, 33] = t23
-    hess[k, 34] = t24
+    hess[k, 15] = hess[k, 20] = t9
+    hess[k, 16] = hess[k, 26] = t21
+    hess[k, 17] = hess[k, 32] = t22
+    hess[k, 23] = hess[k, 33] = t23
+    hess[k, 29] = hess[k, 34] = t24
     hess[k, 35] = t1*((bx*bx) - bx*gx + (by*by) - by*gy - (t12*t12)*t2)
 
 
 @subkernel
 def travel_gradient(k, a, b, q, cs, p, s, grad):
     """Length s = coordinate of b's point in a's frame, along a direction [m] and its gradient."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    p5 = p[k, 5]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p2, p3, p4, p5 = p[k, 2], p[k, 3], p[k, 4], p[k, 5]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = bx - xa + xb
     t1 = by - ya + yb
     t2 = ca*p4 - p5*sa
@@ -1590,20 +1141,10 @@ def travel_gradient(k, a, b, q, cs, p, s, grad):
 @subkernel
 def travel_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of the length s = coordinate of b's point in a's frame, along a direction [m]."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    p5 = p[k, 5]
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p2, p3, p4, p5 = p[k, 2], p[k, 3], p[k, 4], p[k, 5]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = ca*p5 + p4*sa
     t1 = ca*p4 - p5*sa
     t2 = -t1
@@ -1611,16 +1152,12 @@ def travel_hessian(k, a, b, q, cs, p, hess):
     t4 = by - ya + yb
     t5 = -t0
     t6 = bx*t1 + by*t0
-    hess[k, 2] = t0
-    hess[k, 8] = t2
-    hess[k, 12] = t0
-    hess[k, 13] = t2
+    hess[k, 2] = hess[k, 12] = t0
+    hess[k, 8] = hess[k, 13] = t2
     hess[k, 14] = -ca*(p4*t3 + p5*t4) - sa*(p4*t4 - p5*t3)
-    hess[k, 15] = t5
-    hess[k, 16] = t1
+    hess[k, 15] = hess[k, 20] = t5
+    hess[k, 16] = hess[k, 26] = t1
     hess[k, 17] = t6
-    hess[k, 20] = t5
-    hess[k, 26] = t1
     hess[k, 32] = ca*(bx*p4 + by*p5) - sa*(bx*p5 - by*p4)
     hess[k, 35] = -t6
 
@@ -1628,28 +1165,14 @@ def travel_hessian(k, a, b, q, cs, p, hess):
 @subkernel
 def tangent_gradient(k, a, b, q, cs, p, s, grad):
     """Length s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent (derivatives: of s + r psi, psi the angle of its direction) and its gradient."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3, p4 = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     straight = sqrt((gx*gx) + (gy*gy) - (p4*p4))
-    tangent_x = (gx*straight - gy*p4)/((gx*gx) + (gy*gy))
-    tangent_y = (gx*p4 + gy*straight)/((gx*gx) + (gy*gy))
+    tangent_x, tangent_y = (gx*straight - gy*p4)/((gx*gx) + (gy*gy)), (gx*p4 + gy*straight)/((gx*gx) + (gy*gy))
     s[k, 0] = straight
     grad[k, 0] = -tangent_x
     grad[k, 1] = -tangent_y
@@ -1662,28 +1185,14 @@ def tangent_gradient(k, a, b, q, cs, p, s, grad):
 @subkernel
 def tangent_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of the length s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent (derivatives: of s + r psi, psi the angle of its direction)."""
-    xa = q[3*a+0]
-    ya = q[3*a+1]
-    xb = q[3*b+0]
-    yb = q[3*b+1]
-    ca = cs[a, 0]
-    sa = cs[a, 1]
-    cb = cs[b, 0]
-    sb = cs[b, 1]
-    p0 = p[k, 0]
-    p1 = p[k, 1]
-    p2 = p[k, 2]
-    p3 = p[k, 3]
-    p4 = p[k, 4]
-    ax = ca*p0 - p1*sa
-    ay = ca*p1 + p0*sa
-    bx = cb*p2 - p3*sb
-    by = cb*p3 + p2*sb
-    gx = -ax + bx - xa + xb
-    gy = -ay + by - ya + yb
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    p0, p1, p2, p3, p4 = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
     straight = sqrt((gx*gx) + (gy*gy) - (p4*p4))
-    tangent_x = (gx*straight - gy*p4)/((gx*gx) + (gy*gy))
-    tangent_y = (gx*p4 + gy*straight)/((gx*gx) + (gy*gy))
+    tangent_x, tangent_y = (gx*straight - gy*p4)/((gx*gx) + (gy*gy)), (gx*p4 + gy*straight)/((gx*gx) + (gy*gy))
     t0 = (1.0/straight)
     t1 = t0*(tangent_y*tangent_y)
     t2 = t0*tangent_y
@@ -1707,66 +1216,30 @@ def tangent_hessian(k, a, b, q, cs, p, hess):
     t20 = -t15
     t21 = -t11*t19
     t22 = -t12
-    hess[k, 0] = t1
-    hess[k, 1] = t4
-    hess[k, 2] = t9
-    hess[k, 3] = t10
-    hess[k, 4] = t3
-    hess[k, 5] = t12
-    hess[k, 6] = t4
-    hess[k, 7] = t13
-    hess[k, 8] = t15
-    hess[k, 9] = t3
-    hess[k, 10] = t16
-    hess[k, 11] = t18
-    hess[k, 12] = t9
-    hess[k, 13] = t15
+    hess[k, 0] = hess[k, 21] = t1
+    hess[k, 1] = hess[k, 6] = hess[k, 22] = hess[k, 27] = t4
+    hess[k, 2] = hess[k, 12] = t9
+    hess[k, 3] = hess[k, 18] = t10
+    hess[k, 4] = hess[k, 9] = hess[k, 19] = hess[k, 24] = t3
+    hess[k, 5] = hess[k, 30] = t12
+    hess[k, 7] = hess[k, 28] = t13
+    hess[k, 8] = hess[k, 13] = t15
+    hess[k, 10] = hess[k, 25] = t16
+    hess[k, 11] = hess[k, 31] = t18
     hess[k, 14] = t19*t5 + t19*t6 + t7
-    hess[k, 15] = t8
-    hess[k, 16] = t20
-    hess[k, 17] = t21
-    hess[k, 18] = t10
-    hess[k, 19] = t3
-    hess[k, 20] = t8
-    hess[k, 21] = t1
-    hess[k, 22] = t4
-    hess[k, 23] = t22
-    hess[k, 24] = t3
-    hess[k, 25] = t16
-    hess[k, 26] = t20
-    hess[k, 27] = t4
-    hess[k, 28] = t13
-    hess[k, 29] = t17
-    hess[k, 30] = t12
-    hess[k, 31] = t18
-    hess[k, 32] = t21
-    hess[k, 33] = t22
-    hess[k, 34] = t17
+    hess[k, 15] = hess[k, 20] = t8
+    hess[k, 16] = hess[k, 26] = t20
+    hess[k, 17] = hess[k, 32] = t21
+    hess[k, 23] = hess[k, 33] = t22
+    hess[k, 29] = hess[k, 34] = t17
     hess[k, 35] = bx*t0*t11*tangent_x + by*t0*t11*tangent_y - t11
 
 
 @subkernel
 def section_forces(k, z, p, force, stress, energy):
     """Force conjugate to the state of a cross-section, its stress, its strain energy and its dissipated power."""
-    dx = z[k, 0]
-    dy = z[k, 1]
-    dth = z[k, 3]
-    dvx = z[k, 4]
-    dvy = z[k, 5]
-    w = z[k, 6]
-    dw = z[k, 7]
-    c = z[k, 8]
-    s = z[k, 9]
-    h = p[k, 6]
-    ea = p[k, 7]
-    ga = p[k, 8]
-    ei = p[k, 9]
-    e0 = p[k, 10]
-    g0 = p[k, 11]
-    k0 = p[k, 12]
-    da = p[k, 13]
-    ds = p[k, 14]
-    db = p[k, 15]
+    dx, dy, dth, dvx, dvy, w, dw, c, s = z[k, 0], z[k, 1], z[k, 3], z[k, 4], z[k, 5], z[k, 6], z[k, 7], z[k, 8], z[k, 9]
+    h, ea, ga, ei, e0, g0, k0, da, ds, db = p[k, 6], p[k, 7], p[k, 8], p[k, 9], p[k, 10], p[k, 11], p[k, 12], p[k, 13], p[k, 14], p[k, 15]
     along = c*dx + dy*s
     across = c*dy - dx*s
     t0 = along - e0
@@ -1793,22 +1266,8 @@ def section_forces(k, z, p, force, stress, energy):
 @subkernel
 def section_tangents(k, z, p, stiffness, damping):
     """Derivatives of the force."""
-    dx = z[k, 0]
-    dy = z[k, 1]
-    dvx = z[k, 4]
-    dvy = z[k, 5]
-    w = z[k, 6]
-    c = z[k, 8]
-    s = z[k, 9]
-    h = p[k, 6]
-    ea = p[k, 7]
-    ga = p[k, 8]
-    ei = p[k, 9]
-    e0 = p[k, 10]
-    g0 = p[k, 11]
-    da = p[k, 13]
-    ds = p[k, 14]
-    db = p[k, 15]
+    dx, dy, dvx, dvy, w, c, s = z[k, 0], z[k, 1], z[k, 4], z[k, 5], z[k, 6], z[k, 8], z[k, 9]
+    h, ea, ga, ei, e0, g0, da, ds, db = p[k, 6], p[k, 7], p[k, 8], p[k, 9], p[k, 10], p[k, 11], p[k, 13], p[k, 14], p[k, 15]
     along = c*dx + dy*s
     across = c*dy - dx*s
     t0 = ds*w
@@ -1850,12 +1309,9 @@ def section_tangents(k, z, p, stiffness, damping):
     stiffness[k, 10] = h*(across*t19 - along*t20 + c*(dvx*t22 + dvy*t21) - s*(dvx*t21 - dvy*t22))
     stiffness[k, 15] = ei*h
     damping[k, 0] = h*(da*t23 + ds*t24)
-    damping[k, 1] = t25
-    damping[k, 2] = t26
-    damping[k, 4] = t25
+    damping[k, 1] = damping[k, 4] = t25
+    damping[k, 2] = damping[k, 8] = t26
     damping[k, 5] = h*(da*t24 + ds*t23)
-    damping[k, 6] = t27
-    damping[k, 8] = t26
-    damping[k, 9] = t27
+    damping[k, 6] = damping[k, 9] = t27
     damping[k, 10] = h*((across*across)*da + (along*along)*ds)
     damping[k, 15] = db*h

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, NamedTuple
 
+from mbdkit.engine.kernels import table_rows as columns
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.schur import Schur
@@ -16,7 +17,8 @@ class Topology(NamedTuple):
     B is the number of bodies without ground, P of pairs of constraint rows, S of segments of springs, X of pairs of
     segments of the same spring, L of loads, C of interactions, G of cross-sections of beams,
     E of their elements, J of joints, K of markers. All force elements on a pathway are called springs, whatever their
-    law. Most have one segment; the length of one with several is the sum over its segments.
+    law. Most have one segment; the length of one with several is the sum over its segments. The columns of tables have
+    names; see `mbdkit.engine.kernels.table_rows`.
     """
 
     mass: Annotated[RealMatrix, 3]
@@ -25,8 +27,8 @@ class Topology(NamedTuple):
     """(B + 1, 3) inverse of `mass`; ground has zeros, so that no force accelerates it."""
     gravity: RealVector
     """(2,) gravity [m/s^2]."""
-    pairs: Annotated[IntMatrix, 4]
-    """(P, 4) kind, first body, second body, motion or first function of a moving center (-1: none)."""
+    pairs: Annotated[IntMatrix, len(columns.PAIR)]
+    """(P,) pairs of constraint rows."""
     rows: IntVector
     """(P,) number of rows that are solved for, 0, 1 or 2."""
     length: RealVector
@@ -36,53 +38,46 @@ class Topology(NamedTuple):
     """(P, 2) `length` for rows whose Phi is a length, 1 for angles."""
     pair_parameters: Annotated[RealMatrix, 6]
     """(P, 6) parameters of each pair, the two points first; see `mbdkit.engine.kernels.element_kernels`."""
-    spare: Annotated[IntMatrix, 2]
-    """(D, 2) redundant directions, which are not solved for: pair, and body in whose frame the direction is fixed."""
+    spare: Annotated[IntMatrix, len(columns.SPARE)]
+    """(D,) redundant directions, which are not solved for."""
     spare_axes: Annotated[RealMatrix, 2]
     """(D, 2) unit vectors of the redundant directions in that frame, as coefficients of the pair's two rows; (1, 0) for
     a pair with a single row."""
-    springs: Annotated[IntMatrix, 6]
-    """(S, 6) pathway, first body, second body, row of `laws` (-1: linear), first segment of the same spring, number of
-    its segments (0 for all but the first segment)."""
+    springs: Annotated[IntMatrix, len(columns.SPRING)]
+    """(S,) segments of springs."""
     spring_points: Annotated[RealMatrix, 6]
     """(S, 6) parameters of the segments: the points in the frames of both bodies, and further ones."""
-    couplings: Annotated[IntMatrix, 2]
-    """(X, 2) ordered pairs of different segments of the same spring."""
-    linear: Annotated[RealMatrix, 3]
-    """(S, 3) stiffness, damping and free length of the linear springs."""
-    laws: Annotated[IntMatrix, 4]
-    """(W, 4) laws of all other springs: address of the compiled law, index of its first parameter in `law_parameters`,
-    claims, and address of its program (`mbdkit.engine.native.calls`)."""
+    couplings: Annotated[IntMatrix, len(columns.COUPLING)]
+    """(X,) ordered pairs of different segments of the same spring."""
+    linear: Annotated[RealMatrix, len(columns.LINEAR)]
+    """(S,) linear springs."""
+    laws: Annotated[IntMatrix, len(columns.LAW_ROW)]
+    """(W,) laws of all other springs."""
     law_parameters: RealVector
     """(N,) for each law its number of parameters, followed by their values; a parameter that is a state has its initial
     value."""
-    states: Annotated[IntMatrix, 3]
-    """(Z, 3) first-order states: first segment of the force element (-1: none), index in `law_parameters`, row of
-    `laws` of its rate (-1: it is held between samples); the states of an element follow one another."""
-    state_places: Annotated[IntMatrix, 2]
-    """(Y, 2) all elements of `law_parameters` that hold the value of a state: state, index."""
-    inputs: Annotated[IntMatrix, 3]
-    """(N, 3) inputs of expressions of the state: kind (`mbdkit.engine.kernels.applied_forces`), coordinate or first
-    segment, index in `law_parameters`."""
-    load_values: Annotated[IntMatrix, 2]
-    """(V, 2) components of loads that are expressions of the state: row of `laws`, and number of the motion in
-    ``Scratch.u`` whose value is replaced."""
-    slopes: Annotated[IntMatrix, 5]
-    """(D, 5) derivatives of these components with respect to their inputs: load, component, row of `laws`, input,
-    segment."""
+    states: Annotated[IntMatrix, len(columns.STATE_ROW)]
+    """(Z,) first-order states; the states of an element follow one another."""
+    state_places: Annotated[IntMatrix, len(columns.STATE_USE)]
+    """(Y,) all elements of `law_parameters` that hold the value of a state."""
+    inputs: Annotated[IntMatrix, len(columns.INPUT)]
+    """(N,) inputs of expressions of the state."""
+    load_values: Annotated[IntMatrix, len(columns.LOAD_VALUE)]
+    """(V,) components of loads that are expressions of the state, whose values replace those of motions."""
+    slopes: Annotated[IntMatrix, len(columns.SLOPE)]
+    """(D,) derivatives of these components with respect to their inputs."""
     frictions: IntVector
     """(F,) segment of the force element of each joint with friction."""
-    reactions: Annotated[IntMatrix, 4]
-    """(N, 4) multipliers on which these frictions depend: pair, row, index in `law_parameters`, friction."""
-    loads: Annotated[IntMatrix, 5]
-    """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
+    reactions: Annotated[IntMatrix, len(columns.MULTIPLIER)]
+    """(N,) multipliers on which these frictions depend."""
+    loads: Annotated[IntMatrix, len(columns.LOAD)]
+    """(L,) forces and torques on bodies."""
     load_points: Annotated[RealMatrix, 2]
     """(L, 2) point of application of each load in the frame of its body [m]."""
-    interactions: Annotated[IntMatrix, 3]
-    """(C, 3) interactions, which are forces and torques on two bodies that depend on their poses and velocities: first
-    body, second body, row of `laws` of the forces; the next row is that of their derivatives."""
-    sections: Annotated[IntMatrix, 5]
-    """(G, 5) cross-sections at which the elements of beams are integrated: element, number of its nodes, the nodes."""
+    interactions: Annotated[IntMatrix, len(columns.INTERACTION)]
+    """(C,) interactions, which are forces and torques on two bodies that depend on their poses and velocities."""
+    sections: Annotated[IntMatrix, len(columns.SECTION)]
+    """(G,) cross-sections at which the elements of beams are integrated."""
     section_parameters: Annotated[RealMatrix, 16]
     """(G, 16) values and derivatives with respect to the arc length of the shape functions of three nodes, then the
     parameters of the cross-section; see `mbdkit_statics.element_definitions.derive_section`."""
@@ -90,8 +85,8 @@ class Topology(NamedTuple):
     """(S + L,) index of the force element of each segment and of each load."""
     pair_joint: IntVector
     """(P,) number of the joint of each pair."""
-    joints: Annotated[IntMatrix, 3]
-    """(J, 3) kind of the coordinate (`mbdkit.engine.kernels.acting`), first body, second body."""
+    joints: Annotated[IntMatrix, len(columns.JOINT)]
+    """(J,) joints whose angle or travel is recorded."""
     joint_lines: Annotated[RealMatrix, 6]
     """(J, 6) line of a travel: the points in the frames of both bodies and the unit vector in the first; else zeros."""
     markers: IntVector
@@ -107,6 +102,41 @@ class Topology(NamedTuple):
     motion_values: RealVector
     baumgarte: RealVector
     """(2,) alpha, beta [1/s] of Baumgarte stabilization, which modifies gamma; zeros without stabilization."""
+
+
+class Reacting(NamedTuple):
+    """Elements whose reactions the steps determine, such as rigid contacts: what core and their part exchange.
+
+    Addresses are those of entries (`mbdkit.engine.native.kernel`) and of bundles; all are 0 without such elements.
+    """
+
+    acts: IntVector
+    """(1,) whether their forces are added to solutions of the equations of motion."""
+    add_forces: IntVector
+    """(1,) address of the function that adds them: it changes `acc`, `lam` and `power` and returns a status."""
+    engine: IntVector
+    """(1,) its first argument: the engine in whose equations the elements react."""
+    elements: IntVector
+    """(1,) its second argument: the bundle of the elements."""
+    constrain: IntVector
+    """(1,) address of the function that constrains the solutions of implicit steps."""
+    run: IntVector
+    """(1,) its first argument: the bundle of the run."""
+    stages: IntVector
+    """(1,) its second argument: the bundle of the constrained stages."""
+    shows: IntVector
+    """(1,) whether forces at the end of the next step, or within it, are recorded."""
+    q: RealVector
+    """(3 (B + 1),) positions for which accelerations were solved."""
+    v: RealVector
+    """(3 (B + 1),) velocities."""
+    acc: RealVector
+    """(3 (B + 1),) accelerations, without and then with the reactions; this and the last two are empty without such
+    elements."""
+    lam: Annotated[RealMatrix, 2]
+    """(P, 2) multipliers, without and then with the reactions."""
+    power: RealVector
+    """(1,) power that the elements dissipate [W]."""
 
 
 class Scratch(NamedTuple):
@@ -142,9 +172,8 @@ class Scratch(NamedTuple):
     """(S, 6) gradients s_q of the segments."""
     hess: Annotated[RealMatrix, 36]
     """(S, 36) second derivatives s_qq of the segments."""
-    tension: Annotated[RealMatrix, 4]
-    """(S + 1, 4) force, derivatives with respect to length and rate, and potential of the spring of each segment; the
-    last row is a work array."""
+    tension: Annotated[RealMatrix, len(columns.TENSION)]
+    """(S + 1, 4) force, its derivatives and potential of the spring of each segment; the last row is a work array."""
     interaction: Annotated[RealMatrix, 6]
     """(C, 6) forces and torques of the interactions on their first and second bodies."""
     interaction_slopes: Annotated[RealMatrix, 72]
@@ -170,16 +199,7 @@ class Scratch(NamedTuple):
     response: RealMatrix
     """(N, F + 1) change of each multiplier in ``Topology.reactions`` by a unit of each friction; the value of the
     multiplier in the last column."""
-    reacting: IntVector
-    """(8,) whether elements react in the equations of motion; address of the function that adds their forces, and
-    its first two arguments; address of the function that constrains the solutions of implicit steps, and its own;
-    whether forces at the end of the next step, or within it, are recorded."""
-    reaction: RealMatrix
-    """(3, 3 (B + 1)) positions, velocities and accelerations, which this function reads and changes, and (P, 2)
-    multipliers; both empty without such elements."""
-    reaction_lam: Annotated[RealMatrix, 2]
-    reaction_power: RealVector
-    """(1,) power that these elements dissipate [W]."""
+    reacting: Reacting
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector

@@ -36,6 +36,7 @@ from mbdkit.engine.kernels.system import (
     solved_rows,
     unfold_multipliers,
 )
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import inlined, kernel
@@ -198,7 +199,7 @@ def residual_of(
         for i in range(3):
             eq.a[3 * b + i] += top.mass[b, i] * a[3 * b + i]
     for k in range(len(top.pairs)):
-        first, second = 3 * top.pairs[k, 1], 3 * top.pairs[k, 2]
+        first, second = 3 * top.pairs[k, PAIR.first], 3 * top.pairs[k, PAIR.second]
         for r in range(top.rows[k]):
             for i in range(3):
                 eq.a[first + i] += w.jac[k, 6 * r + i] * eq.lam[k, r]

@@ -24,6 +24,7 @@ from mbdkit.engine.kernels.system import (
     solved_rows,
     unfold_multipliers,
 )
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.functions import kernel
 
 
@@ -85,6 +86,7 @@ def evaluate_frames(
         prepare(top, w, times[f], eq.q)
         solved_rows(top, w, eq.q, eq.v)
         evaluate_positions(top, w, eq.q)
+        # only independent rows are returned, and the Jacobian has been folded by `solved_rows`
         fold_values(top, w.cs, w.phi)
         fold_values(top, w.cs, w.phi_t)
         for k in range(len(top.pairs)):
@@ -94,7 +96,7 @@ def evaluate_frames(
                 out.gamma[f, row] = w.gamma[k, r]
                 out.rate[f, row] = constraint_rate(top.pairs, w.jac, w.phi_t, eq.v, k, r)
                 for side in range(2):
-                    body = top.pairs[k, 1 + side]
+                    body = top.pairs[k, PAIR.first + side]
                     if body != ground:
                         for d in range(3):
                             out.jacobian[f, row, 3 * body + d] += w.jac[k, 6 * r + 3 * side + d]
@@ -105,6 +107,7 @@ def evaluate_frames(
                 applied_forces(top, w, eq.q, eq.v)
                 for d in range(n):
                     out.force[f, d] = w.force[d]
+            # gravity is an acceleration for the solvers, and not part of the applied forces
             for b in range(ground):
                 out.force[f, 3 * b] += top.mass[b, 0] * eq.gravity[0]
                 out.force[f, 3 * b + 1] += top.mass[b, 1] * eq.gravity[1]
@@ -131,6 +134,7 @@ def reactions_in_frames(
                 multipliers[k, r] = lam[f, eq.solver.row_index[k, r] - n]
         prepare(top, w, times[f], eq.q)
         unfold_multipliers(top, w.cs, multipliers)
+        # reactions belong to the original rows, which `solved_rows` would combine
         constraint_rows(top, w, eq.q, eq.v)
         reactions_of(top, w, multipliers, out.reactions[f])
         applied_forces(top, w, eq.q, eq.v)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, take_multipliers
+from mbdkit.engine.kernels.table_rows import MULTIPLIER, SPRING, TENSION
 from mbdkit.engine.native.functions import inlined, subkernel
 
 LOCKED = 1e-3
@@ -28,14 +29,14 @@ def friction_law(top, w, v, f):
     """
     k = top.frictions[f]
     evaluate_tension(top, w, k, path_rate(k, top.springs, v, w.grad))
-    return w.tension[k, 0]
+    return w.tension[k, TENSION.force]
 
 
 @subkernel
 def add_friction(top, w, f, change):
     """Add a change of the friction `f` to ``w.force``."""
     k = top.frictions[f]
-    a, b = 3 * top.springs[k, 1], 3 * top.springs[k, 2]
+    a, b = 3 * top.springs[k, SPRING.first], 3 * top.springs[k, SPRING.second]
     for d in range(3):
         w.force[a + d] -= change * w.grad[k, d]
         w.force[b + d] -= change * w.grad[k, 3 + d]
@@ -46,7 +47,7 @@ def take_reactions(top, w, lam):
     """Use the multipliers `lam` in the friction that is evaluated next, and store them in ``w.response``."""
     take_multipliers(top, w, lam)
     for i in range(len(top.reactions)):
-        w.response[i, len(top.frictions)] = lam[top.reactions[i, 0], top.reactions[i, 1]]
+        w.response[i, len(top.frictions)] = lam[top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]]
 
 
 @subkernel
@@ -63,6 +64,7 @@ def begin_frictions(top, w, v, lam):
         room[f, count + 1] = 0.0
         room[f, count + 2] = abs(friction_law(top, w, v, f))
         total += room[f, count + 2]
+    # a joint at rest has no friction to begin with, but steps need a scale other than zero
     for f in range(count):
         room[f, count + 2] = max(room[f, count + 2], NUDGE * total)
     return total > 0.0 and total < np.inf
@@ -81,7 +83,8 @@ def note_response(top, w, f, lam, change):
     """Write the responses of the reactions to the friction `f`, given the multipliers `lam` after its `change`."""
     reactions, response, count = top.reactions, w.response, len(top.frictions)
     for i in range(len(reactions)):
-        response[i, f] = (lam[reactions[i, 0], reactions[i, 1]] - response[i, count]) / change
+        value = lam[reactions[i, MULTIPLIER.pair], reactions[i, MULTIPLIER.row]]
+        response[i, f] = (value - response[i, count]) / change
 
 
 @subkernel
@@ -98,15 +101,16 @@ def _law_slope(top, w, v, f, j):
     """Return the derivative of the law of friction `f` with respect to friction `j`, which changes the reactions."""
     reactions, response, count = top.reactions, w.response, len(top.frictions)
     k, nudge = top.frictions[f], NUDGE * w.friction[j, count + 2]
-    now = w.tension[k, 0]
+    # a difference, because laws have no derivatives with respect to their parameters
+    now = w.tension[k, TENSION.force]
     for i in range(len(reactions)):
-        if reactions[i, 3] == f:
-            w.law_values[reactions[i, 2]] = response[i, count] + nudge * response[i, j]
+        if reactions[i, MULTIPLIER.friction] == f:
+            w.law_values[reactions[i, MULTIPLIER.parameter]] = response[i, count] + nudge * response[i, j]
     slope = (friction_law(top, w, v, f) - now) / nudge
     for i in range(len(reactions)):
-        if reactions[i, 3] == f:
-            w.law_values[reactions[i, 2]] = response[i, count]
-    w.tension[k, 0] = now
+        if reactions[i, MULTIPLIER.friction] == f:
+            w.law_values[reactions[i, MULTIPLIER.parameter]] = response[i, count]
+    w.tension[k, TENSION.force] = now
     return slope
 
 

@@ -76,6 +76,7 @@ def factorize(p, f):
             w[u_column[x]] = 0.0
         for x in range(a_start[i], a_start[i + 1]):
             w[a_column[x]] = a[x]
+        # subtract earlier rows in ascending order: each one completes the entries that the next needs
         for x in range(l_start[i], l_start[i + 1]):
             k = l_column[x]
             m = w[k] * pivot[k]
@@ -102,6 +103,7 @@ def substitute(p, f, b, x):
     lower, upper, pivot, w = f.lower, f.upper, f.pivot, f.work
     n = len(pivot)
     for i in range(n):
+        # scales are powers of two, so that solving the scaled system costs no accuracy
         y = b[row_of[i]] * row_scale[row_of[i]]
         for k in range(l_start[i], l_start[i + 1]):
             y -= lower[k] * w[l_column[k]]
@@ -129,6 +131,7 @@ def residual(p, f, b, x, r):
         size = abs(t)
         for k in range(p.a_start[i], p.a_start[i + 1]):
             column = p.column_of[p.a_column[k]]
+            # terms of the scaled system, which is the one that was factorized
             term = f.a[k] * (x[column] / p.column_scale[column])
             t -= term
             size += abs(term)

@@ -47,6 +47,7 @@ def _piecewise_polynomial(t, values, start):
     first = start + 3
     if period > 0.0:
         t = values[first] + (t - values[first]) % period  # as SciPy does, with the same rounding
+    # bisection; before the first and after the last piece it ends at that piece, which extrapolates
     low, high = 0, pieces
     while high - low > 1:
         middle = (low + high) // 2
@@ -56,6 +57,7 @@ def _piecewise_polynomial(t, values, start):
             high = middle
     x = t - values[first + low]
     c = first + pieces + 1 + terms * low
+    # three Horner schemes in one loop, each without the terms that its derivative removes
     value, rate, acceleration = 0.0, 0.0, 0.0
     for k in range(terms - 1, -1, -1):
         value = value * x + values[c + k]

@@ -22,6 +22,7 @@ from mbdkit.engine.kernels.system import (
     prepare,
     spare_direction,
 )
+from mbdkit.engine.kernels.table_rows import PAIR, SECTION, SPARE, SPRING
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.functions import kernel, subkernel
 
@@ -33,7 +34,7 @@ def reactions_of(top, w, lam, out):
     The generalized constraint force ``-Phi_q^T lam`` acts at the centre of mass; its moment is shifted to the point.
     """
     for k in range(len(top.pairs)):
-        b = top.pairs[k, 2]
+        b = top.pairs[k, PAIR.second]
         for d in range(3):
             out[k, d] = -(w.jac[k, 3 + d] * lam[k, 0] + w.jac[k, 9 + d] * lam[k, 1])
         c, s = w.cs[b, 0], w.cs[b, 1]
@@ -47,7 +48,7 @@ def residuals_of(top, w, q, v, phi, rate):
     """Write Phi and its rate of every row of the joints into `phi` and `rate` (P, 2); requires ``w.jac``."""
     constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
     for k in range(len(top.pairs)):
-        a, b = top.pairs[k, 1], top.pairs[k, 2]
+        a, b = top.pairs[k, PAIR.first], top.pairs[k, PAIR.second]
         for i in range(2):
             change = w.phi_t[k, i]
             for d in range(3):
@@ -109,10 +110,10 @@ class Observed(NamedTuple):
             kinetic=np.zeros(states),
             potential=np.zeros(states),
             singularity_distance=np.zeros(states),
-            forces=np.zeros((states, len(top.loads) + np.count_nonzero(top.springs[:, 5]), 5)),
+            forces=np.zeros((states, len(top.loads) + np.count_nonzero(top.springs[:, SPRING.segments]), 5)),
             joints=np.zeros((states, len(top.joints), 6)),
             markers=np.zeros((states, len(top.markers), 4)),
-            beams=np.zeros((states, int(top.sections[-1, 0]) + 1 if len(top.sections) else 0, 4)),
+            beams=np.zeros((states, int(top.sections[-1, SECTION.element]) + 1 if len(top.sections) else 0, 4)),
             state_rates=np.zeros((states, len(top.states))),
         )
 
@@ -205,8 +206,8 @@ def observe(
             for k in range(len(top.pairs)):
                 for row in range(2):
                     stress.lam[r, i, k, row] = -stress.lam[r, i, k, row]
-            stress.lam[r, i, top.spare[i, 0], 0] += dx
-            stress.lam[r, i, top.spare[i, 0], 1] += dy
+            stress.lam[r, i, top.spare[i, SPARE.pair], 0] += dx
+            stress.lam[r, i, top.spare[i, SPARE.pair], 1] += dy
         if len(top.spare) > 0:  # restore the rows that the solution combined
             constraint_rows(top, w, q[r], v[r])
         describe(top, w, q[r], v[r], out, r)
@@ -264,6 +265,7 @@ def first_order_rates(
     top, w, solver = h.top, h.w, h.solver
     n3 = 3 * (len(top.mass) - 1)
     q, v, a = acc[0], acc[1], acc[2]
+    # the kernels expect ground behind the bodies
     copy(y[:n3], q)
     copy(y[n3 : 2 * n3], v)
     prepare(top, w, t, q)
@@ -296,15 +298,3 @@ def stiffness_at(
     """
     prepare(top, w, t, q)
     constraint_tangents(top.pairs, top.pair_parameters, q, rest, rest, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
-
-
-@kernel
-def note_all(engine: int, times: RealVector, q: RealMatrix, worst: RealVector) -> None:
-    """Update `worst` (P,), the largest squared norm of each pair's Phi, with states `q` (T, 3 (B + 1)) at `times`."""
-    h = load_engine(engine)
-    top, w = h.top, h.w
-    for r in range(len(times)):
-        prepare(top, w, times[r], q[r])
-        constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
-        for k in range(len(worst)):
-            worst[k] = max(worst[k], w.phi[k, 0] * w.phi[k, 0] + w.phi[k, 1] * w.phi[k, 1])

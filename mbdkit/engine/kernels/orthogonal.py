@@ -46,6 +46,7 @@ def reduce_columns(columns, order, right, shape, least):
         order[j] = j
     first = 0.0
     for k in range(min(count, rows)):
+        # the remaining norms are computed anew: updating them loses the small ones, which decide the rank
         best, largest = k, -1.0
         for j in range(k, count):
             square = 0.0
@@ -60,6 +61,7 @@ def reduce_columns(columns, order, right, shape, least):
         order[k], order[best] = order[best], order[k]
         for i in range(rows):
             a[k, i], a[best, i] = a[best, i], a[k, i]
+        # the sign that avoids a difference of nearly equal numbers
         alpha = sqrt(largest) if a[k, k] <= 0.0 else -sqrt(largest)
         half = largest - alpha * a[k, k]
         a[k, k] -= alpha
@@ -111,6 +113,7 @@ def solve_least_norm(a, order, b, x, lean, count, rank):
             for g in range(f):
                 value -= lean[e, rank + g] * lean[f, rank + g]
             lean[e, rank + f] = sqrt(value) if e == f else value / lean[f, rank + f]
+        # forward substitution in the same pass
         for f in range(e):
             b[e] -= lean[e, rank + f] * b[f]
         b[e] /= lean[e, rank + e]
@@ -124,6 +127,7 @@ def solve_least_norm(a, order, b, x, lean, count, rank):
             x[i] -= lean[e, i] * b[e]
     for j in range(count):
         b[j] = x[j]
+    # undo the exchange of columns, by way of the free right-hand side
     for j in range(count):
         x[order[j]] = b[j]
 
@@ -252,6 +256,7 @@ def rotate_rows(y, z, values):
                 if min(alpha, beta) <= least or abs(gamma) <= ORTHOGONAL * sqrt(z.shape[1] * alpha * beta):
                     continue
                 turned = True
+                # the smaller of the two angles that make both rows orthogonal, which guarantees convergence
                 zeta = (beta - alpha) / (2.0 * gamma)
                 tangent = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + sqrt(1.0 + zeta * zeta))
                 c = 1.0 / sqrt(1.0 + tangent * tangent)

@@ -115,6 +115,7 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
         position_rows(still, w, t, p)
         now = scaled_residual(still, w.phi)
         size = largest_size(still, p)
+        # rounding errors of ill-conditioned joints can exceed the first limit; the iteration then stagnates
         if now <= FEW_ROUNDINGS * EPS * size or (m > 1 and now > 0.5 * before and now < STAGNANT * size):
             return OK
         if not now < np.inf:
@@ -151,6 +152,7 @@ def project_velocities(still, w, solver, t, q, v, x, lam):
         solved_rows(still, w, q, v)
         rate_rows(still, w.jac, w.phi_t, v, w.refinement)
         now = scaled_residual(still, w.refinement)
+        # the second solution removes the rounding errors of the first, a third rarely more
         if now <= FEW_ROUNDINGS * EPS * size or (m > 1 and now > 0.5 * before):
             return OK
         before = now

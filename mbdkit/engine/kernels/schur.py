@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple
 
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.arithmetic import is_refused, usable
 from mbdkit.engine.native.functions import inlined, subkernel
 
@@ -46,7 +47,7 @@ class Schur(NamedTuple):
 @inlined
 def diagonal_block(top, jac, k):
     """Return the entries (xx, xy, yy) of the diagonal block of ``Phi_q M^-1 Phi_q^T`` that belongs to pair `k`."""
-    weight, a, b = top.weight, top.pairs[k, 1], top.pairs[k, 2]
+    weight, a, b = top.weight, top.pairs[k, PAIR.first], top.pairs[k, PAIR.second]
     d00 = d01 = d11 = 0.0
     for i in range(3):
         wa, wb = weight[a, i], weight[b, i]
@@ -89,6 +90,7 @@ def factor(top, jac, schur):
             s10 += r1 * k0
             s11 += r1 * k1
         scaled[e, 0], scaled[e, 1], scaled[e, 2], scaled[e, 3] = s00, s01, s10, s11
+    # elimination; the targets of all updates are listed in the order in which this loop needs them
     u = 0
     for k in range(n):
         d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]
@@ -112,6 +114,7 @@ def factor(top, jac, schur):
                 scaled[t, 1] -= l00 * f10 + l01 * f11
                 scaled[t, 2] -= l10 * f00 + l11 * f01
                 scaled[t, 3] -= l10 * f10 + l11 * f11
+            # the block on the diagonal is symmetric, three entries suffice
             i = row[e]
             diagonal[i, 0] -= l00 * s00 + l01 * s01
             diagonal[i, 1] -= l00 * s10 + l01 * s11
@@ -131,6 +134,7 @@ def solve(schur, x):
             x[i, 0] -= below[e, 0] * x0 + below[e, 1] * x1
             x[i, 1] -= below[e, 2] * x0 + below[e, 3] * x1
     for k in range(n - 1, -1, -1):
+        # the inverse pivot block and the transposed factor in one pass, from the last pair to the first
         b0, b1 = x[k, 0], x[k, 1]
         x0 = diagonal[k, 0] * b0 + diagonal[k, 1] * b1
         x1 = diagonal[k, 1] * b0 + diagonal[k, 2] * b1

@@ -80,6 +80,7 @@ def decompose_each(a: RealCube, q: RealCube, vectors: RealMatrix, factors: RealV
                 v[i - k] = r[i, k]
                 square += r[i, k] * r[i, k]
             factors[k] = 0.0
+            # the column is reduced already; a reflection would divide by zero
             if square == 0.0:
                 continue
             size = sqrt(square + r[k, k] * r[k, k])
@@ -93,6 +94,7 @@ def decompose_each(a: RealCube, q: RealCube, vectors: RealMatrix, factors: RealV
         for i in range(rows):
             for j in range(rows):
                 own[i, j] = 1.0 if i == j else 0.0
+        # from the last reflection to the first, so that zeros of the unit matrix need no arithmetic
         for k in range(steps - 1, -1, -1):
             if factors[k] != 0.0:
                 reflect(own, k, vectors[k, : rows - k], factors[k], sums)

@@ -18,6 +18,7 @@ from mbdkit.engine.kernels.constraints import (
     turn_bodies,
 )
 from mbdkit.engine.kernels.motions import OF_CENTER, centers, motions
+from mbdkit.engine.kernels.table_rows import PAIR, SPARE
 from mbdkit.engine.kernels.vectors import fill, fill_rows
 from mbdkit.engine.native.arithmetic import any_of, is_dual, is_lanes
 from mbdkit.engine.native.functions import inlined, overload, subkernel
@@ -37,6 +38,7 @@ def prepare(top, w, t, q):
 def prepare_motions(top, w, t):
     """Evaluate the part of `prepare` that depends on the time only."""
     w.time[0] = t
+    # a step that begins at a discontinuity needs the limits from within the step
     at = min(max(t, w.sides[0]), w.sides[1])
     count = len(top.motion_start) - 1 - OF_CENTER * len(top.centers)
     motions(at, count, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
@@ -68,21 +70,21 @@ def evaluate_powers(top, w, q, v, lam):
 
 
 def power_of_reactions(w, v):
-    """Return the power that reactions of elements dissipate [W]; see `Scratch.reacting`."""
-    return w.reaction_power[0]
+    """Return the power that reactions of elements dissipate [W]; see `Reacting`."""
+    return w.reacting.power[0]
 
 
 @overload(power_of_reactions)
 def _power_of_reactions(w, v):
     if is_lanes(v) or is_dual(v):  # such runs have no reactions of elements
         return lambda w, v: 0.0
-    return lambda w, v: w.reaction_power[0]
+    return lambda w, v: w.reacting.power[0]
 
 
 @inlined
 def constraint_rate(pairs, jac, phi_t, v, k, r):
     """Return row `r` of pair `k` of ``Phi_q v + Phi_t``, the time derivative of the constraints."""
-    a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+    a, b = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
     rate = phi_t[k, r]
     for i in range(3):
         rate += jac[k, 6 * r + i] * v[a + i] + jac[k, 6 * r + 3 + i] * v[b + i]
@@ -115,7 +117,7 @@ def constraint_rows(top, w, q, v):
     """
     for i in range(len(top.spare)):
         for c in range(12):  # entries that element kernels never write must be zero, but `fold` has filled them
-            w.jac[top.spare[i, 0], c] = 0.0
+            w.jac[top.spare[i, SPARE.pair], c] = 0.0
     constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
     largest = 0.0
     if top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0:
@@ -138,7 +140,7 @@ def solved_rows(top, w, q, v):
 @inlined
 def spare_direction(top, cs, i):
     """Return redundant direction `i` as the coefficients (x, y) of the two rows of its pair."""
-    c, s = cs[top.spare[i, 1], 0], cs[top.spare[i, 1], 1]
+    c, s = cs[top.spare[i, SPARE.body], 0], cs[top.spare[i, SPARE.body], 1]
     x, y = top.spare_axes[i, 0], top.spare_axes[i, 1]
     return c * x - s * y, s * x + c * y
 
@@ -151,7 +153,7 @@ def fold(top, cs, x):
     row. Of a pair with two redundant directions, nothing is left. All other rows become zero.
     """
     for i in range(len(top.spare)):
-        k = top.spare[i, 0]
+        k = top.spare[i, SPARE.pair]
         dx, dy = spare_direction(top, cs, i)
         for c in range(6):
             x[k, c] = dx * x[k, 6 + c] - dy * x[k, c] if top.rows[k] == 1 else 0.0
@@ -162,7 +164,7 @@ def fold(top, cs, x):
 def fold_values(top, cs, x):
     """Reduce the two values of every pair, `x` (P, 2), to those of the rows that are solved for; see `fold`."""
     for i in range(len(top.spare)):
-        k = top.spare[i, 0]
+        k = top.spare[i, SPARE.pair]
         dx, dy = spare_direction(top, cs, i)
         x[k, 0] = dx * x[k, 1] - dy * x[k, 0] if top.rows[k] == 1 else 0.0
         x[k, 1] = 0.0
@@ -173,7 +175,7 @@ def _remove_redundant_rows(top, w):
     """Reduce the Jacobian and gamma to the rows that are solved for; store the removed rows in ``w.loose``."""
     jac, loose = w.jac, w.loose
     for i in range(len(top.spare)):
-        k = top.spare[i, 0]
+        k = top.spare[i, SPARE.pair]
         dx, dy = spare_direction(top, w.cs, i)
         for c in range(6):
             loose[i, c] = dx * jac[k, c] + dy * jac[k, 6 + c]
@@ -188,8 +190,9 @@ def unfold_multipliers(top, cs, lam):
     This is the transpose of `fold`; the redundant directions carry no force.
     """
     for i in range(len(top.spare)):
-        k = top.spare[i, 0]
+        k = top.spare[i, SPARE.pair]
         dx, dy = spare_direction(top, cs, i)
+        # a single multiplier acts along the combination of rows that was solved for
         across = lam[k, 0] if top.rows[k] == 1 else 0.0
         lam[k, 0] = -dy * across
         lam[k, 1] = dx * across

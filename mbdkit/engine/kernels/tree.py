@@ -16,6 +16,7 @@ from __future__ import annotations
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.system import prepare_angles, prepare_motions
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.functions import inlined, subkernel
 
 BODY, PLACE, PLACE_SIDE, TURN, TURN_SIDE, COLUMNS = range(6)
@@ -34,8 +35,7 @@ def turned(c, s, x, y):
 
 @subkernel
 def _travel(top, k, q, v):
-    """Return the travel along the line of pair `k`, and its rate."""
-    p, a, b = top.pair_parameters, top.pairs[k, 1], top.pairs[k, 2]
+    p, a, b = top.pair_parameters, top.pairs[k, PAIR.first], top.pairs[k, PAIR.second]
     ca, sa = cosine_and_sine(q[3 * a + 2])
     cb, sb = cosine_and_sine(q[3 * b + 2])
     ux, uy = turned(ca, sa, p[k, 4], p[k, 5])
@@ -43,6 +43,7 @@ def _travel(top, k, q, v):
     bx, by = turned(cb, sb, p[k, 2], p[k, 3])
     wa, wb = v[3 * a + 2], v[3 * b + 2]
     x, y = q[3 * b] - q[3 * a] + bx - ax, q[3 * b + 1] - q[3 * a + 1] + by - ay
+    # the line turns with body a; the rate along it contains no term of its own turning, because the point lies on it
     vx, vy = v[3 * b] - v[3 * a] - wb * by + wa * ay, v[3 * b + 1] - v[3 * a + 1] + wb * bx - wa * ax
     return ux * x + uy * y, ux * vx + uy * vy
 
@@ -57,7 +58,7 @@ def coordinates_of(top, tree, q, v, y, rates):
                 y[3 * b + d], rates[3 * b + d] = q[3 * b + d], v[3 * b + d]
             else:
                 y[3 * b + d] = rates[3 * b + d] = 0.0
-        if k >= 0 and top.pairs[k, 0] == _LINE:
+        if k >= 0 and top.pairs[k, PAIR.kind] == _LINE:
             y[3 * b], rates[3 * b] = _travel(top, k, q, v)
         if tree[n, TURN] < 0:
             y[3 * b + 2], rates[3 * b + 2] = q[3 * b + 2], v[3 * b + 2]
@@ -73,10 +74,11 @@ def _turn(top, w, tree, y, rates, q, v):
         if k < 0:
             q[3 * b + 2], v[3 * b + 2] = y[3 * b + 2], rates[3 * b + 2]
             continue
-        other, sign = top.pairs[k, 2 - side], 2.0 * side - 1.0
+        # a driver or weld gives the angle of the second body minus that of the first
+        other, sign = top.pairs[k, PAIR.second - side], 2.0 * side - 1.0
         q[3 * b + 2], v[3 * b + 2] = q[3 * other + 2], v[3 * other + 2]
-        if top.pairs[k, 0] == _DRIVER:
-            m = top.pairs[k, 3]
+        if top.pairs[k, PAIR.kind] == _DRIVER:
+            m = top.pairs[k, PAIR.motion]
             q[3 * b + 2] += sign * w.u[m, 0]
             v[3 * b + 2] += sign * w.u[m, 1]
         else:
@@ -93,27 +95,29 @@ def _place(top, w, tree, y, rates, q, v):
             for d in range(2):
                 q[3 * i + d], v[3 * i + d] = y[3 * i + d], rates[3 * i + d]
             continue
-        a, b, m, sign = top.pairs[k, 1], top.pairs[k, 2], top.pairs[k, 3], 2.0 * side - 1.0
+        a, b, m, sign = top.pairs[k, PAIR.first], top.pairs[k, PAIR.second], top.pairs[k, PAIR.motion], 2.0 * side - 1.0
         wa, wb = v[3 * a + 2], v[3 * b + 2]
         ax, ay = turned(cs[a, 0], cs[a, 1], p[k, 0], p[k, 1])
         bx, by = turned(cs[b, 0], cs[b, 1], p[k, 2], p[k, 3])
         gx, gy = ax - bx, ay - by  # from the centre of mass of the first body to that of the second
+        # the arms turn with their bodies
         vx, vy = wb * by - wa * ay, wa * ax - wb * bx
-        if top.pairs[k, 0] == _LINE:
+        if top.pairs[k, PAIR.kind] == _LINE:
             ux, uy = turned(cs[a, 0], cs[a, 1], p[k, 4], p[k, 5])
             s, rate = y[3 * i], rates[3 * i]
             gx += s * ux
             gy += s * uy
+            # the point slides along the line, which turns with the first body
             vx += rate * ux - wa * s * uy
             vy += rate * uy + wa * s * ux
-        elif top.pairs[k, 0] == _CENTER:
+        elif top.pairs[k, PAIR.kind] == _CENTER:
             hx, hy = turned(cs[a, 0], cs[a, 1], w.u[m, 0], w.u[m + 2, 0])
             tx, ty = turned(cs[a, 0], cs[a, 1], w.u[m, 1], w.u[m + 2, 1])
             gx += hx
             gy += hy
             vx += (wb - wa) * tx - wa * hy
             vy += (wb - wa) * ty + wa * hx
-        other = top.pairs[k, 2 - side]
+        other = top.pairs[k, PAIR.second - side]
         q[3 * i], q[3 * i + 1] = q[3 * other] + sign * gx, q[3 * other + 1] + sign * gy
         v[3 * i], v[3 * i + 1] = v[3 * other] + sign * vx, v[3 * other + 1] + sign * vy
 
@@ -143,8 +147,8 @@ def accelerate_coordinates(top, w, tree, y, v, acc):
     for n in range(len(tree) - 1, -1, -1):  # from the leaves, since the acceleration of the parent is needed
         i, k = tree[n, BODY], tree[n, PLACE]
         if k >= 0:
-            if top.pairs[k, 0] == _LINE:
-                a, b = top.pairs[k, 1], top.pairs[k, 2]
+            if top.pairs[k, PAIR.kind] == _LINE:
+                a, b = top.pairs[k, PAIR.first], top.pairs[k, PAIR.second]
                 ux, uy = turned(cs[a, 0], cs[a, 1], p[k, 4], p[k, 5])
                 ax, ay = turned(cs[a, 0], cs[a, 1], p[k, 0], p[k, 1])
                 bx, by = turned(cs[b, 0], cs[b, 1], p[k, 2], p[k, 3])

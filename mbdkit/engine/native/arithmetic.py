@@ -120,7 +120,6 @@ def _lane_by_lane_of_two(function):
 
 
 def _compiled(function):
-    """Return what compiled code calls instead of an elementary function for Python."""
     if function is elementary.pow:
         return lambda x, y: lambda x, y: x**y
     ufunc = function.ufunc

@@ -9,38 +9,45 @@ and those that only the compiler can express by `placeholder`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from mbdkit.engine.native.kernel import MODULES, Entry, Kernel, LawFunction
 from mbdkit.engine.native.machine_code import CORE
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-SUBKERNELS: dict[Callable[..., Any], bool] = {}
-"""Functions that only compiled code calls, and whether they are copied into their callers."""
-SEPARATE: set[Callable[..., Any]] = set()
-"""Subkernels that are not copied into their callers."""
-OVERLOADS: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
-"""Overloaded functions, each with a function that returns its source for given types of arguments."""
-PLACEHOLDERS: set[Callable[..., Any]] = set()
-"""Functions that only the compiler can express; in Python, they are not called or have a body of their own."""
-KERNELS: dict[str, Kernel] = {}
-ENTRIES: dict[str, Entry] = {}
-LAWS: dict[str, LawFunction] = {}
-"""Functions with machine code of their own, by the name of its symbol."""
+
+class DeclaredFunctions(NamedTuple):
+    """All functions that modules imported so far have declared."""
+
+    kernels: dict[str, Kernel]
+    """Functions with machine code of their own, by the name of its symbol; so are the next two."""
+    entries: dict[str, Entry]
+    laws: dict[str, LawFunction]
+    subkernels: dict[Callable[..., Any], bool]
+    """Functions that only compiled code calls, and whether they are copied into their callers."""
+    separate: set[Callable[..., Any]]
+    """Subkernels that are not copied into their callers."""
+    overloads: list[tuple[Callable[..., Any], Callable[..., Any]]]
+    """Overloaded functions, each with a function that returns its source for given types of arguments."""
+    placeholders: set[Callable[..., Any]]
+    """Functions that only the compiler can express; in Python, they are not called or have a body of their own."""
+
+
+DECLARED = DeclaredFunctions({}, {}, {}, {}, set(), [], set())
 
 
 def subkernel(function: Function) -> Function:
     """Mark a function that only kernels and other subkernels call."""
     MODULES[function.__module__] = function.__globals__
-    SUBKERNELS[function] = False
+    DECLARED.subkernels[function] = False
     return function
 
 
 def inlined(function: Function) -> Function:
     """Mark a function that only kernels call and that is copied into each of its callers."""
     MODULES[function.__module__] = function.__globals__
-    SUBKERNELS[function] = True
+    DECLARED.subkernels[function] = True
     return function
 
 
@@ -49,7 +56,7 @@ def separate(function: Function) -> Function:
 
     LLVM takes a minute for a kernel that consists of many copies, and the copies are not faster.
     """
-    SEPARATE.add(function)
+    DECLARED.separate.add(function)
     return subkernel(function)
 
 
@@ -61,7 +68,7 @@ def overload(function: Callable[..., Any]) -> Callable[[Function], Function]:
     """
 
     def declare(chosen: Function) -> Function:
-        OVERLOADS.append((function, chosen))
+        DECLARED.overloads.append((function, chosen))
         return chosen
 
     return declare
@@ -69,7 +76,7 @@ def overload(function: Callable[..., Any]) -> Callable[[Function], Function]:
 
 def placeholder(function: Function) -> Function:
     """Declare a function that only the compiler can express (`mbdkit_builder.implementation.implement`)."""
-    PLACEHOLDERS.add(function)
+    DECLARED.placeholders.add(function)
     return function
 
 
@@ -79,12 +86,12 @@ def kernel(function: Callable[..., Any]) -> Kernel:
     Its arguments and its result are annotated; see `mbdkit.engine.native.kernel`. It releases the global interpreter
     lock, and division by zero follows IEEE 754 instead of raising an exception.
     """
-    return KERNELS.setdefault(_symbol(function), Kernel(_symbol(function), function))
+    return DECLARED.kernels.setdefault(_symbol(function), Kernel(_symbol(function), function))
 
 
 def entry(function: Callable[..., Any]) -> Entry:
     """Declare a function that kernels call by its address; see `mbdkit.engine.native.kernel`."""
-    return ENTRIES.setdefault(_symbol(function), Entry(_symbol(function), function))
+    return DECLARED.entries.setdefault(_symbol(function), Entry(_symbol(function), function))
 
 
 def law_function(function: Callable[..., Any]) -> LawFunction:
@@ -92,7 +99,7 @@ def law_function(function: Callable[..., Any]) -> LawFunction:
 
     Its arguments are the program, length, rate, time, and the addresses of the parameters and of the results.
     """
-    return LAWS.setdefault(_symbol(function), LawFunction(_symbol(function), function))
+    return DECLARED.laws.setdefault(_symbol(function), LawFunction(_symbol(function), function))
 
 
 def _symbol(function: Callable[..., Any]) -> str:

@@ -21,6 +21,7 @@ from mbdkit.engine.kernels.engine_bundles import Engine, Scratch, Topology
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import DIVERGED, OK, solved_rows
+from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.native.arithmetic import larger_derivatives, largest_quotient, value_of, with_value
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import subkernel
@@ -184,7 +185,7 @@ def new_dual_run(workspace: Workspace, seeds: Seeds, laws: np.ndarray, rows: int
     numbers = Engine(workspace.stepping_topology, workspace.scratch, workspace.solver)
     vector = [new_duals(size) for _ in range(7)]
     unit = constants(np.zeros(1), 1.0 / seeds.scale[None])
-    places = top.states[:, 1]
+    places = top.states[:, STATE_ROW.parameter]
     z = np.ascontiguousarray(top.law_parameters[places]).view(Duals)
     return DualRun(
         top=top, still=top._replace(gravity=nothing, baumgarte=nothing),

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.kernels.interpolation import fade
 from mbdkit.integrators.host.host_energies import HostEnergies
 from mbdkit.integrators.host.step_attempts import Attempt
 from mbdkit.integrators.interface import Moment, StepTaken
@@ -34,8 +35,8 @@ class LastStep(NamedTuple):
             return self.ends.between(theta)
         q, v, z = inner[:3]
         if taken.made is not taken.reached:
-            fade = theta * theta * (3.0 - 2.0 * theta)
-            q, v = q + fade * (taken.reached.q - taken.made.q), v + fade * (taken.reached.v - taken.made.v)
+            share = fade(theta)
+            q, v = q + share * (taken.reached.q - taken.made.q), v + share * (taken.reached.v - taken.made.v)
         return with_ground(q), with_ground(v), z
 
     def energy(self, theta: float) -> np.ndarray:

@@ -13,6 +13,7 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.kernels.bundle_types import STATE, kept
 from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import (
@@ -263,7 +264,7 @@ class CompiledStepper:
         stop = table.stops[passed - 1]
         if stop in self._samples:
             c.z[:] = self.sampler.passed(stop, c.q, c.v, c.z)
-            c.z_low[self.workspace.mechanism.topology.states[:, 2] < 0] = 0.0
+            c.z_low[self.workspace.mechanism.topology.states[:, STATE_ROW.rate] < 0] = 0.0
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
             try:
                 impact, v = impulse(self.workspace, float(progress.restart[0]), c.q, c.v, stop)

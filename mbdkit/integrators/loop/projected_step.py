@@ -18,6 +18,7 @@ from mbdkit.engine.kernels.projection import (
     scaled_residual,
 )
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solved_rows
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import subkernel
@@ -47,7 +48,7 @@ def _push(c, t, q, push_q, push_v):
     for k in range(len(pairs)):
         for r in range(c.still.rows[k]):
             for side in range(2):
-                b = pairs[k, 1 + side]
+                b = pairs[k, PAIR.first + side]
                 for i in range(3):
                     g = weight[b, i] * jac[k, 6 * r + 3 * side + i]
                     push_q[3 * b + i] += g * c.mu[k, r]

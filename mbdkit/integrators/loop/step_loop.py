@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.engine.kernels.interpolation import fade
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.projection import mass_norm, project_positions, project_velocities
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
@@ -237,8 +238,8 @@ def _try_step(run, method, attempt, plan, path):
         begin_energy(c, guards, t, c.q, c.v)
     before = c.counts[ITERATIONS]
     progress.part[0] = 0.0
-    if c.w.reacting[1] != 0:
-        c.w.reacting[7] = _shows(plan, progress, t, h, at_stop, path)
+    if c.w.reacting.add_forces[0] != 0:
+        c.w.reacting.shows[0] = _shows(plan, progress, t, h, at_stop, path)
     c.w.faulty[0] = -1  # only a force law that fails in this attempt is to be named if the run stops
     status = take(run, method, attempt, t, h, control.controlled[0], plan.projection)
     iterations = c.counts[ITERATIONS] - before
@@ -311,10 +312,10 @@ def _evaluate_inside(run, method, dense, t, h, theta, mode):
     c = load_run_state(run)
     status = call_entry(dense, run, method, t, h, theta)
     if status == OK and mode in (PLAIN, NEAR_SINGULARITY):
-        fade = theta * theta * (3.0 - 2.0 * theta)
+        share = fade(theta)
         for d in range(len(c.q)):
-            c.point_q[d] += fade * c.shift_q[d]
-            c.point_v[d] += fade * c.shift_v[d]
+            c.point_q[d] += share * c.shift_q[d]
+            c.point_v[d] += share * c.shift_v[d]
     return status
 
 

@@ -26,6 +26,7 @@ from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, pa
 from mbdkit.engine.kernels.cross_sections import evaluate_sections
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import OK, prepare
+from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.functions import subkernel
@@ -129,7 +130,7 @@ def _has_loops(mechanism: CompiledMechanism) -> bool:
     for pairs in mechanism.joint_pairs:
         if len(pairs) == 0:
             continue
-        a, b = (root(int(x)) for x in mechanism.topology.pairs[pairs[0], 1:3])
+        a, b = (root(int(x)) for x in mechanism.topology.pairs[pairs[0], BODIES])
         if a == b:
             return True
         tree[max(a, b)] = min(a, b)

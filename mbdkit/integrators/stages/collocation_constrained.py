@@ -47,6 +47,7 @@ from mbdkit.engine.kernels.system import (
     solved_rows,
     unfold_multipliers,
 )
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree_displacements import displace_bodies, take_arms
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
@@ -125,7 +126,7 @@ def evaluate_residual(c, m, acc, t, h):
         for k in range(len(top.pairs)):
             for r in range(top.rows[k]):
                 for side in range(2):
-                    at = 3 * top.pairs[k, 1 + side]
+                    at = 3 * top.pairs[k, PAIR.first + side]
                     if at < n3:
                         for d in range(3):
                             lack[at + d] += w.jac[k, 6 * r + 3 * side + d] * m.lam[i, k, r]

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 from mbdkit.engine.kernels.accelerations import solve_accelerations
 from mbdkit.engine.kernels.applied_forces import take_states
 from mbdkit.engine.kernels.system import OK, evaluate_powers, evaluate_tangents, prepare
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree import accelerate_coordinates
 from mbdkit.engine.kernels.tree_displacements import displace_bodies, take_arms
 from mbdkit.engine.kernels.vectors import copy
@@ -109,7 +110,7 @@ def lift(c, m, x, b):
         for i in range(3):
             b[3 * body + i] = mass[body, i] * x[3 * body + i]
     for k in range(len(pairs)):
-        first, second = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        first, second = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
         for r in range(rows[k]):
             total = x[n3] * 0.0
             for i in range(3):

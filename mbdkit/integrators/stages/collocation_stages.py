@@ -12,6 +12,7 @@ from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, RealMatrix, State
 from mbdkit.engine.kernels.engine_bundles import Scatter, Topology
 from mbdkit.engine.kernels.lu import Factors, Pattern
+from mbdkit.engine.kernels.table_rows import SECTION
 from mbdkit.engine.linear_systems import inverse_of
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import inlined
@@ -366,7 +367,7 @@ def new_stages(
 
 def nodes_of_beams(top: Topology) -> np.ndarray:
     """Return the indices of the bodies that are nodes of beams."""
-    nodes = [top.sections[row, 2 : 2 + count] for row, count in enumerate(top.sections[:, 1])]
+    nodes = [row[SECTION.node : SECTION.node + row[SECTION.node_count]] for row in top.sections]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *nodes]))
 
 

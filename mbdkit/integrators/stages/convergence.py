@@ -20,6 +20,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.engine.kernels.cross_sections import beam_levels
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS
+from mbdkit.engine.kernels.table_rows import LINEAR, PAIR, SPRING, TENSION
 from mbdkit.engine.native.arithmetic import any_of, where
 from mbdkit.engine.native.functions import subkernel
 
@@ -331,7 +332,7 @@ def accelerations_are_round_off(c, m, h, patient):
     for k in range(len(top.pairs)):
         force = abs(lam[k, 0]) + abs(lam[k, 1])
         for side in range(2):
-            b = top.pairs[k, 1 + side]
+            b = top.pairs[k, PAIR.first + side]
             e = 3 * side
             x, y = abs(w.jac[k, e]) + abs(w.jac[k, 6 + e]), abs(w.jac[k, e + 1]) + abs(w.jac[k, 7 + e])
             arm = abs(top.pair_parameters[k, 2 * side]) + abs(top.pair_parameters[k, 2 * side + 1])
@@ -340,14 +341,17 @@ def accelerations_are_round_off(c, m, h, patient):
             level_t = max(level_t, force * max(x, y) * top.weight[b, 0])
             level_r = max(level_r, force * turn * top.weight[b, 2])
     for k in range(len(top.springs)):
-        a, b = top.springs[k, 1], top.springs[k, 2]
+        a, b = top.springs[k, SPRING.first], top.springs[k, SPRING.second]
         speed = 0.0
         for i in range(3):
             speed += abs(w.grad[k, i] * v[3 * a + i]) + abs(w.grad[k, 3 + i] * v[3 * b + i])
-        force = abs(w.tension[k, 1]) * (abs(w.s[k, 0]) + abs(top.linear[k, 2])) + abs(w.tension[k, 2]) * speed
-        force = max(force, abs(w.tension[k, 0]))
+        force = (
+            abs(w.tension[k, TENSION.by_length]) * (abs(w.s[k, 0]) + abs(top.linear[k, LINEAR.free_length]))
+            + abs(w.tension[k, TENSION.by_rate]) * speed
+        )
+        force = max(force, abs(w.tension[k, TENSION.force]))
         for side in range(2):
-            body = top.springs[k, 1 + side]
+            body = top.springs[k, SPRING.first + side]
             for i in range(3):
                 level = force * abs(w.grad[k, 3 * side + i]) * top.weight[body, i]
                 if i < 2:

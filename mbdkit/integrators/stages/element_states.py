@@ -25,6 +25,7 @@ from mbdkit.engine.kernels.applied_forces import (
     pathway_lengths,
 )
 from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
+from mbdkit.engine.kernels.table_rows import STATE_ROW, STATE_USE
 from mbdkit.engine.native.arithmetic import is_lanes
 from mbdkit.engine.native.functions import inlined, overload, separate, subkernel
 
@@ -71,7 +72,7 @@ def take_lengths(c, m, t, h):
         prepare(top, c.w, t + m.rk.c[i] * h, m.q_stage[i])
         pathway_lengths(top, c.w, m.q_stage[i])
         for e in range(len(top.states)):
-            k = top.states[e, 0]
+            k = top.states[e, STATE_ROW.segment]
             if k >= 0:
                 room.length[i, e] = c.w.s[k, 0]
                 room.speed[i, e] = path_rate(k, top.springs, m.v_stage[i], c.w.grad)
@@ -81,7 +82,9 @@ def take_lengths(c, m, t, h):
 def end_of_element(top, first):
     """Return the number of the first state after those that are solved together with state `first`."""
     last = first + 1
-    while last < len(top.states) and (is_coupled(top) or top.states[last, 0] == top.states[first, 0]):
+    while last < len(top.states) and (
+        is_coupled(top) or top.states[last, STATE_ROW.segment] == top.states[first, STATE_ROW.segment]
+    ):
         last += 1
     while is_held(top, last - 1):
         last -= 1
@@ -91,7 +94,7 @@ def end_of_element(top, first):
 @inlined
 def is_held(top, e):
     """Return whether a state is constant in each step: its rate is zero, and no equation has to be solved for it."""
-    return top.states[e, 2] < 0
+    return top.states[e, STATE_ROW.rate] < 0
 
 
 @overload(solve_states)
@@ -147,22 +150,22 @@ def is_coupled(top):
 def put_state(c, f, z):
     """Use the value `z` of state `f` in what is evaluated next."""
     top, w = c.top, c.w
-    w.law_values[top.states[f, 1]] = z
+    w.law_values[top.states[f, STATE_ROW.parameter]] = z
     if is_coupled(top):
         for k in range(len(top.state_places)):
-            if top.state_places[k, 0] == f:
-                w.law_values[top.state_places[k, 1]] = z
+            if top.state_places[k, STATE_USE.state] == f:
+                w.law_values[top.state_places[k, STATE_USE.parameter]] = z
 
 
 @subkernel
 def state_rate(c, m, i, e, at):
     """Return the rate of state `e` at stage `i`, for the values last passed to `put_state`."""
     top, w, room = c.top, c.w, m.states
-    if top.states[e, 2] < 0:
+    if top.states[e, STATE_ROW.rate] < 0:
         return 0.0
-    if top.states[e, 0] < 0:
-        return expression_value(top, w, top.states[e, 2])
-    return law_value(top, w, top.states[e, 2], room.length[i, e], room.speed[i, e], at)
+    if top.states[e, STATE_ROW.segment] < 0:
+        return expression_value(top, w, top.states[e, STATE_ROW.rate])
+    return law_value(top, w, top.states[e, STATE_ROW.rate], room.length[i, e], room.speed[i, e], at)
 
 
 @subkernel
@@ -179,7 +182,7 @@ def linearize(c, m, t, h, first, last):
         for e in range(first, last):
             room.right[i * n + e - first] = state_rate(c, m, i, e, at) - room.rate[i, e]
         for f in range(first, last):
-            z, is_held = room.z[i, f], top.states[f, 2] < 0
+            z, is_held = room.z[i, f], top.states[f, STATE_ROW.rate] < 0
             step = DIFFERENCE * max(abs(z), abs(h * room.rate[i, f]))
             if step == 0.0:
                 step = DIFFERENCE

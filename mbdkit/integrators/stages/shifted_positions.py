@@ -15,6 +15,7 @@ from __future__ import annotations
 from mbdkit.engine.kernels.accelerations import solve_system
 from mbdkit.engine.kernels.equations import STIFFNESS
 from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree import coordinates_of
 from mbdkit.engine.kernels.tree_displacements import displace_bodies
 from mbdkit.engine.kernels.vectors import copy
@@ -86,7 +87,7 @@ def change_shift(c, m, h, source, acc):
             for r in range(top.rows[k]):
                 room.mu[i, k, r] -= m.pairs[k, r]
                 for side in range(2):
-                    b = top.pairs[k, 1 + side]
+                    b = top.pairs[k, PAIR.first + side]
                     if 3 * b < n3:
                         for d in range(3):
                             g = top.weight[b, d] * w.jac[k, 6 * r + 3 * side + d]

@@ -70,8 +70,9 @@ def _transformed(weights, residual, z):
 
 @inlined
 def _constrain_by_address(c, solver, e):
-    if c.w.reacting[0] != 0:
-        call_entry(c.w.reacting[4], c.w.reacting[5], c.w.reacting[6], float(e), 0.0, 0.0)
+    reacting = c.w.reacting
+    if reacting.acts[0] != 0:
+        call_entry(reacting.constrain[0], reacting.run[0], reacting.stages[0], float(e), 0.0, 0.0)
 
 
 @inlined
@@ -80,7 +81,7 @@ def _no_constraints(c, solver, e):
 
 
 def constrain_solution(c, solver, e):
-    """Let the solution for eigenvalue number `e` satisfy the constraints of reacting elements; see `Scratch.reacting`.
+    """Let the solution for eigenvalue number `e` satisfy the constraints of reacting elements; see `Reacting`.
 
     Numbers of complex eigenvalues are -1, -2, ...
     """

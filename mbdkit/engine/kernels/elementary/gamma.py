@@ -160,7 +160,6 @@ def _tgamma(x):
 
 @inlined
 def _near_zero(t, slope, coefficients):
-    """Return t times the slope, plus t^2 times the polynomial."""
     product, error = two_product(t, slope)
     return product + (error + t * (_SLOPE_LOW + t * polynomial(t, coefficients)))
 

@@ -95,7 +95,6 @@ def log(x):
 
 @inlined
 def _times(logarithm, rest, factor, factor_high, factor_low):
-    """Return the product of a logarithm, given as two numbers, and a factor."""
     first = leading_bits(logarithm)
     return first * factor_high + (first * factor_low + ((logarithm - first) + rest) * factor)
 

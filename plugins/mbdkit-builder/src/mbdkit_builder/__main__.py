@@ -30,10 +30,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mbdkit.engine.native import machine_code
-from mbdkit.engine.native.levels import PLATFORMS, Level, Platform
-from mbdkit.engine.native.machine_code import kernel_packages, stored_folder
-from mbdkit.kernels import chosen_level, this_platform
+from mbdkit.kernels import PLATFORMS, Level, Platform, chosen_level, machine_code, this_platform
 
 _GENERATED = {
     "contacts": "contact_kernels",
@@ -50,7 +47,7 @@ def main() -> int:
     commands = parser.add_subparsers(dest="command", required=True)
     for name in ("build", "check"):
         command = commands.add_parser(name)
-        command.add_argument("packages", nargs="*", help=f"by default all: {', '.join(kernel_packages())}")
+        command.add_argument("packages", nargs="*", help=f"by default all: {', '.join(machine_code.kernel_packages())}")
         command.add_argument("--platform", type=_platform, action="append", metavar="NAME")
     build, check = (commands.choices[name] for name in ("build", "check"))
     build.add_argument("--all", action="store_true")
@@ -73,7 +70,7 @@ def main() -> int:
         return generated_files.write(module.TARGET, module.generated(), check=given.check)
     if given.command == "objects":
         return _objects(given.codes, given.symbols, given.into)
-    packages = given.packages or kernel_packages()
+    packages = given.packages or machine_code.kernel_packages()
     if given.command == "check":
         return max(_check(package, given.platform or list(PLATFORMS), given.level) for package in packages)
     if given.only:
@@ -83,7 +80,7 @@ def main() -> int:
         return 0
     targets = list(PLATFORMS) if given.all else given.platform or [this_platform()]
     for package in packages:
-        _build(package, {target: stored_folder(package, target) for target in targets})
+        _build(package, {target: machine_code.stored_folder(package, target) for target in targets})
     return 0
 
 
@@ -114,7 +111,7 @@ def _check(package: str, targets: Iterable[Platform], level: str | None) -> int:
         folders = {target: Path(work) / str(target) for target in targets}
         _build(package, folders, only=level)
         for target, again in folders.items():
-            stored = stored_folder(package, target)
+            stored = machine_code.stored_folder(package, target)
             names = sorted({path.name for folder in (stored, again) for path in folder.glob("*")})
             if level:
                 names = [name for name in names if f"-{level}." in name]
@@ -142,7 +139,7 @@ def _list() -> int:
     from mbdkit_builder.sources import builder_digests
 
     level = chosen_level()
-    for package in kernel_packages():
+    for package in machine_code.kernel_packages():
         is_other = machine_code.manifest(package).get("builder") != builder_digests()
         for symbol in symbols(package):
             is_stored = machine_code.stored_file(symbol, level) is not None

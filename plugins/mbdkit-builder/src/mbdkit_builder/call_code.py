@@ -25,7 +25,6 @@ def _call_entry(typing_context, address, first, second, t, h, x):
 
 
 def _law_type() -> ir.FunctionType:
-    """Return the type of a law in LLVM."""
     double, pointer = ir.DoubleType(), ir.DoubleType().as_pointer()
     return ir.FunctionType(ir.VoidType(), [ir.IntType(64), double, double, double, pointer, pointer])
 

@@ -41,7 +41,6 @@ class DualArray(ItemArray):
 
 
 def _derivatives(builder: Any, place: Any) -> Any:
-    """Generate code for the address of the derivatives of the dual number at an address."""
     return builder.bitcast(builder.gep(place, [ir.IntType(64)(1)], inbounds=True), VECTOR.as_pointer())
 
 

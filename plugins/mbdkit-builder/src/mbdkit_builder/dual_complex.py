@@ -24,8 +24,6 @@ def _real_to_complex(context, builder, given, wanted, value):
 
 
 def _joined_typing(typing_context, real, imaginary):
-    """Return a complex dual number from its parts."""
-
     def generate(context, builder, signature, arguments):
         return cgutils.pack_struct(builder, arguments)
 

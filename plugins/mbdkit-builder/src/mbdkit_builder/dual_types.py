@@ -25,10 +25,9 @@ from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
-from mbdkit.engine.native.arithmetic import chain, larger_derivatives, largest_quotient, with_value
 from mbdkit.engine.native.operation_rules import compiled_rule
 from mbdkit.expressions.operations import Operation
-from mbdkit.kernels import DIRECTIONS, value_of, where
+from mbdkit.kernels import DIRECTIONS, arithmetic, value_of, where
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.measures import OPERATIONS
 from mbdkit_builder.implementation import implement
@@ -58,8 +57,6 @@ class DualNumber(types.Type):
 
 
 class _Derivatives(types.Type):
-    """Numba type of the derivatives of a dual number."""
-
     def __init__(self) -> None:
         super().__init__(name=f"Derivatives{DIRECTIONS}")
 
@@ -98,7 +95,6 @@ def is_real(kind: Any) -> bool:
 
 
 def _repeated(builder: Any, value: Any) -> Any:
-    """Return a number as a vector of equal numbers."""
     one = builder.insert_element(ir.Constant(VECTOR, ir.Undefined), value, ir.IntType(32)(0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), DIRECTIONS), [0] * DIRECTIONS)
     return builder.shuffle_vector(one, ir.Constant(VECTOR, ir.Undefined), zeros)
@@ -231,20 +227,16 @@ def _value_of(x):
     return lambda x: x
 
 
-@implement(with_value)
+@implement(arithmetic.with_value)
 def _with_value(typing_context, x, value):
-    """Return a dual number with another value and the same derivatives."""
-
     def generate(context, builder, signature, arguments):
         return builder.insert_value(arguments[0], arguments[1], 0)
 
     return DUAL(DUAL, types.float64), generate
 
 
-@implement(chain)
+@implement(arithmetic.chain)
 def _chain(typing_context, x, value, slope):
-    """Return the dual number with this value whose derivatives are `slope` times those of `x`."""
-
     def generate(context, builder, signature, arguments):
         derivatives = _scaled(builder, arguments[2], builder.extract_value(arguments[0], 1))
         return cgutils.pack_struct(builder, [arguments[1], derivatives])
@@ -252,7 +244,7 @@ def _chain(typing_context, x, value, slope):
     return DUAL(DUAL, types.float64, types.float64), generate
 
 
-@implement(larger_derivatives)
+@implement(arithmetic.larger_derivatives)
 def _larger_derivatives(typing_context, x, y):
     """Return a dual number whose derivatives are the larger absolute values of those of `x` and `y`; its value is that
     of `x`.
@@ -268,7 +260,7 @@ def _larger_derivatives(typing_context, x, y):
     return DUAL(DUAL, DUAL), generate
 
 
-@implement(largest_quotient)
+@implement(arithmetic.largest_quotient)
 def _largest_quotient(typing_context, x, y):
     """Return the largest quotient of a derivative of `x` and the same derivative of `y`, none of which is negative.
 
@@ -310,24 +302,19 @@ def _where_dual(context, builder, signature, arguments):
 
 
 def _of_one(function: Any, code: Callable[..., Any]) -> None:
-    """Define a function of one dual number by a Python function that is compiled."""
-
     @overload(function)
     def _typed(x):
         return code if isinstance(x, DualNumber) else None
 
 
 def _functions_of(operation: Operation) -> set[Any]:
-    """Return the functions of Python and NumPy for an operation."""
     return {getattr(math, operation.name, operation.number), operation.ufunc}
 
 
 def _by_rule(rule: Any) -> Callable[..., Any]:
-    """Return the code of a function of one dual number from a rule of operations."""
-
     def code(x):
         value, slope, _ = rule(_value(x))
-        return chain(x, value, slope)
+        return arithmetic.chain(x, value, slope)
 
     return code
 
@@ -338,8 +325,8 @@ for _operation in OPERATIONS.values():
             _of_one(_function, _by_rule(compiled_rule(_operation)))
 _FUNCTIONS: tuple[tuple[Any, Callable[[Any], Any]], ...] = (
     (math.fabs, lambda x: abs(x)),
-    (math.sinh, lambda x: chain(x, math.sinh(_value(x)), math.cosh(_value(x)))),
-    (math.cosh, lambda x: chain(x, math.cosh(_value(x)), math.sinh(_value(x)))),
+    (math.sinh, lambda x: arithmetic.chain(x, math.sinh(_value(x)), math.cosh(_value(x)))),
+    (math.cosh, lambda x: arithmetic.chain(x, math.cosh(_value(x)), math.sinh(_value(x)))),
     (operator.pos, lambda x: x),
     (float, lambda x: x),
     (int, lambda x: int(_value(x))),
@@ -354,7 +341,7 @@ for _function, _function_code in _FUNCTIONS:
 @overload(operator.pow)
 def _power(x, n):
     if isinstance(x, DualNumber) and isinstance(n, types.Integer | types.Float):
-        return lambda x, n: chain(x, _value(x) ** n, 0.0 if n == 0 else n * _value(x) ** (n - 1.0))
+        return lambda x, n: arithmetic.chain(x, _value(x) ** n, 0.0 if n == 0 else n * _value(x) ** (n - 1.0))
     if isinstance(n, DualNumber) and is_real(x):
         return _general_power
     return None
@@ -369,12 +356,10 @@ def _general_power(x, n):
     by_exponent = value * math.log(base) if base > 0.0 else 0.0
     constant = (x * 0.0 + n * 0.0) * 0.0
     by_base = 0.0 if exponent == 0.0 else exponent * base ** (exponent - 1.0)
-    return with_value(constant + by_base * (x - base) + by_exponent * (n - exponent), value)
+    return arithmetic.with_value(constant + by_base * (x - base) + by_exponent * (n - exponent), value)
 
 
 def _of_two(function: Any, code: Callable[..., Any]) -> None:
-    """Define a function of two dual numbers, of which one may be a number, by a Python function that is compiled."""
-
     @overload(function)
     def _typed(x, y):
         has_dual = isinstance(x, DualNumber) or isinstance(y, DualNumber)
@@ -382,27 +367,25 @@ def _of_two(function: Any, code: Callable[..., Any]) -> None:
 
 
 def _by_rule_of_two(rule: Any) -> Callable[..., Any]:
-    """Return the code of a function of two dual numbers from a rule of operations."""
-
     def code(x, y):
         a, b = value_of(x), value_of(y)
         value, by_first, _ = rule(a, 1.0, 0.0, b, 0.0, 0.0)
         _, by_second, _ = rule(a, 0.0, 0.0, b, 1.0, 0.0)
-        return with_value(by_first * x + by_second * y, value)
+        return arithmetic.with_value(by_first * x + by_second * y, value)
 
     return code
 
 
 def _remainder(x, y):
     whole = math.floor(value_of(x) / value_of(y))
-    return with_value(x - whole * y, value_of(x) % value_of(y))
+    return arithmetic.with_value(x - whole * y, value_of(x) % value_of(y))
 
 
 def _length(x, y):
     a, b = value_of(x), value_of(y)
     size = math.hypot(a, b)
     scale = size if size > 0.0 else 1.0
-    return with_value((a / scale) * x + (b / scale) * y, size)
+    return arithmetic.with_value((a / scale) * x + (b / scale) * y, size)
 
 
 for _operation in OPERATIONS.values():

@@ -11,14 +11,15 @@ Cross-sections of beams have a kernel for their forces and one for the tangents.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import groupby
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
-from mbdkit.engine.native.machine_code import PACKAGE
+from mbdkit.kernels import machine_code
 from mbdkit_statics import element_definitions as d
 
-TARGET = PACKAGE / "engine/kernels/element_kernels.py"
+TARGET = machine_code.PACKAGE / "engine/kernels/element_kernels.py"
 
 HEADER = '''"""Element kernels, generated from the definitions by ``python -m mbdkit_builder elements``. Do not edit.
 
@@ -27,7 +28,7 @@ calls the kernels of all pairs of constraint rows. Arguments:
 
 k : index of the element; a, b : first and second body; m : index of the motion that drives the element, or of the
     first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative
-pairs : (P, 4) kind, first body, second body and motion of each pair of constraint rows
+pairs : (P, 4) pairs of constraint rows, see `PairRow`
 q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, velocities and accelerations; ground comes last
 cs : (B + 1, 2) cosine and sine of every theta
 p : (K, 6) parameters, points in body frames first
@@ -46,6 +47,7 @@ because projections and Baumgarte's terms change them.
 # fmt: off
 from math import sqrt
 
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.functions import subkernel
 '''
 
@@ -142,7 +144,10 @@ def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, s
     lines = ["@subkernel", f"def {name}({arguments}):", f'    """{note}"""']
     lines += _reads([e for _, e in temporaries] + list(reduced_all), printer)
     lines += [f"    {symbol} = {printer.doprint(expr)}" for symbol, expr in temporaries]
-    lines += [f"    {target} = {_literal(printer, expr)}" for target, expr in zip(targets, reduced_all, strict=True)]
+    equal: dict[str, list[str]] = {}  # tangents are symmetric, so that most values are written twice
+    for target, expr in zip(targets, reduced_all, strict=True):
+        equal.setdefault(_literal(printer, expr), []).append(target)
+    lines += [f"    {' = '.join(written)} = {value}" for value, written in equal.items()]
     return "\n".join(lines)
 
 
@@ -153,9 +158,17 @@ def _reads(expressions: Iterable[sp.Expr], printer: Printer) -> list[str]:
     for symbol, expr in reversed(d.INTERMEDIATES.items()):
         if symbol in used:
             used |= expr.free_symbols
-            inner.append(f"    {symbol} = {printer.doprint(expr)}")
+            inner.append((str(symbol), printer.doprint(expr)))
     names = {str(s) for s in used}
-    return [f"    {name} = {text}" for name, text in _READS.items() if name in names] + inner[::-1]
+    vectors = groupby(inner[::-1], lambda element: element[0][:-1] if element[0][-1] in "xy" else element[0])
+    read = [(name, text) for name, text in _READS.items() if name in names]
+    by_array = groupby(read, lambda element: element[1].partition("[")[0])
+    return [_assigned(list(elements)) for groups in (by_array, vectors) for _, elements in groups]
+
+
+def _assigned(values: Sequence[tuple[str, str]]) -> str:
+    """Return a line that assigns texts to names: elements of the same array, or both components of a vector."""
+    return f"    {', '.join(name for name, _ in values)} = {', '.join(text for _, text in values)}"
 
 
 def _vanishes(entry: sp.Expr) -> bool:
@@ -167,7 +180,6 @@ def _literal(printer: Printer, expr: sp.Expr) -> str:
 
 
 def _mask(matrix: sp.Matrix) -> tuple[int, ...]:
-    """Return the flat indices of the entries that are not identically zero."""
     return tuple(i for i, entry in enumerate(matrix) if not _vanishes(entry))
 
 
@@ -201,7 +213,6 @@ def generated() -> str:
 
 
 def _constraint_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[str]:
-    """Return the kernels of a constraint kind at position, acceleration and tangent level."""
     contents = {
         "position": (
             f"{note}, and Phi_t.",
@@ -232,7 +243,8 @@ def _loop_over_pairs(level: str, kinds: Sequence[str]) -> str:
     outer = ["pairs", "p", *(name for name in arguments.split(", ") if name != "p")]
     lines = ["@subkernel", f"def constraint_{level}s({', '.join(outer)}):", f'    """{note}"""']
     lines += ["    for k in range(len(pairs)):"]
-    lines += ["        kind, a, b, m = pairs[k, 0], pairs[k, 1], pairs[k, 2], pairs[k, 3]"]
+    lines += ["        kind, a, b = pairs[k, PAIR.kind], pairs[k, PAIR.first], pairs[k, PAIR.second]"]
+    lines += ["        m = pairs[k, PAIR.motion]"]
     for code, kind in enumerate(kinds):
         if code == len(kinds) - 1:
             lines.append("        else:")
@@ -243,7 +255,6 @@ def _loop_over_pairs(level: str, kinds: Sequence[str]) -> str:
 
 
 def _pathway_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[str]:
-    """Return the kernels of a pathway: its length and gradient, and its second derivatives unless all are zero."""
     outputs = [("s", terms["length"]), ("grad", terms["gradient"])]
     kernels = [_kernel(f"{name}_gradient", "k, a, b, q, cs, p, s, grad", f"Length {note} and its gradient.", outputs)]
     if _mask(terms["hessian"]):
@@ -255,7 +266,6 @@ def _pathway_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[
 
 
 def _section_kernels(terms: dict[str, sp.Matrix]) -> list[str]:
-    """Return the kernels of a cross-section of a beam: forces with stress and energy, and the tangents."""
     forces = [(name, terms[name]) for name in ("force", "stress", "energy")]
     tangents = [(name, terms[name]) for name in ("stiffness", "damping")]
     note = "Force conjugate to the state of a cross-section, its stress, its strain energy and its dissipated power."

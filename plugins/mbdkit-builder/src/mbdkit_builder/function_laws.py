@@ -22,8 +22,6 @@ _PARAMETERS = types.Array(types.float64, 1, "C", readonly=True)
 
 
 def _read_only_typing(typing, array):
-    """Return an array (N,) of floats as a read-only array, without copying it."""
-
     def generate(context, builder, signature, arguments):
         return arguments[0]
 
@@ -34,8 +32,6 @@ _read_only: Any = intrinsic(_read_only_typing)
 
 
 def _dual_at_typing(typing, pointer, index):
-    """Return item `index` of an array of dual numbers at a pointer."""
-
     def generate(context, builder, signature, arguments):
         return DualArray.load(builder, DualArray.behind(builder, *arguments))
 
@@ -46,8 +42,6 @@ _dual_at: Any = intrinsic(_dual_at_typing)
 
 
 def _put_dual_typing(typing, pointer, index, x):
-    """Store a dual number as item `index` of an array at a pointer."""
-
     def generate(context, builder, signature, arguments):
         DualArray.store(builder, arguments[2], DualArray.behind(builder, *arguments[:2]))
         return context.get_dummy_value()
@@ -59,7 +53,6 @@ _put_dual: Any = intrinsic(_put_dual_typing)
 
 
 def _duals_behind_typing(typing, pointer, count):
-    """Return items 1 to `count` of the dual numbers at a pointer as an array, without item 0."""
     kind = DualArray(1)
 
     def generate(context, builder, signature, arguments):

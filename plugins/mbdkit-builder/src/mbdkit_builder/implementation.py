@@ -15,7 +15,7 @@ from numba import njit, types
 from numba.core.typing.templates import infer, infer_global, make_intrinsic_template
 from numba.extending import overload, typeof_impl
 
-from mbdkit.engine.native.functions import OVERLOADS, PLACEHOLDERS, SUBKERNELS
+from mbdkit.kernels import DECLARED
 from mbdkit_builder.subkernel_compiler import SubkernelCompiler
 
 _OPTIONS: dict[str, Any] = {
@@ -40,9 +40,9 @@ def dispatcher(function: Callable[..., Any], is_inlined: bool = False) -> Any:
 
 @typeof_impl.register(FunctionType)
 def _typeof_function(function: Callable[..., Any], context: Any) -> Any:
-    if function not in SUBKERNELS:
+    if function not in DECLARED.subkernels:
         return None
-    return dispatcher(function, SUBKERNELS[function])._numba_type_
+    return dispatcher(function, DECLARED.subkernels[function])._numba_type_
 
 
 def implement(function: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -60,12 +60,12 @@ def implement(function: Callable[..., Any]) -> Callable[[Callable[..., Any]], Ca
 
 def define_overloads() -> None:
     """Define the functions declared by `mbdkit.engine.native.functions.overload` for compiled code."""
-    for function, chosen in OVERLOADS:
+    for function, chosen in DECLARED.overloads:
         overload(function)(chosen)
 
 
 def check_placeholders() -> None:
     """Raise RuntimeError if a placeholder is not defined for compiled code."""
-    missing = sorted(f"{function.__module__}.{function.__qualname__}" for function in PLACEHOLDERS - _DEFINED)
+    missing = sorted(f"{function.__module__}.{function.__qualname__}" for function in DECLARED.placeholders - _DEFINED)
     if missing:
         raise RuntimeError(f"not defined for compiled code: {', '.join(missing)}")

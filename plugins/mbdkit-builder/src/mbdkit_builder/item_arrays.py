@@ -103,7 +103,6 @@ class ItemArrayModel(models.StructModel):
 
 
 def _indices_of(context: Any, builder: Any, kind: Any, value: Any) -> list[Any]:
-    """Return the indices of a subscript as words."""
     if isinstance(kind, types.Integer):
         return [context.cast(builder, value, kind, types.intp)]
     parts = cgutils.unpack_tuple(builder, value, len(kind))

@@ -53,7 +53,6 @@ def _number_to_complex(context, builder, given, wanted, value):
 
 
 def _is_complex(arguments: Any) -> bool:
-    """Return whether the result of an operation on these types is a `LaneComplex`."""
     if any(isinstance(one, LaneComplex) for one in arguments):
         return all(isinstance(one, LaneComplex | LaneReal | types.Number) for one in arguments)
     is_mixed = any(isinstance(one, LaneReal) for one in arguments)
@@ -61,8 +60,6 @@ def _is_complex(arguments: Any) -> bool:
 
 
 def _define(function: Any, code: Callable[[Any, Parts, Parts], Any], result: Any = COMPLEX) -> None:
-    """Define a function of two complex lanes, of which one may be a number or real."""
-
     @infer_global(function)
     class _Template(AbstractTemplate):
         def generic(self, arguments: Any, keywords: Any) -> Any:

@@ -30,99 +30,63 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
 from mbdkit.engine.kernels.elementary.tables import entry
-from mbdkit.engine.native.arithmetic import below, is_refused, nearest, number_in, put_in, put_in_place, renewed, usable
-from mbdkit.kernels import FUNCTIONS, WIDTH, any_of, bits_of, from_bits, where
+from mbdkit.kernels import FUNCTIONS, WIDTH, any_of, arithmetic, bits_of, from_bits, where
 from mbdkit_builder.implementation import implement
 
 DOUBLE, _BIT, _WORD = ir.DoubleType(), ir.IntType(1), ir.IntType(64)
 VECTOR, _BITS, _WORDS, _POINTERS = (ir.VectorType(kind, WIDTH) for kind in (DOUBLE, _BIT, _WORD, ir.PointerType()))
 
 
-class LaneReal(types.Type):
-    """Numba type of `WIDTH` doubles, one for each lane."""
-
-    arithmetic = "lanes"
+class _Lanes(types.Type):
+    """Numba type of `WIDTH` values, one for each lane."""
 
     def __init__(self) -> None:
-        super().__init__(name=f"LaneReal{WIDTH}")
+        super().__init__(name=f"{type(self).__name__}{WIDTH}")
 
     def unify(self, typing_context: Any, other: Any) -> Any:
-        """Return this type for numbers, so that a variable may begin as ``0.0``."""
+        """Return this type for plain values, so that a variable may begin as ``0.0``."""
         return self if is_operand(other, self) else None
 
     def can_convert_from(self, typing_context: Any, other: Any) -> Any:
-        """Allow numbers, which become equal in all lanes."""
+        """Allow plain values, which become equal in all lanes."""
         return Conversion.safe if is_operand(other, self) else None
 
 
-class LaneMask(types.Type):
+class LaneReal(_Lanes):
+    """Numba type of `WIDTH` doubles."""
+
+    arithmetic = "lanes"
+
+
+class LaneMask(_Lanes):
     """Numba type of `WIDTH` truth values."""
 
     arithmetic = "lanes"
 
-    def __init__(self) -> None:
-        super().__init__(name=f"LaneMask{WIDTH}")
 
-    def unify(self, typing_context: Any, other: Any) -> Any:
-        """Return this type for truth values, so that a variable may begin as ``True``."""
-        return self if isinstance(other, types.Boolean) else None
-
-    def can_convert_from(self, typing_context: Any, other: Any) -> Any:
-        """Allow truth values, which become equal in all lanes."""
-        return Conversion.safe if isinstance(other, types.Boolean) else None
-
-
-class LaneComplex(types.Type):
+class LaneComplex(_Lanes):
     """Numba type of `WIDTH` complex numbers; see `mbdkit_builder.lane_complex`."""
 
-    def __init__(self) -> None:
-        super().__init__(name=f"LaneComplex{WIDTH}")
 
-    def unify(self, typing_context: Any, other: Any) -> Any:
-        """Return this type for numbers and for real lanes."""
-        return self if is_operand(other, self) else None
-
-    def can_convert_from(self, typing_context: Any, other: Any) -> Any:
-        """Allow numbers, which become equal in all lanes, and real lanes."""
-        return Conversion.safe if is_operand(other, self) else None
-
-
-class LaneInteger(types.Type):
+class LaneInteger(_Lanes):
     """Numba type of `WIDTH` integers of 64 bits, in which elementary functions compute with the bits of doubles."""
 
     arithmetic = "lanes"
-
-    def __init__(self) -> None:
-        super().__init__(name=f"LaneInteger{WIDTH}")
-
-    def unify(self, typing_context: Any, other: Any) -> Any:
-        """Return this type for integers."""
-        return self if is_operand(other, self) else None
-
-    def can_convert_from(self, typing_context: Any, other: Any) -> Any:
-        """Allow integers, which become equal in all lanes."""
-        return Conversion.safe if is_operand(other, self) else None
 
 
 REAL, MASK, COMPLEX, INTEGER = LaneReal(), LaneMask(), LaneComplex(), LaneInteger()
 
 
-@register_model(LaneReal)
-class _RealModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Any):
-        super().__init__(manager, kind, VECTOR)
+def _register(kind: type[_Lanes], vector: ir.VectorType) -> None:
+    @register_model(kind)
+    class _Model(models.PrimitiveModel):
+        def __init__(self, manager: Any, kind: Any):
+            super().__init__(manager, kind, vector)
 
 
-@register_model(LaneMask)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Any):
-        super().__init__(manager, kind, _BITS)
-
-
-@register_model(LaneInteger)
-class _IntegerModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Any):
-        super().__init__(manager, kind, _WORDS)
+_register(LaneReal, VECTOR)
+_register(LaneMask, _BITS)
+_register(LaneInteger, _WORDS)
 
 
 # --- numbers become equal in all lanes
@@ -154,6 +118,8 @@ def _truth_to_lanes(context, builder, given, wanted, value):
 
 def is_operand(kind: Any, item: Any) -> bool:
     """Return whether a value of type `kind` can be used as lanes of type `item`."""
+    if isinstance(item, LaneMask):
+        return isinstance(kind, LaneMask | types.Boolean)
     if isinstance(item, LaneInteger):
         return isinstance(kind, LaneInteger | types.Integer)
     if isinstance(item, LaneReal):
@@ -164,15 +130,12 @@ def is_operand(kind: Any, item: Any) -> bool:
 def _define(function: Any, arity: int, kind: Any, result: Any, code: Callable[..., Any]) -> None:
     """Define `function` for arguments of the lane type `kind`, of which all but one may be plain values."""
 
-    def suits(one: Any) -> bool:
-        return isinstance(one, LaneMask | types.Boolean) if kind == MASK else is_operand(one, kind)
-
     @infer_global(function)
     class _Template(AbstractTemplate):
         def generic(self, arguments: Any, keywords: Any) -> Any:
             if len(arguments) != arity or not any(isinstance(one, type(kind)) for one in arguments):
                 return None
-            if not all(suits(one) for one in arguments):
+            if not all(is_operand(argument, kind) for argument in arguments):
                 return None
             return signature(result, *(kind,) * arity)
 
@@ -181,48 +144,30 @@ def _define(function: Any, arity: int, kind: Any, result: Any, code: Callable[..
         return code(builder, *arguments)
 
 
-for _functions, _code in (
-    ((operator.add, operator.iadd), lambda b, x, y: b.fadd(x, y)),
-    ((operator.sub, operator.isub), lambda b, x, y: b.fsub(x, y)),
-    ((operator.mul, operator.imul), lambda b, x, y: b.fmul(x, y)),
-    ((operator.truediv, operator.itruediv), lambda b, x, y: b.fdiv(x, y)),
-):
-    for _function in _functions:
-        _define(_function, 2, REAL, REAL, _code)
-for _function, _sign in (
-    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
-):  # fmt: skip
+def _define_operators(names: dict[str, str], kind: Any) -> None:
+    """Define operators of Python and their in-place forms by instructions of LLVM with these names."""
+    for name, instruction in names.items():
+        for function in (getattr(operator, name), getattr(operator, f"i{name.rstrip('_')}")):
+            _define(function, 2, kind, kind, lambda b, x, y, code=instruction: getattr(b, code)(x, y))
+
+
+_SIGNS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">=", operator.eq: "=="}
+_define_operators({"add": "fadd", "sub": "fsub", "mul": "fmul", "truediv": "fdiv"}, REAL)
+_LOGICAL = {"and_": "and_", "or_": "or_"}
+_define_operators(_LOGICAL, MASK)
+_define_operators(_LOGICAL | {"add": "add", "sub": "sub", "mul": "mul"}, INTEGER)
+_define_operators({"xor": "xor", "lshift": "shl", "rshift": "ashr"}, INTEGER)
+for _function, _sign in _SIGNS.items():
     _define(_function, 2, REAL, MASK, lambda b, x, y, s=_sign: b.fcmp_ordered(s, x, y))
+    _define(_function, 2, INTEGER, MASK, lambda b, x, y, s=_sign: b.icmp_signed(s, x, y))
 _define(operator.ne, 2, REAL, MASK, lambda b, x, y: b.fcmp_unordered("!=", x, y))
-for _functions, _code in (
-    ((operator.and_, operator.iand), lambda b, x, y: b.and_(x, y)),
-    ((operator.or_, operator.ior), lambda b, x, y: b.or_(x, y)),
-):
-    for _function in _functions:
-        _define(_function, 2, MASK, MASK, _code)
+_define(operator.ne, 2, INTEGER, MASK, lambda b, x, y: b.icmp_signed("!=", x, y))
 _define(operator.neg, 1, REAL, REAL, lambda b, x: b.fneg(x))
+_define(operator.neg, 1, INTEGER, INTEGER, lambda b, x: b.neg(x))
+_define(operator.not_, 1, MASK, MASK, lambda b, x: b.not_(x))
 # as for numbers: the second operand if it is larger (smaller); otherwise, and also if one is NaN, the first
 _define(max, 2, REAL, REAL, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
 _define(min, 2, REAL, REAL, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
-_define(operator.not_, 1, MASK, MASK, lambda b, x: b.not_(x))
-for _functions, _code in (
-    ((operator.add, operator.iadd), lambda b, x, y: b.add(x, y)),
-    ((operator.sub, operator.isub), lambda b, x, y: b.sub(x, y)),
-    ((operator.mul, operator.imul), lambda b, x, y: b.mul(x, y)),
-    ((operator.and_, operator.iand), lambda b, x, y: b.and_(x, y)),
-    ((operator.or_, operator.ior), lambda b, x, y: b.or_(x, y)),
-    ((operator.xor, operator.ixor), lambda b, x, y: b.xor(x, y)),
-    ((operator.lshift, operator.ilshift), lambda b, x, y: b.shl(x, y)),
-    ((operator.rshift, operator.irshift), lambda b, x, y: b.ashr(x, y)),
-):
-    for _function in _functions:
-        _define(_function, 2, INTEGER, INTEGER, _code)
-_define(operator.neg, 1, INTEGER, INTEGER, lambda b, x: b.neg(x))
-for _function, _sign in (
-    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
-    (operator.ne, "!="),
-):  # fmt: skip
-    _define(_function, 2, INTEGER, MASK, lambda b, x, y, s=_sign: b.icmp_signed(s, x, y))
 
 
 def _by_intrinsic(name: str) -> Callable[..., Any]:
@@ -272,7 +217,6 @@ def _where_number(context, builder, signature, arguments):
 
 
 def _both_widths(function: Any, name: str) -> None:
-    """Define a function, for a number and for lanes, by an intrinsic function of LLVM."""
     _define(function, 1, REAL, REAL, _by_intrinsic(name))
 
     @infer_global(function)
@@ -287,24 +231,20 @@ def _both_widths(function: Any, name: str) -> None:
         return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.f64"), arguments)
 
 
-_both_widths(nearest, "rint")
-_both_widths(below, "floor")
+_both_widths(arithmetic.nearest, "rint")
+_both_widths(arithmetic.below, "floor")
 
 
-@implement(number_in)
+@implement(arithmetic.number_in)
 def _number_in(typing_context, x, lane):
-    """Return the number in one lane."""
-
     def generate(context, builder, signature, arguments):
         return builder.extract_element(arguments[0], builder.trunc(arguments[1], ir.IntType(32)))
 
     return types.float64(REAL, types.int64), generate
 
 
-@implement(put_in)
+@implement(arithmetic.put_in)
 def _put_in(typing_context, x, lane, number):
-    """Return lanes with another number in one of them."""
-
     def generate(context, builder, signature, arguments):
         return builder.insert_element(arguments[0], arguments[2], builder.trunc(arguments[1], ir.IntType(32)))
 
@@ -329,8 +269,6 @@ _with_bits(from_bits, types.float64(types.int64), REAL(INTEGER))
 
 @implement(entry)
 def _entry(typing_context, table, index):
-    """Return the number in a table at an index; for each lane, at its own index."""
-
     def generate(context, builder, signature, arguments):
         start = context.make_array(table)(context, builder, arguments[0]).data
         if index != INTEGER:
@@ -363,34 +301,34 @@ def _any_lane_typing(typing_context, condition):
 _any_lane: Any = intrinsic(_any_lane_typing)
 
 
-@overload(is_refused, inline="always")
+@overload(arithmetic.is_refused, inline="always")
 def _is_refused(sound):
     if isinstance(sound, LaneMask):
         return lambda sound: False
     return lambda sound: not sound
 
 
-@overload(usable, inline="always")
+@overload(arithmetic.usable, inline="always")
 def _usable(x, sound):
     if isinstance(sound, LaneMask):
         return lambda x, sound: where(sound, x, np.nan)
     return lambda x, sound: x
 
 
-@overload(renewed, inline="always")
+@overload(arithmetic.renewed, inline="always")
 def _renewed(new, old, condition):
     if isinstance(condition, LaneMask):
         return lambda new, old, condition: where(condition, new, old)
     return lambda new, old, condition: new
 
 
-@overload(put_in_place)
+@overload(arithmetic.put_in_place)
 def _put_in_place(values, place, x):
     if isinstance(x, LaneReal):
 
         def put(values, place, x):
             for lane in range(WIDTH):
-                values[lane, place] = number_in(x, lane)
+                values[lane, place] = arithmetic.number_in(x, lane)
 
     else:
 
@@ -404,11 +342,8 @@ def _put_in_place(values, place, x):
 class _WholePower(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         base, exponent = arguments
-        return (
-            signature(REAL, REAL, exponent)
-            if isinstance(base, LaneReal) and isinstance(exponent, types.Integer)
-            else None
-        )
+        is_whole = isinstance(base, LaneReal) and isinstance(exponent, types.Integer)
+        return signature(REAL, REAL, exponent) if is_whole else None
 
 
 @lower_builtin(operator.pow, LaneReal, types.Integer)

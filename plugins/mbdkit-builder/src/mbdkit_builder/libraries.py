@@ -24,9 +24,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbdkit.engine.native.levels import PLATFORMS, Level, Platform
-from mbdkit.engine.native.machine_code import BUILT, COMPILED, MANIFEST, PACKAGE, digest, library_name
-from mbdkit.kernels import this_platform
+from mbdkit.kernels import PLATFORMS, Level, Platform, machine_code, this_platform
 from mbdkit.plugin import MbdkitError
 from mbdkit_builder import sources
 from mbdkit_builder.binary_files import check_imports
@@ -104,7 +102,7 @@ def build(folders: Mapping[Platform, Path], names: Iterable[str], *, only: str |
                     (new / f"{name}.xz").write_bytes(text)
                     digests[name] = hashlib.sha256(content).hexdigest()
             listed = json.dumps(_manifest(groups, digests), indent=1, sort_keys=True) + "\n"
-            (new / MANIFEST).write_text(listed, encoding="utf-8", newline="\n")
+            (new / machine_code.MANIFEST).write_text(listed, encoding="utf-8", newline="\n")
             shutil.rmtree(into, ignore_errors=True)
             shutil.copytree(new, into)
 
@@ -119,7 +117,7 @@ def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> di
             **{name: version(name) for name in TOOLS},
         },
         "builder": sources.builder_digests(),
-        "files": {file: digest(file) for file in files},
+        "files": {file: machine_code.digest(file) for file in files},
         "names": files,
         "modules": {module: [files.index(file) for file in found] for module, found in behind.items()},
         "symbols": {symbol: [group, module_of(symbol)] for group, names in groups.items() for symbol in names},
@@ -147,7 +145,7 @@ def _objects(
     for built, names in jobs:
         for code in built:
             for symbol in names:
-                library = library_name(group_of(symbol), code.platform, code.level.name)
+                library = machine_code.library_name(group_of(symbol), code.platform, code.level.name)
                 paths = found.setdefault((code.platform, library), [object_path(folder, sources.ELEMENTARY, code)])
                 paths.append(object_path(folder, symbol, code))
     return dict(sorted(found.items(), key=lambda item: (str(item[0][0]), item[0][1])))
@@ -164,9 +162,10 @@ def _compile(codes: list[Code], names: list[str], folder: Path) -> None:
         return
     command = [sys.executable, "-P", "-m", __package__, "objects", "--into", str(folder), "--codes", *map(str, codes),
                "--symbols", *names]  # fmt: skip
-    path = os.pathsep.join(filter(None, [str(PACKAGE.parent), *sys.path]))
+    path = os.pathsep.join(filter(None, [str(machine_code.PACKAGE.parent), *sys.path]))
     environment = {
-        "PYTHONPATH": path, "MBDKIT_KERNELS": COMPILED, "MBDKIT_PROCESSOR": codes[0].level.name, "PYTHONHASHSEED": "0",
+        "PYTHONPATH": path, "MBDKIT_KERNELS": machine_code.COMPILED, "MBDKIT_PROCESSOR": codes[0].level.name,
+        "PYTHONHASHSEED": "0",
     }  # fmt: skip
     subprocess.run(command, env=os.environ | environment, check=True, stdin=subprocess.DEVNULL)
 
@@ -193,7 +192,7 @@ def _linked(target: Platform, objects: Iterable[Path], name: str, folder: Path) 
 
 def built_path(symbol: str, level: Level) -> Path:
     """Return the file of the library of one symbol, built from the present sources of its module."""
-    return BUILT / f"{symbol}-{level.name}-{sources.fingerprint(module_of(symbol))}.so"
+    return machine_code.BUILT / f"{symbol}-{level.name}-{sources.fingerprint(module_of(symbol))}.so"
 
 
 def built_library(symbol: str, level: Level, why: str) -> Path:

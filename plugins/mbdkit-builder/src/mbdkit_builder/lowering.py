@@ -8,9 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from mbdkit.engine.native.functions import ENTRIES, KERNELS
-from mbdkit.engine.native.machine_code import CORE, package_of
-from mbdkit.kernels import LAWS
+from mbdkit.kernels import DECLARED, machine_code
 from mbdkit_builder import (  # noqa: F401
     bundle_pointers,
     call_code,
@@ -22,22 +20,22 @@ from mbdkit_builder import (  # noqa: F401
 from mbdkit_builder.implementation import check_placeholders, define_overloads
 
 
-def symbols(package: str = CORE) -> dict[str, Callable[[], Any]]:
+def symbols(package: str = machine_code.CORE) -> dict[str, Callable[[], Any]]:
     """Return, for each symbol of a package, a function that makes its LLVM module; imports all kernels of mbdkit and of
     this package.
     """
     rooms = ["mbdkit.engine.kernels", "mbdkit.integrators"]
-    for room in rooms if package == CORE else [*rooms, f"{package}.kernels"]:
+    for room in rooms if package == machine_code.CORE else [*rooms, f"{package}.kernels"]:
         for module in pkgutil.walk_packages(importlib.import_module(room).__path__, f"{room}."):
             importlib.import_module(module.name)
     found: dict[str, Callable[[], Any]] = {}
-    found |= {name: partial(object_code.kernel_module, one) for name, one in KERNELS.items()}
-    found |= {name: partial(object_code.entry_module, name, one.function) for name, one in ENTRIES.items()}
-    for name, law in LAWS.items():
+    found |= {name: partial(object_code.kernel_module, one) for name, one in DECLARED.kernels.items()}
+    found |= {name: partial(object_code.entry_module, name, one.function) for name, one in DECLARED.entries.items()}
+    for name, law in DECLARED.laws.items():
         found[name] = partial(object_code.law_module, name, law.function, duals=False)
         name = f"{name}__dual"
         found[name] = partial(object_code.law_module, name, law.function, duals=True)
-    return {symbol: found[symbol] for symbol in sorted(found) if package_of(symbol) == package}
+    return {symbol: found[symbol] for symbol in sorted(found) if machine_code.package_of(symbol) == package}
 
 
 def prepare() -> None:

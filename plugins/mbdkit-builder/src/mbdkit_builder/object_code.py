@@ -19,8 +19,7 @@ from numpy import dtype
 
 from mbdkit.engine.native.bundle import ARRAY_WORDS
 from mbdkit.engine.native.kernel import DTYPES
-from mbdkit.engine.native.levels import Level, Platform
-from mbdkit.kernels import FUNCTIONS, Kernel, example_of
+from mbdkit.kernels import FUNCTIONS, Kernel, Level, Platform, example_of
 from mbdkit_builder.bundle_pointers import Pointer
 from mbdkit_builder.dual_arrays import DualArray
 from mbdkit_builder.dual_types import DUAL
@@ -136,7 +135,6 @@ def _words(kind: Any) -> int:
 
 
 def _words_of_part(kind: Any) -> int:
-    """Return the number of words of an array or a bundle inside a bundle."""
     return ARRAY_WORDS + 2 * kind.ndim if isinstance(kind, types.Array) else _words(Pointer(kind))
 
 
@@ -192,7 +190,6 @@ def _array(context: Any, builder: Any, kind: Any, members: Any, dtype_: Any) -> 
 
 
 def _read(context: Any, builder: Any, kind: Any, address: Any) -> Any:
-    """Generate code for the argument at an address."""
     if isinstance(kind, Pointer):
         return builder.bitcast(address, context.get_value_type(kind))
     if kind == types.float64:

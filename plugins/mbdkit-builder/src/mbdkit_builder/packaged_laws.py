@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.engine.native.machine_code import PACKAGE
+from mbdkit.kernels import machine_code
 from mbdkit.laws import exponential, gas_spring, linear, one_sided
 from mbdkit.plugin.specs import law_parameters
 from mbdkit.symbolic.symbolic_law import law_source
 
-TARGET = PACKAGE / "engine/kernels/law_kernels.py"
+TARGET = machine_code.PACKAGE / "engine/kernels/law_kernels.py"
 
 _EXAMPLES: dict[str, tuple[Any, Any]] = {
     "exponential": (exponential, exponential.ExponentialOptions(scale=1.0, growth=1.0, acts="tension")),

@@ -11,7 +11,7 @@ import re
 from functools import cache
 from pathlib import Path
 
-from mbdkit.engine.native.machine_code import CORE, digest, kernel_packages, package_of, source_file
+from mbdkit.kernels import machine_code
 from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.equations import homes_of
 
@@ -32,9 +32,9 @@ def module_of(symbol: str) -> str:
     """Return the source file of a symbol; see `mbdkit.engine.native.machine_code.source_file`."""
     if symbol == ELEMENTARY:
         return _ALWAYS[0]
-    package, name = package_of(symbol), symbol.rpartition("___")[2].partition("__")[0]
-    for room in ("integrators/", "engine/kernels/") if package == CORE else (f"{package}:kernels/",):
-        folder = source_file(room)
+    package, name = machine_code.package_of(symbol), symbol.rpartition("___")[2].partition("__")[0]
+    for room in ("integrators/", "engine/kernels/") if package == machine_code.CORE else (f"{package}:kernels/",):
+        folder = machine_code.source_file(room)
         for path in sorted(folder.rglob(f"{name}.py")):
             return f"{room}{path.relative_to(folder).as_posix()}"
     raise MbdkitError(f"there is no kernel '{symbol}'")
@@ -43,24 +43,23 @@ def module_of(symbol: str) -> str:
 @cache
 def _imported(file: str) -> tuple[str, ...]:
     paths = []
-    for package, module, *names in _IMPORT.findall(source_file(file).read_text(encoding="utf-8")):
-        if package not in kernel_packages():
+    for package, module, *names in _IMPORT.findall(machine_code.source_file(file).read_text(encoding="utf-8")):
+        if package not in machine_code.kernel_packages():
             continue
-        if (package, module) == (CORE, "kernels"):
+        if (package, module) == (machine_code.CORE, "kernels"):
             paths += [_homes()[name.split()[0]] for name in "".join(names).split(",") if name.strip()]
             continue
         place = module.replace(".", "/")
-        rooms, prefix = (_ROOMS, "") if package == CORE else (("kernels/",), f"{package}:")
-        modules = (place, *(f"{place}/{name.strip()}" for name in "".join(names).split(",")))
+        rooms, prefix = (_ROOMS, "") if package == machine_code.CORE else (("kernels/",), f"{package}:")
+        modules = (place, *(f"{place}/{name.split()[0]}" for name in "".join(names).split(",") if name.strip()))
         paths += [f"{prefix}{path}.py" for path in modules if path.startswith(rooms)]
-    return tuple(path for path in paths if source_file(path).is_file())
+    return tuple(path for path in paths if machine_code.source_file(path).is_file())
 
 
 @cache
 def _homes() -> dict[str, str]:
-    """Return the file behind each name of the door `mbdkit.kernels`."""
-    door = source_file("kernels.py")
-    return {name: f"{module.removeprefix(f'{CORE}.').replace('.', '/')}.py" for name, module in homes_of(door).items()}
+    homes = homes_of(machine_code.source_file("kernels.py"))
+    return {name: f"{module.partition('.')[2].replace('.', '/')}.py" for name, module in homes.items()}
 
 
 @cache
@@ -79,7 +78,7 @@ def files_behind(file: str) -> tuple[str, ...]:
 def builder_digests() -> dict[str, str]:
     """Return the digests of the files of this package from which the code of every module follows."""
     names = sorted(path.name for path in Path(__file__).parent.glob("*.py"))
-    return {name: digest(f"{__package__}:{name}") for name in names if name not in _NOT_COMPILED}
+    return {name: machine_code.digest(f"{__package__}:{name}") for name in names if name not in _NOT_COMPILED}
 
 
 _NOT_COMPILED = {
@@ -101,6 +100,6 @@ _NOT_COMPILED = {
 @cache
 def fingerprint(file: str) -> str:
     """Return 16 hex digits that depend on all files that the code of a module follows from."""
-    digests = {path: digest(path) for path in files_behind(file)} | builder_digests()
+    digests = {path: machine_code.digest(path) for path in files_behind(file)} | builder_digests()
     text = "\n".join(f"{path} {digits}" for path, digits in digests.items())
     return hashlib.sha256(text.encode()).hexdigest()[:16]

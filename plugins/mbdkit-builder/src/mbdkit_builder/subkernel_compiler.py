@@ -18,7 +18,7 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
-from mbdkit.engine.native.functions import SEPARATE
+from mbdkit.kernels import DECLARED
 from mbdkit_builder.elementary_names import with_own_names
 
 
@@ -39,15 +39,13 @@ class _SubkernelLibrary(JITCodeLibrary):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _SubkernelLowering(NativeLowering):
-    """Lower a function to IR that kernels link, without making it executable."""
-
     _name = "subkernel_lowering"
 
     def run_pass(self, state: Any) -> bool:
         """Lower the function and register its IR as the implementation of calls to it."""
         state["library"] = code = _SubkernelLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
-        if state.func_id.func in SEPARATE:  # its callees have been compiled already, and inherit the flag
+        if state.func_id.func in DECLARED.separate:  # its callees have been compiled already, and inherit the flag
             state.flags.forceinline = False
         super().run_pass(state)
         code.finalize()

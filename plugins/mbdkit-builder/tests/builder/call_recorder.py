@@ -112,7 +112,7 @@ class Recorder:
 
     def _record(self, call: Any, symbol: str, block: int) -> int:
         self.counts[symbol] += 1
-        memory = _Memory(self, functions.KERNELS[symbol], block) if self.counts[symbol] <= MOST_CALLS else None
+        memory = _Memory(self, functions.DECLARED.kernels[symbol], block) if self.counts[symbol] <= MOST_CALLS else None
         if memory is None or not memory.is_known:
             return int(call(block))
         before = memory.contents()

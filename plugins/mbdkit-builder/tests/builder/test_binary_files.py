@@ -12,6 +12,8 @@ from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import PLATFORMS, Platform
 from mbdkit_builder import binary_files
 
+from .library_headers import MachOHeader, mach_o_header, time_of_linking, why_not_signed
+
 LIBRARIES = {"linux": {"libc.so.6"}, "macos": {"/usr/lib/libSystem.B.dylib"}, "windows": set[str]()}
 
 
@@ -45,14 +47,14 @@ def test_a_library_needs_memory_functions_only_and_offers_its_symbols(
 @pytest.mark.parametrize(("target", "package", "path"), [case for case in CASES if case.values[0].system == "macos"])  # type: ignore[union-attr]
 def test_a_library_for_macos_is_signed_and_runs_on_macos_11(target: Platform, package: str, path: Path) -> None:
     content = lzma.decompress(path.read_bytes())
-    assert binary_files.mach_o_header(content) == binary_files.MachOHeader(path.stem, (11, 0))
+    assert mach_o_header(content) == MachOHeader(path.stem, (11, 0))
     if target.architecture == "arm64":
-        assert binary_files.why_not_signed(content) is None
+        assert why_not_signed(content) is None
         changed = bytearray(content)
         changed[len(content) // 2] ^= 1
-        assert "has changed" in str(binary_files.why_not_signed(bytes(changed)))
+        assert "has changed" in str(why_not_signed(bytes(changed)))
 
 
 @pytest.mark.parametrize(("target", "package", "path"), [case for case in CASES if case.values[0].system == "windows"])  # type: ignore[union-attr]
 def test_a_library_for_windows_does_not_contain_the_time_of_linking(target: Platform, package: str, path: Path) -> None:
-    assert binary_files.time_of_linking(lzma.decompress(path.read_bytes())) == 0
+    assert time_of_linking(lzma.decompress(path.read_bytes())) == 0

@@ -49,7 +49,8 @@ class CompiledEventDriven(CompiledMethod):
         between = self.between
         functions = between.attempt, between.dense if between.has_dense_output else None, between.keep
         self.events.bundle.inner[:] = [between.pinned.address, *(0 if f is None else f.address for f in functions)]
-        self.workspace.scratch.reacting[4:7] = constrain.address, 0, between.pinned.address
+        reacting = self.workspace.scratch.reacting
+        reacting.constrain[0], reacting.stages[0] = constrain.address, between.pinned.address
 
     def kept(self, *roles: str) -> dict[str, np.ndarray]:
         """See `CompiledMethod.kept`."""

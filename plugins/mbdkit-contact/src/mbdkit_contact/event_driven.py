@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.kernels import STATE_ROW, fade
 from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Step, StepError, StepMethod, StepState, Why
 from mbdkit.plugin.equations import Workspace, gauss_on_unit
 from mbdkit.plugin.methods import SAME_INSTANT, Dense, StepTaken, collocation_polynomials, states_at_start
@@ -103,8 +104,8 @@ def _closing(dense: Dense, begin: StepPoint, end: StepPoint) -> Dense:
     def closed(theta: float) -> tuple[np.ndarray, ...]:
         if theta == 0.0:
             return begin.q, begin.v, begin.z
-        fade = theta * theta * (3.0 - 2.0 * theta)
-        return tuple(x + fade * move for x, move in zip(dense(theta)[:3], moves, strict=True))
+        share = fade(theta)
+        return tuple(x + share * move for x, move in zip(dense(theta)[:3], moves, strict=True))
 
     return closed
 
@@ -306,7 +307,7 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
     state = EventStep(None, events, workspace.t0, begin).state()
     held = events.contacts.held
     parameters = top.law_parameters.copy()
-    parameters[top.states[held.states, 1]] = held.of(state.memory)
+    parameters[top.states[held.states, STATE_ROW.parameter]] = held.of(state.memory)
     started = replace(mechanism, topology=top._replace(law_parameters=parameters))
     return Workspace(
         started,

@@ -163,7 +163,9 @@ class ContactEvents:
     def _take_up_addresses(self) -> None:
         """Take up the addresses of all arrays, which may have changed."""
         self.bundle.engine[0] = self.workspace.stepping_engine
-        self.workspace.scratch.reacting[1:4] = react.address, self.workspace.stepping_engine, self.pinned.address
+        reacting = self.workspace.scratch.reacting
+        reacting.add_forces[0], reacting.engine[0] = react.address, self.workspace.stepping_engine
+        reacting.elements[0] = self.pinned.address
 
     def grow(self) -> None:
         """Allocate arrays for twice as many contacts that act at once."""
@@ -299,11 +301,11 @@ class ContactEvents:
     def called(self, kernel: Callable[..., Any], *given: float) -> None:
         """Call a kernel at the point that returns a status; raise StepError if there is no solution."""
         reacting = self.workspace.scratch.reacting
-        acts = int(reacting[0])
+        acts = int(reacting.acts[0])
 
         def solve(t: float) -> int:
             self._take_up_addresses()
-            reacting[0] = 0  # the kernels add the forces of contacts themselves
+            reacting.acts[0] = 0  # the kernels add the forces of contacts themselves
             while (status := int(kernel(self.workspace.stepping_engine, self.pinned.address, *given))) == PAUSED:
                 self.grow()
             return status if status in (OK, NOT_FINITE) or not self.bundle.reason[0] else NOT_FINITE
@@ -314,7 +316,7 @@ class ContactEvents:
             self.raise_failure()
             raise
         finally:
-            reacting[0] = acts
+            reacting.acts[0] = acts
 
     def raise_failure(self) -> None:
         """Raise StepError if the last call has failed for a reason of contacts."""
@@ -347,11 +349,11 @@ class ContactEvents:
     def acting(self) -> Iterator[None]:
         """Let closed contacts act in the equations of motion."""
         reacting = self.workspace.scratch.reacting
-        before = reacting[0]
+        before = reacting.acts[0]
         self._take_up_addresses()
-        reacting[0] = 1
+        reacting.acts[0] = 1
         try:
             yield
         finally:
-            reacting[0] = before
-            self.workspace.scratch.reaction_power[0] = 0.0
+            reacting.acts[0] = before
+            reacting.power[0] = 0.0

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.kernels import LAW_ROW, STATE_ROW
 from mbdkit.plugin import ExpressionLaw, SpecError
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class DifferentiatedLaws:
 
     def __init__(self, mechanism: CompiledMechanism, values: np.ndarray):
         self._mechanism, self._values = mechanism, values
-        rows = {int(row) for row in mechanism.topology.states[:, 2] if row >= 0}
+        rows = {int(row) for row in mechanism.topology.states[:, STATE_ROW.rate] if row >= 0}
         rows |= {row for one in mechanism.controllers for _, row in (*one.outputs, *one.states)}
         self._laws = {row: _with_slopes(*mechanism.laws[row]) for row in sorted(rows)}
 
@@ -53,7 +54,7 @@ class DifferentiatedLaws:
             (2, 1 + K) length and rate of the pathway; None if the law has none.
         """
         evaluated, count = self._laws[row]
-        first = int(self._mechanism.topology.laws[row, 1]) + 1
+        first = int(self._mechanism.topology.laws[row, LAW_ROW.parameters]) + 1
         given = np.zeros((2, self._values.shape[-1])) if arguments is None else arguments
         numbers = np.concatenate([given, self._values[first : first + count]])
         value, *slopes = evaluated(*numbers[:, 0].tolist(), t)

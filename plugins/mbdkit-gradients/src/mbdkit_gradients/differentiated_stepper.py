@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from mbdkit.engine.force_laws import law_for_duals
-from mbdkit.kernels import DIVERGED, NOT_FINITE, OK, PROJECTIONS, STATE, PinnedBundle, kept, new_dual_solver
+from mbdkit.kernels import DIVERGED, LAW_ROW, NOT_FINITE, OK, PROJECTIONS, STATE, PinnedBundle, kept, new_dual_solver
 from mbdkit.plugin import StepError
 from mbdkit.plugin.equations import Workspace
 from mbdkit.plugin.methods import CompiledStepper, DualRun, Moment, Seeds, StepTaken, Timetable, new_dual_run
@@ -41,7 +41,7 @@ def dual_laws(workspace: Workspace) -> np.ndarray:
     laws = workspace.mechanism.topology.laws.copy()
     for row, (name, law) in enumerate(workspace.mechanism.laws):
         for_duals = law_for_duals(law, name)
-        laws[row, 0], laws[row, 3] = for_duals.address, for_duals.program
+        laws[row, LAW_ROW.address], laws[row, LAW_ROW.program] = for_duals.address, for_duals.program
     return laws
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from mbdkit.kernels import LAW_ROW, STATE_ROW
 from mbdkit.plugin import ExpressionLaw, FunctionLaw, SpecError
 from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism, bind_law
 from mbdkit.plugin.mechanisms import ARGUMENTS
@@ -148,7 +149,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     rows, laws = top.laws.copy(), list(mechanism.laws)
     elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
     for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):
-        begin = int(top.laws[row, 1])
+        begin = int(top.laws[row, LAW_ROW.parameters])
         given = top.law_parameters[begin : begin + 1 + int(top.law_parameters[begin])]
         if own is None or not own.conditions or row not in elements:
             if begin not in begins:
@@ -157,7 +158,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
                 values += given.tolist()
             rows[row, 1] = begins[begin]
             continue
-        if np.sum(top.laws[:, 1] == begin) > 1:
+        if np.sum(top.laws[:, LAW_ROW.parameters] == begin) > 1:
             raise SpecError(
                 f"the law of the force '{name}' has first-order states and a discontinuity; gradients of such laws "
                 f"are not available",
@@ -166,7 +167,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         rows[row, 1] = len(values)
         sides = {SIDE.format(i): 1.0 for i in range(len(own.conditions))}
         bound, _ = bind_law(own.law, _named(compiled, given) | sides, name)
-        rows[row, 0], rows[row, 3], laws[row] = bound.address, bound.program, (name, bound)
+        rows[row, LAW_ROW.address], rows[row, LAW_ROW.program], laws[row] = bound.address, bound.program, (name, bound)
         names = [parameter for parameter, _ in bound.parameters]  # in alphabetical order
         own_places = np.array([k for k, one in enumerate(names) if one not in sides], dtype=np.int64)
         held = np.ones(len(names))
@@ -186,7 +187,8 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         conditions += () if kind.sides is None else kind.sides()(handle, places_of)
     if not conditions:
         return None
-    for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states that do not belong to a law
+    without_law = top.states[top.states[:, STATE_ROW.segment] < 0]
+    for place in without_law[:, STATE_ROW.parameter].tolist():  # their initial values
         places[place - 1 : place + 1] = len(values), len(values) + 1
         values += top.law_parameters[place - 1 : place + 1].tolist()
     inputs, states, state_places, reactions = (

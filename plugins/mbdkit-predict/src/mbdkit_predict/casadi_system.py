@@ -12,7 +12,7 @@ import numpy as np
 
 from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
-from mbdkit.kernels import Observed, Reactions, Topology
+from mbdkit.kernels import INTERACTION, LAW_ROW, SPRING, LawRow, Observed, Reactions, Topology
 from mbdkit.plugin import SpecError, States, listed
 from mbdkit.plugin.archives import KINDS, Quantity, archive_names
 from mbdkit.plugin.equations import CompiledMechanism, Workspace, elementary
@@ -129,7 +129,7 @@ class CasadiSystem:
         eq, run = self._equations, self._run
         top, w = eq.top, eq.w
         for _, segment, _, force, values in self._fibers():
-            address, begin, _, program = map(int, top.laws[int(top.springs[segment, 3]), :4])
+            address, begin, _, program = LawRow(*map(int, top.laws[int(top.springs[segment, SPRING.law])]))
             run.known_forces[address, program, begin] = values["max_force"] * force
         residual = _zeros(len(self._q))
         run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
@@ -164,10 +164,11 @@ class CasadiSystem:
         top, law_values = self._compiled.topology, self._equations.w.law_values
         for muscle in self._compiled.extensions.get("muscles", ()):
             if indices := self.chosen.fibers.get(muscle.force.name):
-                (segment,) = np.flatnonzero((top.force_place == muscle.place) & (top.springs[:, 5] > 0)).tolist()
-                law = int(top.springs[segment, 3])
+                is_first = top.springs[:, SPRING.segments] > 0
+                (segment,) = np.flatnonzero((top.force_place == muscle.place) & is_first).tolist()
+                law = int(top.springs[segment, SPRING.law])
                 names = [name for name, _ in self._compiled.laws[law][1].parameters]
-                values = dict(zip(names, law_values[int(top.laws[law, 1]) + 1 :], strict=False))
+                values = dict(zip(names, law_values[int(top.laws[law, LAW_ROW.parameters]) + 1 :], strict=False))
                 yield muscle, segment, *(self._u[i] for i in indices), values
 
     def _equilibrium(self) -> Iterator[Any]:
@@ -201,7 +202,8 @@ class CasadiSystem:
         by_name = dict[str, np.ndarray]()
         w, top = self._equations.w, self._equations.top
         for k, rows in enumerate(pairs_of_shapes(self._compiled.extensions.get("contacts", ()))):
-            law, begin = contact_law(rows, contact_laws.VALUES), top.laws[top.interactions[k, 2], 1]
+            law = contact_law(rows, contact_laws.VALUES)
+            begin = top.laws[top.interactions[k, INTERACTION.law], LAW_ROW.parameters]
             out = _zeros(len(rows), contact_laws.VALUE)
             self._run.call_law(law.address, law.program, 0.0, 0.0, 0.0, w.law_values, begin, out, 0, contact_laws.VALUE)
             by_name |= {row.pair.name: values for row, values in zip(rows, out, strict=True)}

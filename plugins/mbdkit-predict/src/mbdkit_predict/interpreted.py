@@ -19,7 +19,7 @@ import numpy as np
 
 from mbdkit.engine.kernels import angles, equations, law_programs, motions
 from mbdkit.expressions import operations
-from mbdkit.kernels import LAWS, OPCODES, Entry, Kernel, LawFunction, arithmetic, calls
+from mbdkit.kernels import DECLARED, OPCODES, Entry, Kernel, LawFunction, arithmetic, calls
 from mbdkit.plugin import FunctionLaw, SpecError
 from mbdkit.plugin.equations import CompiledLaw
 from mbdkit_contact.kernels import contact_laws, uneven_ground
@@ -91,7 +91,7 @@ class Interpreter:
 
     def __init__(self, laws: tuple[tuple[str, CompiledLaw], ...]):
         self._names = {(law.address, law.program): name for name, law in laws}
-        self._functions: dict[int, Any] = {law.address: law for law in LAWS.values()}
+        self._functions: dict[int, Any] = {law.address: law for law in DECLARED.laws.values()}
         self._functions |= {law.address: law.law.function for _, law in laws if isinstance(law.law, FunctionLaw)}
         self.known_forces: dict[tuple[int, int, int], Symbol] = {}
         self._known: dict[Any, Any] = {**_REPLACED, calls.call_law: self.call_law}

@@ -10,7 +10,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from mbdkit.kernels import constraints_at
+from mbdkit.kernels import PAIR, constraints_at
 from mbdkit.plugin import Mechanism, States, plain
 from mbdkit.plugin.doubts import CoarseBeams
 from mbdkit.plugin.equations import StateObserver, elementary, with_ground
@@ -239,7 +239,7 @@ def joint_reactions(
     for row, value in zip(compiled.rows, multiplier, strict=True):
         lam[row.pair, row.place] = value
     on_second = -np.einsum("kr,krd->kd", lam, w.jac.reshape(-1, 2, 2, 3)[:, :, 1])
-    angle = padded[3 * top.pairs[:, 2] + 2]
+    angle = padded[3 * top.pairs[:, PAIR.second] + 2]
     px, py = top.pair_parameters[:, 2], top.pair_parameters[:, 3]
     c, s = elementary.cos(angle), elementary.sin(angle)
     arm_x, arm_y = c * px - s * py, s * px + c * py

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.kernels.motions import OPCODES
-from mbdkit.kernels import PATHWAYS
+from mbdkit.kernels import PATHWAYS, SPRING
 from mbdkit.plugin import UnsupportedMechanismError
 from mbdkit.plugin.equations import CompiledMechanism, is_tree_of_pins, spanning_tree
 from mbdkit_taylor.kernels.power_series import EXPANDED
@@ -17,7 +17,9 @@ _CODES = {OPCODES[name] for name in EXPANDED}
 def require_series(mechanism: CompiledMechanism) -> None:
     """Raise UnsupportedMechanismError if a mechanism has elements without Taylor series; the message lists them all."""
     top = mechanism.topology
-    others = len(top.springs) and (np.any(top.springs[:, 3] >= 0) or not np.all(np.isin(top.springs[:, 0], _PATHWAYS)))
+    others = len(top.springs) and (
+        np.any(top.springs[:, SPRING.law] >= 0) or not np.all(np.isin(top.springs[:, SPRING.pathway], _PATHWAYS))
+    )
     refused = {
         "closed loops, joints other than pins, or joint friction": not is_tree_of_pins(top, spanning_tree(top)),
         "forces other than linear springs and dampers between two points or two angles, torques and point forces": (

@@ -11,7 +11,7 @@ import numpy as np
 
 from mbdkit.base import higher_layers
 from mbdkit.expressions.parser import Expression
-from mbdkit.kernels import tangents_at
+from mbdkit.kernels import SPRING, tangents_at
 from mbdkit.plugin import Finding, Joint, Mechanism, QuantityNames, Segment, SpecError, Table, TracedLaw, quoted
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.measures import Program
@@ -266,7 +266,7 @@ def torn_path(muscles: tuple[ActingMuscle, ...], workspace: Workspace, t: float,
         return ""
     top = workspace.mechanism.topology
     tangents_at(workspace.engine, t, q, v, np.zeros_like(q), np.zeros((len(top.pairs), 2)))
-    rows = np.flatnonzero(np.isnan(workspace.scratch.s[:, 0]) & (top.springs[:, 5] > 0))
+    rows = np.flatnonzero(np.isnan(workspace.scratch.s[:, 0]) & (top.springs[:, SPRING.segments] > 0))
     names = {one.place: one.force.name for one in muscles}
     torn = [names[place] for place in top.force_place[rows].tolist() if place in names]
     if not torn:

@@ -187,42 +187,42 @@ def collect_closed(m):
 
 @entry
 def react(engine, method, t, unused, none):
-    """Add the forces of closed contacts to a solution of the equations of motion; see `Scratch.reacting`.
+    """Add the forces of closed contacts to a solution of the equations of motion; see `Reacting`.
 
     Only independent forces are computed, which cause the same accelerations, unless they are not known. Forces are
     stored as a sample of the step.
     """
     e, m = load_engine(engine), load_events(method)
     w, s, known = e.w, m.closed, m.known
-    w.reaction_power[0] = 0.0
+    w.reacting.power[0] = 0.0
     k = collect_closed(m)
     if k < 0:
         return PAUSED
     if k == 0:
         return OK
-    place_turned(s.shapes, w.cs, w.reaction[0], w.reaction[1])
+    place_turned(s.shapes, w.cs, w.reacting.q, w.reacting.v)
     count = find_directions(s, k)
     # the motion needs independent forces only; how redundant contacts share them is decided where rows show it
-    if find_few_forces(m.still, w, e.solver, s, k, count, known.basis, w.reaction[2], w.reaction_lam):
+    if find_few_forces(m.still, w, e.solver, s, k, count, known.basis, w.reacting.acc, w.reacting.lam):
         if known.basis[0] < count:
             m.samples[2] = 1 if spread(s, count, known.basis, known.shares) else 2
     else:
         status = find_answers(m.still, w, e.solver, s, count, False)
         if status != OK:
             return status
-        failed = find_forces(s, k, count, w.reaction[2], m.basis, m.shares)
+        failed = find_forces(s, k, count, w.reacting.acc, m.basis, m.shares)
         if failed >= 0:
             m.reason[0], m.reason[1] = PAINLEVE, s.chosen[failed]
             return NOT_FINITE
-        add_answers(s, count, w.reaction[2], w.reaction_lam)
-    for d in range(len(w.reaction[2]) - 3):
-        if not abs(w.reaction[2, d]) < np.inf:
+        add_answers(s, count, w.reacting.acc, w.reacting.lam)
+    for d in range(len(w.reacting.acc) - 3):
+        if not abs(w.reacting.acc[d]) < np.inf:
             return NOT_FINITE
     # the search for events uses the forces at the stages, which cost nothing more
     place_of_sample = _sample_at(m, t)
     for j in range(k):
         i, normal, tangent = s.chosen[j], s.forces[j], tangential(s, j)
-        w.reaction_power[0] -= tangent * s.rows[j, 1]
+        w.reacting.power[0] -= tangent * s.rows[j, 1]
         if place_of_sample >= 0:
             sample = m.sample_values[place_of_sample]
             sample[0, i], sample[1, i], sample[2, i] = normal, tangent, s.rows[j, 1]
@@ -247,8 +247,8 @@ def _sample_at(m, t):
 @subkernel
 def switch(e, m, is_on):
     """Let contacts act in the equations of motion, or no longer."""
-    e.w.reacting[0] = is_on
-    e.w.reaction_power[0] = 0.0
+    e.w.reacting.acts[0] = is_on
+    e.w.reacting.power[0] = 0.0
 
 
 @separate

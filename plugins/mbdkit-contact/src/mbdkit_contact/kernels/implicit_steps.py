@@ -126,7 +126,7 @@ def constrain(run, stages, number, unused, none):
     The solutions for unit forces are kept while the matrix of the eigenvalue stays the same.
     """
     c, m = load_run_state(run), load_stages(stages)
-    events = load_events(c.w.reacting[3])
+    events = load_events(c.w.reacting.elements[0])
     x, n, y, e = events.newton, len(c.q) - 3, m.systems, int(number)
     if x.key[0] != c.counts[JACOBIANS] or x.key[1] != e:
         x.key[2] = _prepare(events, y, m.tangent, e, n)

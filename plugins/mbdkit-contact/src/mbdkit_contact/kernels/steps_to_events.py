@@ -30,7 +30,9 @@ from mbdkit.kernels import (
     call_entry,
     copy,
     entry,
+    fade,
     fill,
+    hermite,
     kernel,
     load_engine,
     load_run_state,
@@ -310,10 +312,10 @@ def _find_within(e, c, m, run, t, h, theta):
     switch(e, m, any_closed(m))
     status = call_entry(m.inner[2], run, m.inner[0], t, h, theta)
     switch(e, m, 0)
-    fade = theta * theta * (3.0 - 2.0 * theta)
+    share = fade(theta)
     for d in range(len(m.q)):
-        c.point_q[d] += fade * m.known.shift_q[d]
-        c.point_v[d] += fade * m.known.shift_v[d]
+        c.point_q[d] += share * m.known.shift_q[d]
+        c.point_v[d] += share * m.known.shift_v[d]
     return status
 
 
@@ -334,11 +336,8 @@ def _places(c, m, h):
 @subkernel
 def _interpolate(c, m, h, theta, q, v):
     """Write positions and velocities of the cubic through both ends of a step."""
-    rest = 1.0 - theta
     for d in range(len(m.q)):
-        dq, v0, v1 = m.q[d] - c.from_q[d], h * c.from_v[d], h * m.v[d]
-        q[d] = c.from_q[d] + theta * theta * (3.0 - 2.0 * theta) * dq + theta * rest * (rest * v0 - theta * v1)
-        v[d] = (6.0 * theta * rest * dq + rest * (1.0 - 3.0 * theta) * v0 + theta * (3.0 * theta - 2.0) * v1) / h
+        q[d], v[d] = hermite(theta, h, c.from_q[d], m.q[d] - c.from_q[d], c.from_v[d], m.v[d])
 
 
 @subkernel
@@ -577,7 +576,7 @@ def _advance(e, c, m, run, t, h, want_error):
     """Take a step, or its part up to the first event; return a status, the size of the part, and whether there is an
     event.
     """
-    known, shows = m.known, e.w.reacting[7] != 0
+    known, shows = m.known, e.w.reacting.shows[0] != 0
     status = _find_start(e, c, m, t) if shows and known.determined[1] == 0 else OK
     if status == OK:
         status = _take(e, c, m, run, t, h, want_error)
@@ -641,7 +640,7 @@ def attempt(run, method, t, h, want_error):
     """
     c, m = load_run_state(run), load_events(method)
     e = load_engine(m.engine[0])
-    e.w.reacting[5] = run
+    e.w.reacting.run[0] = run
     known = m.known
     if c.base_state[0] == AT_END_OF_LAST:
         for d in range(len(m.q)):

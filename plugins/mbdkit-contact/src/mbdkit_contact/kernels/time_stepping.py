@@ -26,6 +26,7 @@ from mbdkit.kernels import (
     example_of,
     fill,
     fill_rows,
+    hermite,
     keep_node,
     load_run_state,
     position_rows,
@@ -291,14 +292,8 @@ def dense(run, method, t, h, theta):
     Positions and velocities are on the cubic through both ends; forces of contacts are means over the step.
     """
     c = load_run_state(run)
-    rest = 1.0 - theta
     for d in range(len(c.q)):
-        v0, v1 = h * c.from_v[d], h * (c.from_v[d] + c.dv[d])
-        c.point_q[d] = (
-            c.from_q[d] + theta * theta * (3.0 - 2.0 * theta) * c.dq[d] + theta * rest * (rest * v0 - theta * v1)
-        )
-        slope = 6.0 * theta * rest * c.dq[d] + rest * (1.0 - 3.0 * theta) * v0 + theta * (3.0 * theta - 2.0) * v1
-        c.point_v[d] = slope / h
+        c.point_q[d], c.point_v[d] = hermite(theta, h, c.from_q[d], c.dq[d], c.from_v[d], c.from_v[d] + c.dv[d])
     for d in range(len(c.from_z)):
         c.point_z[d] = c.from_z[d] + c.dz[d]
     c.point_gain[0], c.point_gain[1] = theta * c.gain[0], theta * c.gain[1]

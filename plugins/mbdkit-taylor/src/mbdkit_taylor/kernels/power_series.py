@@ -30,14 +30,12 @@ def coefficient(a, b, k):
 
 @subkernel
 def _multiply(a, b):
-    """Replace the series `a` by its product with `b`; they may be the same."""
     for k in range(len(a) - 1, -1, -1):
         a[k] = coefficient(a, b, k)
 
 
 @subkernel
 def _divide(a, b):
-    """Replace the series `a` by its quotient by `b`."""
     for k in range(len(a)):
         total = a[k]
         for j in range(k):

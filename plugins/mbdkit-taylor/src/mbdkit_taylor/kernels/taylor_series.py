@@ -13,6 +13,7 @@ from mbdkit.kernels import (
     AT_START_OF_LAST,
     BASE,
     BASE_RATES,
+    BODIES,
     BODY,
     FACTORIZATIONS,
     NOT_FINITE,
@@ -114,7 +115,8 @@ def new_taylor(order: int, size: int, pairs: np.ndarray, springs: int, motions: 
     places = np.full(ground + 1, ground, dtype=np.int64)
     places[tree[:, BODY]] = np.arange(len(tree))
     pins, sides = tree[:, PLACE], tree[:, PLACE_SIDE]
-    before = np.array([places[pairs[k, 2 - side]] if k >= 0 else ground for k, side in zip(pins, sides, strict=True)])
+    others = [pairs[k, BODIES][1 - side] if k >= 0 else ground for k, side in zip(pins, sides, strict=True)]
+    before = places[np.array(others, dtype=np.int64)]
     links = np.column_stack([tree[:, BODY], pins, sides, np.where(before == ground, -1, before)]).astype(np.int64)
     nodes, weights = gauss_legendre(order // 2 + 1)
     return Taylor(
@@ -142,7 +144,6 @@ load_taylor = bundle_loader(lambda: new_taylor(4, 6, np.zeros((0, 4), dtype=np.i
 
 @subkernel
 def _expand(c, m, t):
-    """Compute the series from the base state at the time `t`."""
     r = m.relative
     coordinates_of(c.top, r.tree, c.from_q, c.from_v, r.vectors[BASE], r.vectors[BASE_RATES])
     prepare_angles(c.top, c.w, c.from_q)

@@ -18,7 +18,7 @@ expressions of the state have no series here.
 
 from __future__ import annotations
 
-from mbdkit.kernels import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE, inlined, subkernel, turned
+from mbdkit.kernels import BODY_FORCE, LINEAR, LOAD, PATHWAYS, POINT_FORCE, SPRING, TORQUE, inlined, subkernel, turned
 from mbdkit.plugin.equations import elementary
 from mbdkit_taylor.kernels.power_series import coefficient
 
@@ -135,15 +135,14 @@ def _stretch(p, a, b, s, k):
 
 @subkernel
 def _pull(top, places, inverses, angles, series, springs, bodies, k):
-    """Add the coefficients of order `k` of the forces of all springs."""
     for n in range(len(top.springs)):
-        first, second = top.springs[n, 1], top.springs[n, 2]
-        stiffness, damping = top.linear[n, 0], top.linear[n, 1]
+        first, second = top.springs[n, SPRING.first], top.springs[n, SPRING.second]
+        stiffness, damping = top.linear[n, LINEAR.stiffness], top.linear[n, LINEAR.damping]
         x, y, a, b = bodies[places[first]], bodies[places[second]], series[places[first]], series[places[second]]
-        if top.springs[n, 0] == _RELATIVE_ANGLE:
+        if top.springs[n, SPRING.pathway] == _RELATIVE_ANGLE:
             pull = damping * (b[OMEGA, k] - a[OMEGA, k])
             if k == 0:
-                pull += stiffness * (angles[3 * second + 2] - angles[3 * first + 2] - top.linear[n, 2])
+                pull += stiffness * (angles[3 * second + 2] - angles[3 * first + 2] - top.linear[n, LINEAR.free_length])
             else:
                 pull += stiffness * inverses[k] * (b[OMEGA, k - 1] - a[OMEGA, k - 1])
             x[TURN] += pull
@@ -155,7 +154,7 @@ def _pull(top, places, inverses, angles, series, springs, bodies, k):
         _stretch(p, a, b, s, k + 1)
         pull = stiffness * s[LENGTH, k] + damping * (k + 1) * s[LENGTH, k + 1]
         if k == 0:
-            pull -= stiffness * top.linear[n, 2]
+            pull -= stiffness * top.linear[n, LINEAR.free_length]
         for j in range(k):
             pull -= s[PULL, j] * s[LENGTH, k - j]
         s[PULL, k] = pull / s[LENGTH, 0]
@@ -168,13 +167,13 @@ def _pull(top, places, inverses, angles, series, springs, bodies, k):
 def _load(top, places, series, u, bodies, k):
     """Add the coefficients of order `k` of all loads, whose values have the series `u`."""
     for n in range(len(top.loads)):
-        kind, place = top.loads[n, 0], places[top.loads[n, 1]]
-        x, px, py, first = bodies[place], top.load_points[n, 0], top.load_points[n, 1], u[top.loads[n, 3]]
+        kind, place = top.loads[n, LOAD.kind], places[top.loads[n, LOAD.body]]
+        x, px, py, first = bodies[place], top.load_points[n, 0], top.load_points[n, 1], u[top.loads[n, LOAD.x]]
         if kind == TORQUE:
             x[TURN] += first[k]
-            bodies[places[top.loads[n, 2]], TURN] -= first[k]
+            bodies[places[top.loads[n, LOAD.reaction_body]], TURN] -= first[k]
             continue
-        second = u[top.loads[n, 4]]
+        second = u[top.loads[n, LOAD.y]]
         if kind == POINT_FORCE:
             _push(x, series[place], px, py, first[k], second[k])
         elif kind == BODY_FORCE:
@@ -306,7 +305,7 @@ def expand_tree(top, cs, m, q, v):
     order = series.shape[2] - 2
     has_points = False
     for n in range(len(top.springs)):
-        has_points = has_points or top.springs[n, 0] == _TWO_POINTS
+        has_points = has_points or top.springs[n, SPRING.pathway] == _TWO_POINTS
     series[len(links), COSINE, 0] = 1.0
     for n in range(len(links)):
         i, x = links[n, OF], bodies[n]

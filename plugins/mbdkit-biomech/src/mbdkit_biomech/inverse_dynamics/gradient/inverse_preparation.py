@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.kernels import PAIR
 from mbdkit.plugin import SpecError
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, fit, motion_of
 from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import muscle_arrays
@@ -80,7 +81,7 @@ class InversePreparation(Preparation):
         """
         own = self.result.problem
         a, b = (one.prepared.workspace.mechanism for one in (own, other))
-        driven = bool(np.any(a.topology.pairs[:, 3] >= 0))
+        driven = bool(np.any(a.topology.pairs[:, PAIR.motion] >= 0))
         return bool(
             np.array_equal(a.topology.pair_parameters, b.topology.pair_parameters)
             and (not driven or np.array_equal(a.topology.motion_values, b.topology.motion_values))
