@@ -12,11 +12,11 @@ import numpy as np
 
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.measured_values import ComparedMeasures, compared_from_json, compared_json
+from mbdkit.archive.result_table import TableColumn, axes_first
 from mbdkit.base.html_view import HtmlView
-from mbdkit.quantities.array import COORDINATE_UNITS, TEXT
+from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
 from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.quantities.table import PARTS_OF_ACCURACY
 
 SMALL_FORCE = 1e-3
 """Errors of the force of a joint are divided by its largest force, but at least by this share of the largest force of
@@ -120,7 +120,7 @@ class Accuracy(HtmlView):
         Values of the expressions of measures in the comparison runs.
     unknown
         Why errors are unknown after `known_until`, as a clause; empty if all are known.
-    parts
+    further
         Further arrays of the group ``/accuracy`` by name, such as the parts of `reaction_error`; empty for most runs.
     """
 
@@ -139,7 +139,7 @@ class Accuracy(HtmlView):
     why: str = ""
     compared_measures: ComparedMeasures = field(default_factory=dict)
     unknown: str = ""
-    parts: Mapping[str, np.ndarray] = field(default_factory=dict)
+    further: Mapping[str, TableColumn] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return method, observed order, and largest errors as lines of text; the arrays are not printed."""
@@ -227,6 +227,11 @@ class Accuracy(HtmlView):
         return AccuracyFigures(self.known_until, end, self.of_joints(names, force, missed))
 
     @property
+    def parts(self) -> Mapping[str, np.ndarray]:
+        """Values of the further arrays by name."""
+        return {name: column.values for name, column in self.further.items()}
+
+    @property
     def size_in_bytes(self) -> int:
         """Size of the arrays."""
         return sum(values.nbytes for values in (*(getattr(self, name) for name in _VALUES), *self.parts.values()))
@@ -255,8 +260,9 @@ class Accuracy(HtmlView):
         group = file.create_group("accuracy")
         values = self.arrays(bodies, joints)
         for array in sorted(kind_of_group("accuracy").arrays, key=lambda array: not array.is_scale):
-            if array.path in values:
-                create(file, array, values[array.path])
+            create(file, array, values[array.path])
+        for name, column in axes_first(self.further):
+            column.write(file, f"accuracy/{name}")
         for name in _NUMBERS:
             group.attrs[name] = np.float64(getattr(self, name))
         for name in _TEXTS:
@@ -268,11 +274,11 @@ class Accuracy(HtmlView):
     def read(cls, group: h5py.Group) -> Accuracy:
         """Read the group ``/accuracy`` of an archive."""
         values: dict[str, Any] = {name: group[name][:] for name in _VALUES}
-        further = [one for one in PARTS_OF_ACCURACY if one.path in group]
-        parts = {one.path: group[one.path].asstr()[:] if one.dtype == TEXT else group[one.path][:] for one in further}
-        for array in (*values.values(), *parts.values()):
+        for array in values.values():
             array.flags.writeable = False
-        values["parts"] = parts
+        known = kind_of_group("accuracy").by_path
+        further = [name for name in group if f"accuracy/{name}" not in known]
+        values["further"] = {name: TableColumn.read(group[name]) for name in further}
         values |= {name: float(group.attrs.get(name, math.nan)) for name in _NUMBERS}
         values |= {name: str(group.attrs.get(name, "")) for name in _TEXTS}
         values[_COMPARED] = compared_from_json(str(group.attrs.get(_COMPARED, "{}")))

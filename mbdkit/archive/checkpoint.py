@@ -41,6 +41,10 @@ _ARRAY = "array"
 _KINDS = frozenset({"<f8", "<i8", "<c16", "|u1"})
 
 
+StoredState = Mapping[str, Any]
+"""State of a part of a run: nested mappings and lists of arrays, numbers, strings and None."""
+
+
 @dataclass(frozen=True)
 class StoredRows:
     """Location of the rows of a growing array in a ``.part`` file.
@@ -111,7 +115,7 @@ class Checkpoint:
     arrays
         Locations of the rows, by path of the array.
     state
-        State of the run: nested mappings and lists of arrays, numbers, strings and None.
+        State of the run.
     """
 
     head: Mapping[str, Any]
@@ -119,7 +123,7 @@ class Checkpoint:
     rows: Mapping[str, int]
     lines: tuple[str, ...]
     arrays: Mapping[str, StoredRows]
-    state: Mapping[str, Any]
+    state: StoredState
 
     @property
     def files(self) -> tuple[FileRead, ...]:

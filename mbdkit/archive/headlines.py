@@ -247,7 +247,7 @@ def largest_torques(run: Run) -> list[Headline]:
 
 def _as_measured(run: Run, quantity: str, found: list[Headline]) -> list[Headline]:
     """Return headlines in which a number that is also a measure does not depend on rows."""
-    known = measures_of_largest(run.spec.get("measures") or {}, quantity).keys() & {
+    known = measures_of_largest(run.spec.get("measures") or {}, quantity, run.joint_names).keys() & {
         one.element for one in found if math.isfinite(one.error) and math.isfinite(one.missed)
     }
     return [

@@ -11,7 +11,7 @@ from functools import lru_cache
 from mbdkit.quantities.array import Array, Kind, Recorded
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import groups, kind_of_group, kinds, kinds_of, sizes_of
-from mbdkit.quantities.table import KINDS, PARTS_OF_ACCURACY
+from mbdkit.quantities.table import KINDS
 
 FORMAT = "mbdkit-run"
 
@@ -86,11 +86,7 @@ IMPACTS = tuple(kind_of_group("impacts").by_path)
 FRICTION = ("joints/value_row_units", "joints/friction")
 
 #: Paths of the arrays of estimated errors that are present after a check of accuracy.
-ACCURACY = tuple(
-    path
-    for path in kind_of_group("accuracy").by_path
-    if path not in {f"accuracy/{one.path}" for one in PARTS_OF_ACCURACY}
-)
+ACCURACY = tuple(kind_of_group("accuracy").by_path)
 
 #: Paths of the arrays of corrections, by the kind of stabilization.
 CORRECTIONS: Mapping[str, tuple[str, ...]] = {

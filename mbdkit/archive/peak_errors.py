@@ -7,8 +7,8 @@ between rows as well, as measures do.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
+from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,11 +38,6 @@ a share of 0.5, and 50 without any.
 """
 
 _ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"}
-_LARGEST = re.compile(
-    r"max\(abs\((?P<kind>joints|actuators)(?:\.(?P<name>\w+)|\[\"(?P<quoted>[^\"]+)\"\])\.(?P<attribute>\w+)\)\)"
-)
-"""Pattern of an expression for the largest magnitude of a quantity of a joint or actuator; the expression has no
-blanks."""
 
 
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
@@ -101,8 +96,8 @@ def errors_of_measures(run: Run, quantity: str, names: Sequence[str]) -> Iterato
     """Yield the index of each element whose largest magnitude is a measure with a known error, the value of this
     measure and its error, both in SI units.
     """
-    for name, measure in measures_of_largest(run.spec.get("measures") or {}, quantity).items():
-        if name in names and math.isfinite(error := run.measure_errors.get(measure, math.nan)):
+    for name, measure in measures_of_largest(run.spec.get("measures") or {}, quantity, names).items():
+        if math.isfinite(error := run.measure_errors.get(measure, math.nan)):
             factor = read_unit(run.measures.units[measure]).factor
             yield names.index(name), run.measures[measure] * factor, error * factor
 
@@ -123,12 +118,14 @@ def whole_peak_errors(run: Run, name: str) -> np.ndarray:
 
 
 def expression_of_largest(quantity: str, name: str) -> str:
-    """Return the expression of the largest value of a quantity of the element `name`.
+    """Return the expression of the largest value of a quantity of the element `name`, as measures usually have it.
 
-    The quantity is one of magnitudes, such as ``joints.force``, or a negative one after a minus sign.
+    The quantity is one of magnitudes, such as ``joints.force``, or a negative one after a minus sign. A measure with
+    this expression and the largest load of a checked run are then one functional.
     """
     kind, attribute = quantity.removeprefix("-").split(".")
-    value = f"{kind}[{name!r}].{attribute}"
+    is_plain = name.isidentifier() and name.isascii() and not iskeyword(name)
+    value = f"{kind}.{name}.{attribute}" if is_plain else f"{kind}[{name!r}].{attribute}"
     return f"max(-{value})" if quantity.startswith("-") else f"max(abs({value}))"
 
 
@@ -180,7 +177,7 @@ def missed_of_verdict(
 
     They do not count for joints whose largest force is a measure, because the run states it with its own error.
     """
-    own = measures_of_largest(measures, "joints.force")
+    own = measures_of_largest(measures, "joints.force", names)
     return None if missed is None else np.where([name in own for name in names], 0.0, missed)
 
 
@@ -212,7 +209,7 @@ def jumps(run: Run) -> np.ndarray:
     return np.unique(np.concatenate(found))
 
 
-def measures_of_largest(measures: Mapping[str, object], quantity: str) -> dict[str, str]:
+def measures_of_largest(measures: Mapping[str, object], quantity: str, names: Sequence[str]) -> dict[str, str]:
     """Return the measures of the largest magnitude of a quantity, such as ``joints.force``, by name of the element.
 
     Parameters
@@ -221,14 +218,20 @@ def measures_of_largest(measures: Mapping[str, object], quantity: str) -> dict[s
         The section `measures` of a spec.
     quantity
         Quantity of joints or actuators.
+    names
+        Names of the elements.
     """
-    found = {}
-    for measure, defined in measures.items():
-        value = defined.get("value") if isinstance(defined, Mapping) else defined
-        match = _LARGEST.fullmatch("".join(str(value).split()))
-        if match is not None and f"{match['kind']}.{match['attribute']}" == quantity:
-            found[match["name"] or match["quoted"]] = measure
-    return found
+    kind, attribute = quantity.split(".")
+    spelled = {
+        "".join(f"max(abs({kind}{element}.{attribute}))".split()): name
+        for name in names
+        for element in (f".{name}", f"[{name!r}]", f'["{name}"]')
+    }
+    texts = {
+        measure: "".join(str(defined.get("value") if isinstance(defined, Mapping) else defined).split())
+        for measure, defined in measures.items()
+    }
+    return {spelled[text]: measure for measure, text in texts.items() if text in spelled}
 
 
 def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[float] | np.ndarray = ()) -> np.ndarray:

@@ -39,6 +39,26 @@ class TableColumn(NamedTuple):
     units: str = "1"
     long_name: str = ""
 
+    def write(self, file: h5py.File, path: str) -> h5py.Dataset:
+        """Write the array at a path of an archive; those of its axes must exist."""
+        values = np.ascontiguousarray(self.values)
+        dtype = FLOAT if values.dtype.kind == "f" else INTEGER if values.dtype.kind in "iub" else TEXT
+        array = Array(path, self.axes, self.units, self.long_name, dtype)
+        return create(file, array, values.astype(object if dtype == TEXT else dtype))
+
+    @classmethod
+    def read(cls, dataset: h5py.Dataset) -> TableColumn:
+        """Read an array of an archive; its values are read-only."""
+        values = (dataset.asstr() if is_text(dataset) else dataset)[:]
+        values.flags.writeable = False
+        units, long_name = (str(dataset.attrs.get(key, "")) for key in ("units", "long_name"))
+        return cls(values, dims(dataset), units, long_name)
+
+
+def axes_first(columns: Mapping[str, TableColumn]) -> list[tuple[str, TableColumn]]:
+    """Return the columns by name, with the axes before those that have them."""
+    return sorted(columns.items(), key=lambda item: item[1].axes != (item[0],))
+
 
 @dataclass(frozen=True, eq=False)
 class ResultTable:
@@ -97,12 +117,9 @@ class ResultTable:
         if name in groups() or name in file or not name.isidentifier():
             raise ValueError(f"a table cannot have the name {name!r}")
         set_text(file.create_group(name), _ROLE, _IS_TABLE)
-        for key, column in sorted(self.columns.items(), key=lambda item: item[1].axes != (item[0],)):
-            values = np.ascontiguousarray(column.values)
-            dtype = FLOAT if values.dtype.kind == "f" else INTEGER if values.dtype.kind in "iub" else TEXT
-            array = Array(f"{name}/{key}", column.axes, column.units, column.long_name, dtype)
-            dataset = create(file, array, values.astype(object if dtype == TEXT else dtype))
-            if is_hashed(array.path):
+        for key, column in axes_first(self.columns):
+            dataset = column.write(file, f"{name}/{key}")
+            if is_hashed(f"{name}/{key}"):
                 yield dataset_line(dataset)
 
     @classmethod
@@ -113,13 +130,7 @@ class ResultTable:
     @classmethod
     def read(cls, group: h5py.Group) -> ResultTable:
         """Read the table of a group."""
-        columns = {}
-        for name, dataset in group.items():
-            values = (dataset.asstr() if is_text(dataset) else dataset)[:]
-            values.flags.writeable = False
-            units, long_name = (str(dataset.attrs.get(key, "")) for key in ("units", "long_name"))
-            columns[name] = TableColumn(values, dims(dataset), units, long_name)
-        return cls(columns)
+        return cls({name: TableColumn.read(dataset) for name, dataset in group.items()})
 
 
 def is_table(group: h5py.Group | h5py.Dataset) -> bool:

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
+import numpy as np
+
 from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:
@@ -29,6 +31,24 @@ class Animation(Protocol):
         """Write the animation to a file ending in .gif, .html or .mp4, and return its path."""
 
     def _repr_html_(self) -> str: ...
+
+
+class StatedErrors(Protocol):
+    """What is known of the errors of a run, and how it is stated; see `mbdkit.plugin.archives.RunErrors`."""
+
+    @property
+    def are_estimated(self) -> bool:
+        """Whether the errors of the results were estimated."""
+
+    @property
+    def unknown_times(self) -> str:
+        """Phrase with the times at which errors are unknown although they were estimated; empty if there are none."""
+
+    def of_largest(self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
+        """Return the errors (E,) of the largest values of elements."""
+
+    def sentence(self, *, with_force: bool = True) -> str:
+        """Return a sentence on the errors."""
 
 
 class RunPlots:

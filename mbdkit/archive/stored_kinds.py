@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 
 import h5py
@@ -35,6 +36,13 @@ def kinds_of_file(file: h5py.File) -> Mapping[str, Kind]:
     for reason in dict.fromkeys(missing.values()):
         _warn(str(file.filename), tuple(group for group, why in missing.items() if why == reason), reason)
     known |= {group: _stored(file[group]) for group in missing}
+    if "accuracy" in file:
+        core = known["accuracy"]
+        arrays = (
+            array for item in file["accuracy"].values() if isinstance(item, h5py.Dataset) and (array := _array(item))
+        )
+        further = tuple(array for array in arrays if array.path not in core.by_path)
+        known["accuracy"] = replace(core, arrays=(*core.arrays, *further))
     return {group: known[group] for group in sorted(known, key=order_of)}
 
 

@@ -8,13 +8,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.checkpoint import Checkpoint, StoredRows
+from mbdkit.archive.checkpoint import Checkpoint, StoredRows, StoredState
 from mbdkit.archive.fingerprint import attributes_sha256, digest_lines, layout_lines
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import replace_number, set_text
@@ -150,7 +150,7 @@ class ArchiveWriter(RunWriter):
         every = ((one.array.path, one) for table in self._tables.values() for one in table.series)
         return {path: one.line() for path, one in every if layout.is_timing(path) is timings}
 
-    def keep_checkpoint(self, state: Mapping[str, Any]) -> None:
+    def keep_checkpoint(self, state: StoredState) -> None:
         """Write the buffered rows, and the state from which a run can continue after them."""
         assert self._target is not None
         with self._storing():

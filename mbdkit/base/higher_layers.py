@@ -39,6 +39,9 @@ gradients_json: Callable[[Any], str]
 gradient_of_run: Callable[..., Any]
 """Returns the derivatives of measures of a run; see `SpecKind.differentiate`."""
 
+run_errors: Callable[[Any], Any]
+"""Returns what is known of the errors of a simulated run; see `mbdkit.archive.accuracy_summary.RunErrors`."""
+
 run_summary: Callable[[Any], str]
 """Returns the summary of a run as lines of text."""
 

@@ -54,28 +54,6 @@ def _length_unit(mechanism: Mechanism, name: str) -> str:
     return force.load.length_unit if hasattr(force, "load") else force.pathway.length_unit
 
 
-PARTS_OF_ACCURACY = (
-    *(
-        Array(f"reaction_error_{part}", ("time", "joint"), "N", f"part of reaction_error by {by}")
-        for part, by in (("data", "the data"), ("person", "the person"), ("muscles", "muscles"))
-    ),
-    Array(
-        "reaction_peak_error",
-        ("joint",),
-        "N",
-        "error of the largest reaction_force over the motion by person and muscles",
-    ),
-    Array("source", ("source",), "1", "name of the source of uncertainty", TEXT),
-    Array(
-        "contribution",
-        ("source", "time", "joint"),
-        "1",
-        "share of the source in the square of reaction_error, nan where unknown",
-    ),
-)
-"""Arrays of the group ``/accuracy`` that only runs with uncertain persons, loads or muscles have."""
-
-
 # fmt: off
 KINDS = (
     quantity_group(
@@ -316,7 +294,6 @@ KINDS = (
         Array("reaction_error", _TJ, "N", "estimated norm of the error of reaction_force so far, nan where unknown",
             components=("force_error",)),
         Array("torque_error", _TJ, "N m", "estimated error of reaction_torque so far, nan where unknown"),
-        *PARTS_OF_ACCURACY,
         optional=True, may_be_unknown=True,
     ),
 )

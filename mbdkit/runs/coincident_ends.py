@@ -8,7 +8,7 @@ step h. It gives the angle by which the direction turns.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from mbdkit.mechanism.checks import line_of_undefined_direction
 from mbdkit.runs.law_ranges import steps_are_rows
 
 if TYPE_CHECKING:
+    from mbdkit.archive.checkpoint import StoredState
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.quantities.states import States
@@ -83,11 +84,11 @@ class CoincidentEnds:
             if time < np.inf
         )
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
         return {"first": self._first, "last": self._last}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         self._last = np.zeros((min(1, len(state["last"])), len(self._names), 4))
         fill(self._first, state["first"])

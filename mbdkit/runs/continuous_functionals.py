@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive.checkpoint import StoredState
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.integrators.interface import SAME_TIME, ConsecutiveSteps, Timetable
@@ -216,7 +217,7 @@ class ContinuousFunctionals:
             return np.full(1, np.nan)
         return np.array([peak.value]) if one.is_extremum else total
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
         parts = self._parts or [self._ends]
         return {
@@ -229,7 +230,7 @@ class ContinuousFunctionals:
             ],
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
         own: dict[str, Mapping[str, Any]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
         if any(state[name].keys() != one.keys() for name, one in own.items()):

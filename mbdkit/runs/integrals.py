@@ -11,11 +11,12 @@ Until then, the values of its quantities are stored at all nodes (times of stage
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.checkpoint import StoredState
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.peak_errors import expression_of_largest
 from mbdkit.engine.observed_states import StateObserver
@@ -193,7 +194,7 @@ class RunIntegrals:
                 found[one.text] = _plain(self.continuous.nested(one, found, events))
         return {one.text: found[one.text] for one in self.functionals}
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the sums and the waiting nodes as plain values, for a checkpoint."""
         waiting = Nodes.joined(self._waiting)
         return {
@@ -205,7 +206,7 @@ class RunIntegrals:
             "continuous": None if self.continuous is None else self.continuous.stored(),
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
         sums, low, size = state["sums"], state["low"], self._workspace.mechanism.size
         if state["texts"] != [one.text for one in self.functionals]:

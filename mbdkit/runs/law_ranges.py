@@ -9,12 +9,13 @@ motion.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive.checkpoint import StoredState
 from mbdkit.engine.compile_forces import acting_kinds
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stored_arrays import fill
@@ -254,12 +255,12 @@ class LawRanges:
             f"{law.held(argument)}"
         )
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
         names = "first", "worst", "worst_time"
         return {name: getattr(self, f"_{name}") for name in names} | {"last": self._last, "between": self._between}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         self._last = np.zeros((min(1, len(state["last"])), len(self.laws), 3))
         for name in ("first", "worst", "worst_time", "last"):

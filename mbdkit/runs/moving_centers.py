@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.joints import Revolute
 
 if TYPE_CHECKING:
+    from mbdkit.archive.checkpoint import StoredState
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.mechanism.mechanism import Mechanism
@@ -61,10 +62,10 @@ class MovingCenters:
                     )
         return tuple(warnings)
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
         return {"reached": self._reached}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         fill(self._reached, state["reached"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
+    from mbdkit.archive.checkpoint import StoredState
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.events.watch import Found
     from mbdkit.integrators.run.impulse import DriverImpulse, ElementImpact
@@ -336,7 +337,7 @@ class Recorder:
         """Return a quantity of an event of the run so far."""
         return of_event(quantity, np.array(self.event_times.get(quantity.name, [])))
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the state on which later rows depend, as plain values for a checkpoint."""
         return {
             "start_energy": self._start_energy,
@@ -352,7 +353,7 @@ class Recorder:
             "watchers": None if self.watchers is None else self.watchers.stored(),
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Continue after the rows of a checkpoint; raise ValueError if its values are not valid for this run."""
         self._start_energy = float(state["start_energy"])
         fill(self.largest, state["largest"])

@@ -11,8 +11,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from mbdkit.archive.checkpoint import StoredState
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
@@ -53,7 +54,7 @@ class Parts:
     recorder: Recorder
     integrals: RunIntegrals | None
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the state of these objects as plain values; arrays are not copied."""
         workspace = self.workspace
         return {
@@ -72,7 +73,7 @@ class Parts:
             "integrals": None if self.integrals is None else self.integrals.stored(),
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Restore a stored state to these objects, which belong to a run at its start.
 
         Raises
@@ -116,7 +117,7 @@ class Continuation:
         Function that is called when the state has been restored.
     """
 
-    state: Mapping[str, Any]
+    state: StoredState
     rows: Callable[[], list[ObservedRows]]
     restored: Callable[[], None]
 
@@ -150,7 +151,7 @@ class Checkpoints:
         Function that returns the state to be stored.
     """
 
-    def __init__(self, writer: ArchiveWriter, state: Callable[[], Mapping[str, Any]]):
+    def __init__(self, writer: ArchiveWriter, state: Callable[[], StoredState]):
         self._writer, self._state = writer, state
         self._due, self._is_told = time.monotonic() + INTERVAL, False
 
@@ -173,7 +174,7 @@ class Checkpoints:
         self._due = end + max(INTERVAL, (end - begin) / SHARE)
 
 
-def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
+def _stored_stepper(stepper: CompiledStepper) -> StoredState:
     own = stepper.run_state.solver
     return {
         "run": kept(stepper.run_state, STATE, RECORD),
@@ -188,7 +189,7 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
     }
 
 
-def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None:
+def _restore_stepper(stepper: CompiledStepper, state: StoredState) -> None:
     workspace, bundle = stepper.workspace, stepper.method.pinned.bundle
     restore(kept(stepper.run_state, STATE, RECORD), state["run"])
     for stop in state["inserted"]:

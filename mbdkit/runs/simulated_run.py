@@ -11,11 +11,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.checkpoint import StoredState
 from mbdkit.archive.finished_run import ArrayWriter
 from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run import Run
@@ -346,7 +347,7 @@ class SimulatedRun:
         if parts is None:
             return None
 
-        def state() -> Mapping[str, Any]:
+        def state() -> StoredState:
             spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
             return {**parts.stored(), "times": {**self.timings, **spent}}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from mbdkit.mechanism.joint_friction import JointFriction, PinFriction
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
+    from mbdkit.archive.checkpoint import StoredState
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.quantities.states import States
@@ -99,11 +100,11 @@ class SlowFriction:
             told.append(Finding("slow-friction", "doubtful", sentence, is_named=False))
         return told
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
         return {"sums": self._sums, "peak": self._peak, "last": self._last}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         self._last = np.zeros((min(1, len(state["last"])), *self._last.shape[1:]))
         for name in ("sums", "peak", "last"):

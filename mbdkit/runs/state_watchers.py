@@ -10,6 +10,7 @@ from mbdkit.registry.use import use
 from mbdkit.runs.findings import as_findings, criteria, findings
 
 if TYPE_CHECKING:
+    from mbdkit.archive.checkpoint import StoredState
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.spec import RunSpec
@@ -79,11 +80,11 @@ class StateWatchers:
             watched += as_findings(criterion, found)
         return [*watched, *findings("end", self._spec, energies)]
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
         return {name: watcher.stored() for name, watcher in self._watchers.items()}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         for name, watcher in self._watchers.items():
             watcher.restore(state[name])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.archive.checkpoint import StoredState
 from mbdkit.base.errors import StepError
 from mbdkit.engine.stored_arrays import restore, stored
 from mbdkit.integrators.host.step_host import StepHost
@@ -25,7 +26,7 @@ class MemoryNotStoredError(Exception):
     """The memory of a method cannot be stored, for the reason in the message."""
 
 
-def stored_stepper(stepper: StepHost) -> dict[str, Any]:
+def stored_stepper(stepper: StepHost) -> StoredState:
     """Return the state of a stepper between two stretches of steps as plain values.
 
     Raises
@@ -63,7 +64,7 @@ def stored_stepper(stepper: StepHost) -> dict[str, Any]:
     }
 
 
-def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
+def restore_stepper(stepper: StepHost, state: StoredState) -> None:
     """Restore a stored state to the stepper of the same run at its start; raise ValueError if it is not valid."""
     n, m, reached, interval = stepper.equations.n, stepper.equations.m, dict(state["reached"]), dict(state["interval"])
     if reached.keys() != set(_REACHED) or interval.keys() != set(_INTERVAL):
@@ -100,7 +101,7 @@ def restore_stepper(stepper: StepHost, state: Mapping[str, Any]) -> None:
     )
 
 
-def _stored_memory(stepper: StepHost, memory: Any) -> dict[str, Any]:
+def _stored_memory(stepper: StepHost, memory: Any) -> StoredState:
     try:
         if not hasattr(memory, "stored"):
             return {"memory": _plain(memory)}
@@ -112,7 +113,7 @@ def _stored_memory(stepper: StepHost, memory: Any) -> dict[str, Any]:
     raise MemoryNotStoredError(f"the memory of the method, a {kind}, cannot be stored: {reason}")
 
 
-def _memory_of(stepper: StepHost, state: Mapping[str, Any]) -> Any:
+def _memory_of(stepper: StepHost, state: StoredState) -> Any:
     if "restored" in state:
         first = stepper.first_memory
         restored = first.restored(_unplain(state["restored"]))
@@ -152,13 +153,13 @@ def _unplain(value: Any) -> Any:
     return value
 
 
-def stored_impulses(impulses: Sequence[DriverImpulse]) -> dict[str, Any]:
+def stored_impulses(impulses: Sequence[DriverImpulse]) -> StoredState:
     """Return the impulses of drivers as two entries of the state of a stepper."""
     numbers = [[one.time, one.energy, one.velocity] for one in impulses]
     return {"impacts": numbers, "impulses": [one.reactions for one in impulses]}
 
 
-def impulses_of(state: Mapping[str, Any], joints: int) -> list[DriverImpulse]:
+def impulses_of(state: StoredState, joints: int) -> list[DriverImpulse]:
     """Return the impulses of drivers in the stored state of a stepper; raise ValueError if they are not valid."""
     reactions = [_array(one, (joints, 3)) for one in state["impulses"]]
     return [

@@ -137,7 +137,7 @@ class ModelSpec(StrictSpec):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
     """Keys that the canonical form omits if they have their default values.
 
-    Specs written before these keys existed therefore keep their hash and run id.
+    The spec in the archive of a plain run is therefore short.
     """
 
     mbdkit: FormatVersion

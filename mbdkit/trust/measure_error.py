@@ -1,8 +1,9 @@
 """Estimates the error of a measure from its values in comparison runs.
 
-The criteria are those of `mbdkit.runs.accuracy.error_estimate`, applied to a single number. The error is known if a run
-of another method confirms the most accurate run, if the differences between the run and two runs of increasing accuracy
-decrease and the run of the other method does not contradict them, or if all values are almost equal.
+The criteria are those of `mbdkit.runs.accuracy.error_estimate`, which uses the same limits, applied to a single number.
+The error is known if a run of another method (the guard) confirms the most accurate run, if the differences between the
+run and two runs of increasing accuracy decrease and the guard does not contradict them, or if all values are almost
+equal.
 """
 
 from __future__ import annotations
@@ -13,15 +14,18 @@ from collections.abc import Sequence
 LARGEST_RATIO = 0.6
 """Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
 CONFIRMED = 0.25
-"""The run of another method confirms the most accurate run if the difference of these two is at most this share of the
-difference between the run of the other method and the run whose error is estimated.
+"""Without an observed order, an error is known if the distance of the most accurate run from the guard is at most this
+share of the distance of the run from the guard. The value is that of a method of order 1.
 """
 GUARD_RATIO = 3.0
-"""If the differences decrease, the error is known only if the run of another method differs from the most accurate run
-by at most this multiple of the estimate.
+"""Largest difference from the guard, relative to the estimate. A larger difference indicates an error that all other
+runs share.
 """
 AGREED = 1e-5
-"""Differences below this share of the value need not decrease, because rounding errors of chaotic motions do not."""
+"""If the differences of all runs are below this share of the size, they need not decrease; the largest one is then the
+estimate. Rounding errors, which chaotic motions amplify from 1e-13 at the start, do not depend on the step. For the
+same reason the guard may be less accurate than the run; the estimate then includes the difference from the guard.
+"""
 ZERO = 1e-12
 """Differences below this share of the natural size for the unit need not decrease either.
 

@@ -20,7 +20,6 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.runs.accuracy.error_estimate import (
-    AGREED,
     AT_REST,
     LARGEST_ERROR,
     MINOR,
@@ -30,6 +29,7 @@ from mbdkit.runs.accuracy.error_estimate import (
     running_norms,
 )
 from mbdkit.runs.recorded_states import ObservedRows
+from mbdkit.trust.measure_error import AGREED
 
 LEAST, ASSUMED = 0.25, 0.8
 """Limits of the exponent p of the error in the tolerance.

@@ -27,29 +27,12 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.runs.recorded_states import ObservedRows
-
-LARGEST_RATIO = 0.6
-"""Largest ratio d12 / d01 of differences that count as decreasing: a little above 0.5, the value of a method of order
-1.
-"""
-
-CONFIRMED = 0.25
-"""An estimate is accepted without an observed order if the most accurate run is close to the guard.
-
-Its distance from the guard may be at most this share of the distance of the first run from the guard. The value is that
-of a method of order 1.
-"""
+from mbdkit.trust.measure_error import AGREED, CONFIRMED, GUARD_RATIO, LARGEST_RATIO
 
 ROUND_OFF = 1e-9
 """Differences from the guard below this share of the size of a quantity are attributed to the tolerance of the guard.
 
 They are not included in the estimate.
-"""
-
-AGREED = 1e-5
-"""If the differences of all four runs are below this share of the size, they need not decrease; the largest one is then
-the estimate. Rounding errors, which chaotic motions amplify from 1e-13 at the start, do not depend on the step. For the
-same reason the guard may be less accurate than the run; the estimate then includes the difference from the guard.
 """
 
 AT_REST = 1e-12
@@ -67,11 +50,6 @@ joints.
 LARGEST_ERROR = 0.1
 """Errors above this share of the size of a quantity count as unknown, because they no longer depend linearly on earlier
 errors.
-"""
-
-GUARD_RATIO = 3.0
-"""Largest difference from the guard, relative to the estimate. A larger difference indicates an error that all other
-runs share.
 """
 
 

@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from tests.designs.oscillator import STIFFNESS, tuned
 
 import mbdkit
 from mbdkit import ResourceError, SpecError
+from mbdkit.spec.spec_kinds import kind_named
 from mbdkit.spec.yaml_reader import write_yaml
-from mbdkit_design import computing, store
+from mbdkit_design import computing
 from mbdkit_design.computing import Computer
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Job
@@ -97,7 +99,9 @@ def test_ctrl_c_while_archives_are_written_leaves_no_result(
         long = {"time": {"end": 1000.0, "step": 0.001}}
         return mbdkit.run("double-pendulum", archive=path, overwrite=overwrite, progress=interrupt, **long)
 
-    monkeypatch.setattr(store, "simulate", simulate)
+    differentiate = kind_named("run").differentiate
+    kind = SimpleNamespace(compute=lambda: simulate, differentiate=differentiate, is_integrated=True)
+    monkeypatch.setattr(mbdkit.spec.RunSpec, "spec_kind", kind)
     folder = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         mbdkit.design(tuned(), out=folder)

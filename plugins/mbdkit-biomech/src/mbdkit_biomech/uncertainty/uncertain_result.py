@@ -24,12 +24,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.plugin import counted
+from mbdkit.plugin.archives import TableColumn
 from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, UncertainScalar, asked_uncertainty, sources_of
 from mbdkit_biomech.uncertainty.stacked_outcomes import Outcomes, StackedOutcomes
 
+_TJ = ("time", "joint")
 OF_DATA, INTERACTIONS = "noise of the data", "interactions"
 """Names of the first and the last row of contributions."""
 
@@ -73,7 +75,7 @@ class UncertainResult:
             f"{counted(self.scalars, 'scalar')} of {counted(len(self.kinds), 'source')}{failed}."
         )
 
-    def parts(self, of_data: np.ndarray, whole: np.ndarray) -> dict[str, np.ndarray]:
+    def parts(self, of_data: np.ndarray, whole: np.ndarray) -> dict[str, TableColumn]:
         """Return the parts of the bars of joint forces, by the name of their arrays in the archive.
 
         Parameters
@@ -84,12 +86,22 @@ class UncertainResult:
         own = self.squares[1]
         safe = np.where(whole > 0, whole, 1.0)
         rows = [of_data / safe, *(self.shares * (own / safe)), (1.0 - np.sum(self.shares, axis=0)) * (own / safe)]
+        by_kind = {kind: np.sqrt(self.share_of(kind) * own) for kind in KINDS}
+        words, what = (
+            {"person": "the person"},
+            "error of the largest reaction_force over the motion by person and muscles",
+        )
+        share = "share of the source in the square of reaction_error, nan where unknown"
+        sources = np.array([OF_DATA, *self.kinds, INTERACTIONS], object)
         return {
-            "reaction_error_data": np.sqrt(of_data),
-            **{f"reaction_error_{kind}": np.sqrt(self.share_of(kind) * own) for kind in KINDS},
-            "reaction_peak_error": self.peaks,
-            "source": np.array([OF_DATA, *self.kinds, INTERACTIONS], object),
-            "contribution": np.array(rows),
+            "reaction_error_data": TableColumn(np.sqrt(of_data), _TJ, "N", "part of reaction_error by the data"),
+            **{
+                f"reaction_error_{kind}": TableColumn(x, _TJ, "N", f"part of reaction_error by {words.get(kind, kind)}")
+                for kind, x in by_kind.items()
+            },
+            "reaction_peak_error": TableColumn(self.peaks, ("joint",), "N", what),
+            "source": TableColumn(sources, ("source",), "1", "name of the source of uncertainty"),
+            "contribution": TableColumn(np.array(rows), ("source", *_TJ), "1", share),
         }
 
     def share_of(self, kind: Kind) -> np.ndarray:

@@ -129,7 +129,7 @@ def _table(
     left = len(columns) - len(chosen)
     note = f"The {ROWS} of {len(columns)} joints with the largest forces or torques." if left else ""
     if run.accuracy is not None and used:
-        source = "by comparison runs" if run.kind == "forward" else "from the noise of the data and the cutoff"
+        source = "by comparison runs" if run.spec_kind.is_integrated else "from the noise of the data and the cutoff"
         note = f"{note} Errors are estimated {source}{'; powers have none' if power is not None else ''}.".strip()
         note += f" They do not include {excluded}." if (excluded := excluded_error(run)) else ""
     return Table(name, title, tuple(headings), tuple(rows), note)

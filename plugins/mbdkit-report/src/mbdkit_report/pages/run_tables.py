@@ -158,7 +158,7 @@ def _cost(run: Run) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (name.replace("_", " ").replace("rhs", "right-side"), int(run.stats[name]))
         for name in (*COUNTERS, *SOME_COUNTERS)
-        if name in run.stats and run.kind == "forward"
+        if name in run.stats and run.spec_kind.is_integrated
     ]
     times = (name for name in (*TIMINGS, *SOME_TIMINGS) if name in run.stats)
     rows += [(f"{name.removesuffix('_s')} time [s]", float(run.stats[name])) for name in times]

@@ -175,7 +175,7 @@ def error_bars(result: Inverse) -> ResultBars | None:
         Accuracy(
             *(times, position, velocity, force, torque, float(times[-1]), np.nan, method),
             time.perf_counter() - begin,
-            parts=parts,
+            further=parts,
         ),
         (np.sqrt(of_ends[0]), np.sqrt(of_ends[1])),
         (np.sqrt(of_gaps[0]), np.sqrt(of_gaps[1])),
