@@ -225,7 +225,7 @@ def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:
 
 
 @cache
-def _sided(law: Any, names: tuple[str, ...]) -> SidedLaw | None:
+def _sided(law: object, names: tuple[str, ...]) -> SidedLaw | None:
     """Return a law with sides; None if the law is not an expression."""
     if not isinstance(law, ExpressionLaw):
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -88,6 +88,6 @@ def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
     return expanded
 
 
-def _gapped(columns: Mapping[str, np.ndarray]) -> dict[str, list[Any]]:
+def _gapped(columns: Mapping[str, np.ndarray]) -> dict[str, list[float | None]]:
     """Return columns as lists, with None in gaps."""
     return {name: [None if np.isnan(one) else one for one in values.tolist()] for name, values in columns.items()}

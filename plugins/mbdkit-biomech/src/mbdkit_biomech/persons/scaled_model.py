@@ -28,7 +28,7 @@ POSE = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "trunk_angle", "lef
 """Options with the pose of a leg, which are left out for the upright pose."""
 
 
-def leg_options(model: Any) -> LegOptions:
+def leg_options(model: object) -> LegOptions:
     """Return the options of the model of a person; raise SpecError if it is not a leg with a free trunk."""
     if not isinstance(model, LegOptions) or isinstance(model, LegFourBarOptions):
         raise SpecError("should be `leg`, the model that `subject` scales", key="model.name")
@@ -106,7 +106,7 @@ def _stretched(value: Any, factor: float, move: float) -> Any:
     return factor * value + move
 
 
-def of_model(spec: InverseSpec, data: Mapping[str, Any]) -> Any:
+def of_model(spec: InverseSpec, data: Mapping[str, Any]) -> InverseSpec:
     """Return a spec with the section `model` and the parameters of a spec, without a motion."""
     given = {"mbdkit": 1, "parameters": dict(spec.parameters), "motion": {"data": {"time": [0.0]}}}
     return type(spec)(**given, model=data)

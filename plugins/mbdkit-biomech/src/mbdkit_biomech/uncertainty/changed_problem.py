@@ -7,7 +7,7 @@ follow from it. The smoothing has the parameters of the result.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,6 +26,7 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, M
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import fixed, smoothed_each
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import actuators_of
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_biomech.persons.calibration import ENDS, joints_of
@@ -193,7 +194,7 @@ class Changer:
         return replace(fitted, measured=measured, q=q), independent, motion
 
     @cached_property
-    def _how(self) -> list[Any]:
+    def _how(self) -> list[Smoothing]:
         independent = self.result.independent
         assert independent is not None
         values = independent.quantities.values(self.result.fitted.q)
@@ -238,7 +239,7 @@ def _stretched_points(element: Any, sizes: Mapping[str, float]) -> Any:
     return element.model_copy(update={"points": tuple(_scaled(point, sizes.get(body, 1.0)) for body, point in own)})
 
 
-def _scaled(point: Any, size: float) -> tuple[float, ...]:
+def _scaled(point: Sequence[float], size: float) -> tuple[float, ...]:
     return tuple(size * x for x in point)
 
 

@@ -103,7 +103,7 @@ def read_c3d(path: Path, most_cells: int) -> MeasuredTable | None:
         program = f"import sys; sys.path[:] = {places!r}; from {__name__} import write_columns; write_columns()"
         command = [sys.executable, "-c", program, str(path.absolute()), str(columns), str(most_cells)]
         alone = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # whose threads take address space
-        quiet: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
         try:
             code = subprocess.run(command, **quiet, env=alone, timeout=LONGEST).returncode
         except subprocess.TimeoutExpired:
