@@ -281,10 +281,8 @@ class _Frames:
 
     @cached_property
     def _balance(self) -> Balance:
-        problem, motion = self.result.problem, self.result.motion
-        manifold = problem.fitter.manifold
-        directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
-        return Balance(manifold, motion, problem.actuators, directions)
+        problem = self.result.problem
+        return Balance(problem.fitter.manifold, self.result.motion, problem.actuators)
 
     def _needed(self, lack: np.ndarray) -> np.ndarray:
         """Return the derivatives (T, n, K) of the generalized forces that actuators and joints supply."""
