@@ -23,7 +23,6 @@ from mbdkit_report.figures.mechanism_drawing import (
     joint_point,
 )
 from mbdkit_report.figures.page_model import Illustration
-from mbdkit_report.figures.plane_geometry import Array
 from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.figures.svg_canvas import Canvas
 
@@ -48,7 +47,7 @@ _PLACES = {
 }
 """Phrases for the caption: what the arrows of each kind show, and where they are drawn."""
 
-Arrow = tuple[str, Array, Array]
+Arrow = tuple[str, np.ndarray, np.ndarray]
 
 
 def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
@@ -110,7 +109,7 @@ def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> 
     return film | {"arrows": data, "view": _widened(film["view"], ends)}
 
 
-def _widened(view: list[float], points: Array) -> list[float]:
+def _widened(view: list[float], points: np.ndarray) -> list[float]:
     """Return a view [m] enlarged about its centre so that it contains the points (P, 2)."""
     found = []
     for axis, (low, high) in enumerate((view[:2], view[2:])):
@@ -127,7 +126,7 @@ def _has_arrows(run: Run, mechanism: Mechanism | None) -> bool:
     return mechanism is not None and list(mechanism.bodies) == list(run.bodies) and len(run.bodies) <= CROWD
 
 
-def _box(frame: NamedPose) -> Array:
+def _box(frame: NamedPose) -> np.ndarray:
     """Return the drawn points (P, 2) [m] of the moving bodies in a frame."""
     return np.asarray(frame.drawing.world(frame.pose)[frame.drawing.owner >= 0])
 
@@ -158,7 +157,7 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
     return canvas.svg()
 
 
-def _moments(run: Run, count: int) -> Array:
+def _moments(run: Run, count: int) -> np.ndarray:
     """Return the times [s] of the frames: the middles of equal parts of the first cycle or, without a cycle, equally
     spaced times from the first to the last row.
     """
@@ -181,7 +180,7 @@ def _cycle(run: Run) -> tuple[float, float] | None:
     return None
 
 
-def _covered(boxes: list[Array], arrows: list[list[Arrow]], shifts: list[Array], scale: float) -> Array:
+def _covered(boxes: list[np.ndarray], arrows: list[list[Arrow]], shifts: list[np.ndarray], scale: float) -> np.ndarray:
     """Return the points (P, 2) [m] that the drawing must contain: the bodies and the tips of the arrows in all frames,
     which are side by side, and a point above all of these, so that there is space for the legend.
     """
@@ -212,7 +211,7 @@ def _arrows(run: Run, frame: NamedPose, row: int) -> Iterator[Arrow]:
             yield "spring", ends[1], -pull
 
 
-def _arrow(canvas: Canvas, kind: str, start: Array, along: Array) -> None:
+def _arrow(canvas: Canvas, kind: str, start: np.ndarray, along: np.ndarray) -> None:
     """Draw a force at `start` [px]; arrows too short for a head are not drawn."""
     vector = along * (1.0, -1.0)
     length = float(np.hypot(*vector))
