@@ -138,8 +138,8 @@ class Gradient(HtmlView):
             lines.append(f"{name} = {value:.12g} {unit}".rstrip())
             width = max(map(len, self.parameters))
             lines += [
-                f"  by {one:{width}}  {'' if text.startswith('-') else ' '}{text}"
-                for one, text in zip(self.parameters, self.texts(name), strict=True)
+                f"  by {parameter:{width}}  {'' if text.startswith('-') else ' '}{text}"
+                for parameter, text in zip(self.parameters, self.texts(name), strict=True)
             ]
         lines += self.doubts
         lines += self.remarks
@@ -357,7 +357,7 @@ class GradientProblem(ABC, Generic[S]):
         mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
         mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))
         scales = natural_scales(mechanism.length, mass, mechanism.topology.gravity.tolist(), duration)
-        natural = {name: natural_size(one.unit, *scales) for name, one in self.expressions.items()}
+        natural = {name: natural_size(expression.unit, *scales) for name, expression in self.expressions.items()}
         return {name: max(abs(one.value), one.size, NATURAL * natural[name]) for name, one in derived.items()}
 
 
@@ -366,7 +366,7 @@ class _RunProblem(GradientProblem[RunSpec]):
 
     def __init__(self, spec: RunSpec, definitions: Definitions):
         super().__init__(spec, definitions)
-        every = [needs_of(one) for one in self.expressions.values()]
+        every = [needs_of(expression) for expression in self.expressions.values()]
         self._needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
         self._specs = VariedSpecs(spec.canonical_json())
 

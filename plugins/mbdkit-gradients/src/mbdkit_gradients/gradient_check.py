@@ -271,7 +271,7 @@ def check_gradient(
     return GradientCheck(
         direction.change, np.array(STEPS), derivative, differences, extrapolated, error,
         agrees | np.isnan(derivative), tuple(sizes), other, terms, jacobian, entry_error, is_accurate,
-        tuple(one.name for one in direction.parameters),
+        tuple(parameter.name for parameter in direction.parameters),
     )  # fmt: skip
 
 

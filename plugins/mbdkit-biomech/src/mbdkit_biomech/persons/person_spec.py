@@ -60,7 +60,7 @@ def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
     data = json.loads(spec.canonical_json())
     del data["subject"]
     data.pop("uncertainty", None)
-    lengths = {name: one.value for name, one in person.lengths.items()}
+    lengths = {name: length.value for name, length in person.lengths.items()}
     data["model"] = scaled_model(spec, person.subject, lengths)
     source = {key: data["motion"][key] for key in ("file", "data") if key in data["motion"]}
     time = data["motion"]["time"]

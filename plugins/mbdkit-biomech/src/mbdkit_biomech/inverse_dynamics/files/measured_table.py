@@ -139,7 +139,7 @@ class MeasuredTable:
             texts = [cells[place] for cells in self.cells]
             if not all(map(_is_plain, texts)):
                 raise ValueError
-            values = np.array([float(text) for text in texts])
+            values = np.array([float(text) for text in texts])  # type: ignore[arg-type]  # None raises TypeError
         except (IndexError, TypeError, ValueError):  # there are gaps, or cells that are not numbers
             values = np.array([math.inf])
         if np.any(np.isinf(values)):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard, TypeVar
 
 from mbdkit.plugin import SpecError, cited, listed
 from mbdkit_biomech.inverse_dynamics.files.measured_table import Cell, MeasuredTable
@@ -172,6 +172,9 @@ def _section(file: str, name: str, rows: Rows) -> _Section:
     return _Section(rate, headings, readable[2:count], found)
 
 
+C = TypeVar("C", bound=Cell)
+
+
 def _whole(cell: str, file: str, line: int) -> int:
     if not _is_number(cell) or float(cell) != int(float(cell)):
         raise SpecError(f"'{cited(cell.strip())}' is not the number of a frame", file=file, line=line)
@@ -185,7 +188,7 @@ def _rate(text: str, file: str, line: int | None) -> float:
     return float(text)
 
 
-def _is_number(cell: Cell) -> bool:
+def _is_number(cell: Cell) -> TypeGuard[str | float]:
     try:
         return cell is not None and math.isfinite(float(cell))
     except ValueError:
@@ -196,7 +199,7 @@ def _first(cells: Sequence[str]) -> str:
     return cells[0].strip() if cells else ""
 
 
-def stripped(cells: Sequence[Cell]) -> list[Cell]:
+def stripped(cells: Sequence[C]) -> list[C]:
     """Return cells without empty cells at their end."""
     last = (at for at, cell in enumerate(cells, 1) if cell is not None and str(cell).strip())
     return list(cells[: max(last, default=0)])

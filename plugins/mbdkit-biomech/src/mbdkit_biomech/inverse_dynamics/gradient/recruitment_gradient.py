@@ -159,7 +159,7 @@ def differentiated_muscles(
     """Return the muscles with an additional last axis for the value and its K derivatives."""
     own = recruited.contraction
     slopes = [_slopes(seeds, recruited, k) for k in range(seeds.count)]
-    kinematic = {name: np.stack([one[name] for one in slopes], axis=-1) for name in OF_MUSCLES[:4]}
+    kinematic = {name: np.stack([slope[name] for slope in slopes], axis=-1) for name in OF_MUSCLES[:4]}
     power = -(change.force * own.rate[..., None] + recruited.force[..., None] * kinematic["rate"])
     values = {name: getattr(own, name) for name in kinematic} | {
         "activation": recruited.activation,
