@@ -51,9 +51,6 @@ from mbdkit_gradients.gradient_check import Settings
 from mbdkit_gradients.gradient_parameters import Names, Parameter
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
-WITHOUT_BARS = [(("motion", "errors"), "none")]
-"""Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""
-
 
 def inverse_gradient(
     source: InverseSource,
@@ -130,7 +127,9 @@ class _InverseDynamics(GradientProblem[InverseSpec]):
     """Inverse dynamics without error bars, with its measures."""
 
     def __init__(self, spec: InverseSpec, definitions: Definitions):
-        spec = varied_inverse(spec, WITHOUT_BARS)
+        # measures do not need error bars, which take ten times as long as the rest
+        keys = ("motion", "errors"), *([("uncertainty",)] if spec.uncertainty is not None else [])
+        spec = varied_inverse(spec, [(key, "none") for key in keys])
         problem = InverseProblem.of(spec)
         if problem.recruiter is not None:
             require_derivatives_of(problem.recruiter)
