@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -88,7 +88,7 @@ def workload(
             show(found.text())
 
 
-def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: Any) -> Run:
+def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: object) -> Run:
     """Compute the inverse dynamics of an archive again.
 
     Tables are read from the folder of the archive only: an untrusted archive must not

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import pytest
 from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, not_of_ends, stance, told
 
 import mbdkit
+import mbdkit_biomech
 from mbdkit import SpecError
+from mbdkit.plugin.specs import CriterionName
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
@@ -378,7 +381,13 @@ def test_impossible_numbers_are_refused_with_line_and_column(cell: str, message:
     assert message in str(caught.value).replace(f"{tmp_path}/", "")
 
 
-def test_an_unknown_criterion_is_refused() -> None:
+def test_a_spec_may_accept_every_criterion_and_no_other() -> None:
+    files = Path(mbdkit_biomech.__file__).parent.rglob("*.py")
+    used = {
+        name for file in files for name in re.findall(r'(?:doubt|Finding)\(\s*"([a-z-]+)"', file.read_text("utf-8"))
+    }
+    known = set(CriterionName("inverse").names())
+    assert used - {"excitations"} == known  # which is a criterion of runs
     with pytest.raises(SpecError, match="accept"):
         leg(accept=["residual"])
 

@@ -63,6 +63,12 @@ def test_derivatives_of_a_torque_are_those_of_its_closed_form() -> None:
     assert found.check.is_passed, str(found)
 
 
+def test_a_stated_uncertainty_is_left_out_of_a_gradient_which_has_no_error_bars() -> None:
+    specs = pendulum(), pendulum() | {"uncertainty": {"masses": 0.1}}
+    plain, uncertain = (mbdkit.inverse_gradient(spec, f"rms({TORQUE})", "mass", check=False) for spec in specs)
+    assert uncertain.jacobian == plain.jacobian
+
+
 def test_measures_of_workload_agree_with_differences() -> None:
     measures = {
         "work": "integral(max(actuators.hip.power, 0))",

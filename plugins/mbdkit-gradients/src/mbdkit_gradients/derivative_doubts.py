@@ -68,7 +68,7 @@ class DoubtedMeasure:
         argument = switch_of(operation, operands)
         if argument is None or argument.value.shape[-1] != 1 or not argument.slope.any():
             return
-        size = max(float(np.max(np.abs(one.value))) for one in operands)
+        size = max(float(np.max(np.abs(operand.value))) for operand in operands)
         size = max(size, self.size) if operation in ("abs", "norm") else size
         if np.max(np.abs(argument.value)) <= AT_ZERO * size:
             is_size = operation in ("abs", "norm")
@@ -84,10 +84,10 @@ class DoubtedMeasure:
 
         The warning is given only if the parameters change this value.
         """
-        for one in switches:
-            size = float(np.max(np.abs(one.value), initial=0.0))
-            rests = (np.abs(one.value) <= 1e-14 * size) & (
-                np.abs(one.slope) > 1e-9 * np.max(np.abs(one.slope), initial=0.0)
+        for switch in switches:
+            size = float(np.max(np.abs(switch.value), initial=0.0))
+            rests = (np.abs(switch.value) <= 1e-14 * size) & (
+                np.abs(switch.slope) > 1e-9 * np.max(np.abs(switch.slope), initial=0.0)
             ).any(0)
             if np.sum(rests) > len(time) // 100 + LIMIT_POINTS:
                 self.doubts.append(

@@ -38,7 +38,7 @@ class DifferentiatedLaws:
     def __init__(self, mechanism: CompiledMechanism, values: np.ndarray):
         self._mechanism, self._values = mechanism, values
         rows = {int(row) for row in mechanism.topology.states[:, STATE_ROW.rate] if row >= 0}
-        rows |= {row for one in mechanism.controllers for _, row in (*one.outputs, *one.states)}
+        rows |= {row for controller in mechanism.controllers for _, row in (*controller.outputs, *controller.states)}
         self._laws = {row: _with_slopes(*mechanism.laws[row]) for row in sorted(rows)}
 
     def value(self, row: int, t: float, arguments: np.ndarray | None = None) -> np.ndarray:
@@ -98,5 +98,5 @@ def _with_slopes(name: str, compiled: CompiledLaw) -> tuple[Callable[..., list[f
     names = [name for name, _ in compiled.parameters]
     symbols = [sp.Symbol(name, real=True) for name in ("length", "rate", *names)]
     force, _ = smooth_pieces(compiled.law, names)
-    slopes = [force.diff(one) for one in symbols]
+    slopes = [force.diff(symbol) for symbol in symbols]
     return sp.lambdify([*symbols, sp.Symbol("time", real=True)], [force, *slopes], modules="math"), len(names)

@@ -58,7 +58,6 @@ class DifferentiatedMotion:
     """
 
     def __init__(self, stepper: DifferentiatedStepper, evaluator: StateEvaluator, *, uses_accelerations: bool):
-        assert stepper.steps is not None
         self._stepper, self._evaluator, self._uses_accelerations = stepper, evaluator, uses_accelerations
         self._sided = stepper if isinstance(stepper, SidedStepper) else None
         self._corners = 0
@@ -66,7 +65,6 @@ class DifferentiatedMotion:
         self._begin_at(stepper.time, *self._state())
 
     def _state(self) -> tuple[np.ndarray, np.ndarray]:
-        assert self._stepper.steps is not None
         run = self._stepper.steps.run
         return self._used(run.q), self._used(run.v)
 

@@ -282,7 +282,6 @@ class _Pass:
     """
 
     def __init__(self, spec: RunSpec, stepper: DifferentiatedStepper, seeds: Seeds, needs: Needs):
-        assert stepper.steps is not None
         self.spec, self.stepper, self.seeds, self.width = spec, stepper, seeds, 1 + seeds.count
         self.workspace, self.steps = stepper.workspace, stepper.steps
         self._sided = stepper if isinstance(stepper, SidedStepper) else None

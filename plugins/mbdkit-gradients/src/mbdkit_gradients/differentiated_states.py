@@ -187,4 +187,4 @@ def _joined(handles: Sequence[Any], join: Callable[[Sequence[np.ndarray]], np.nd
     if isinstance(first, np.ndarray):
         return join(handles)
     names = [item.name for item in fields(first) if isinstance(getattr(first, item.name), np.ndarray)]
-    return replace(first, **{name: join([getattr(one, name) for one in handles]) for name in names})
+    return replace(first, **{name: join([getattr(handle, name) for handle in handles]) for name in names})

@@ -199,7 +199,7 @@ class DifferentiatedStepper(CompiledStepper):
         with_nodes: bool,
         sizes: Sequence[float] | None = None,
     ):
-        self.steps: DifferentiatedSteps | None = None
+        self._steps: DifferentiatedSteps | None = None  # until the run has its start
         self.recorded = 0
         self.sizes_taken: list[float] = []
         self._sizes = sizes if control is not None else None
@@ -207,20 +207,26 @@ class DifferentiatedStepper(CompiledStepper):
             control = replace(control, scale=ANY_ERROR)
         super().__init__(method, workspace, timetable, control)
         rows = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
-        self.steps = DifferentiatedSteps(method, workspace, seeds, rows, int(with_nodes))
+        self._steps = DifferentiatedSteps(method, workspace, seeds, rows, int(with_nodes))
         self._dual_sampler = DifferentiatedSampler(self.steps, self.sampler)
         self._dual_sampler.passed(timetable.start, self.run_state.z)
         self.z0 = np.copy(self.steps.run.z)
 
+    @property
+    def steps(self) -> DifferentiatedSteps:
+        """The derivatives of the steps."""
+        assert self._steps is not None
+        return self._steps
+
     def _memory(self) -> tuple[np.ndarray, ...]:
-        own = () if self.steps is None else self.steps.memory
+        own = () if self._steps is None else self.steps.memory
         return (*super()._memory(), *own)
 
     def begin_after_stop(self) -> None:
         """Begin again after a stop at an event; derivatives continue from the state there."""
         super().begin_after_stop()
         progress = self.run_state.progress
-        if self.steps is not None and progress.after_stop[0] and not progress.pending[0]:
+        if self._steps is not None and progress.after_stop[0] and not progress.pending[0]:
             self._dual_sampler.passed(self.timetable.stops[int(progress.passed[0]) - 1], self.run_state.z)
 
     def _retake(self, step: StepTaken, theta: float) -> bool:
@@ -233,7 +239,6 @@ class DifferentiatedStepper(CompiledStepper):
 
     def within(self, theta: float) -> Moment:
         """See `Stepper.within`."""
-        assert self.steps is not None
         with self.steps.last_nodes_kept():
             return super().within(theta)
 
@@ -247,7 +252,6 @@ class DifferentiatedStepper(CompiledStepper):
         """
         step, steps = self.last_step, self.steps
         assert step is not None
-        assert steps is not None
         after = [np.copy(x) for x in self._memory()]
         with steps.last_nodes_kept():
             done = theta >= 1.0 or self._retake(step, theta)
@@ -268,7 +272,6 @@ class DifferentiatedStepper(CompiledStepper):
         """
         self.cut(theta)
         steps = self.steps
-        assert steps is not None
         if not np.array_equal(steps.run.q[:, 0], self.run_state.q):
             raise StepError("newton-failed", f"the step to t = {self.time:.6g} s cannot be shortened")
         run = steps.run
@@ -276,7 +279,7 @@ class DifferentiatedStepper(CompiledStepper):
 
     def drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan, one after another, and differentiate those that are accepted."""
-        if self.steps is None or budget <= 0:
+        if self._steps is None or budget <= 0:
             return super().drive(plan, budget, path)
         c = self.run_state
         progress, rows, limit = (

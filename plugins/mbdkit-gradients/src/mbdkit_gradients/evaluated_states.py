@@ -74,7 +74,7 @@ class StateEvaluator:
         if z.shape[1]:
             forces = np.asarray(states.observed.forces)[0]
             np.asarray(states.observed.state_rates)[0] = self.steps.laws.state_rates(float(time[0]), forces)
-        z, energy = (None if x is None else np.asarray(x[..., : self.width]) for x in (z, energy))
+        z, energy = np.asarray(z[..., : self.width]), None if energy is None else np.asarray(energy[..., : self.width])
         return DifferentiatedStates.of_duals(
             self.workspace.mechanism, states, self.width - 1, energy, z=z, weight=weight
         )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -138,8 +138,8 @@ class Gradient(HtmlView):
             lines.append(f"{name} = {value:.12g} {unit}".rstrip())
             width = max(map(len, self.parameters))
             lines += [
-                f"  by {one:{width}}  {'' if text.startswith('-') else ' '}{text}"
-                for one, text in zip(self.parameters, self.texts(name), strict=True)
+                f"  by {parameter:{width}}  {'' if text.startswith('-') else ' '}{text}"
+                for parameter, text in zip(self.parameters, self.texts(name), strict=True)
             ]
         lines += self.doubts
         lines += self.remarks
@@ -207,17 +207,15 @@ def gradient(
     >>> found.check.is_passed
     True
     """
-    source, wanted = read_names(source, names, parameters, sections)
-    spec = load_spec(source, (), **sections)
-    chosen = resolved(spec, wanted)
-    definitions = definitions_of(spec, measures)
     with one_thread_of_linear_algebra():
-        found = gradient_of_run_spec(spec, definitions, chosen, check=check)
+        problem, chosen = _RunProblem.asked(load_spec, source, measures, names, parameters, sections)
+        found = problem.gradient(chosen, check=check)
+    spec = problem.spec
     of_spec = [*caution(spec), *findings("start", spec, build(spec)[1])]
     of_run = open_doubts(of_spec, spec.accept)
     notes = [text for text in map(str, of_spec) if text not in of_run]
     known = {measure.expression for measure in spec.defined_measures()}
-    for name, expression in expressions_of(spec, definitions).items():
+    for name, expression in problem.expressions.items():
         if expression.text not in known:  # otherwise, the warnings contain the notes on it
             notes += zero_reactions_in(spec, f"'{name}'", expression)
     remarks = tuple(dict.fromkeys((*notes, *found.remarks)))
@@ -295,6 +293,22 @@ class GradientProblem(ABC, Generic[S]):
         self.expressions = expressions_of(spec, definitions)
         require_derivatives(self.expressions)
 
+    @classmethod
+    def asked(
+        cls,
+        load: Callable[..., S],
+        source: object,
+        measures: Measures,
+        names: Names | None,
+        parameters: Names | Mapping[str, object] | None,
+        sections: dict[str, Any],
+    ) -> tuple[Self, tuple[Parameter, ...]]:
+        """Return the problem of a source that `load` reads, and its parameters; see `mbdkit.gradient`."""
+        source, wanted = read_names(source, names, parameters, sections)
+        spec = load(source, (), **sections)
+        chosen = resolved(spec, wanted)
+        return cls(spec, definitions_of(spec, measures)), chosen
+
     @abstractmethod
     def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         """Return the derivatives of the arrays from which the states are computed."""
@@ -343,7 +357,7 @@ class GradientProblem(ABC, Generic[S]):
         mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
         mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))
         scales = natural_scales(mechanism.length, mass, mechanism.topology.gravity.tolist(), duration)
-        natural = {name: natural_size(one.unit, *scales) for name, one in self.expressions.items()}
+        natural = {name: natural_size(expression.unit, *scales) for name, expression in self.expressions.items()}
         return {name: max(abs(one.value), one.size, NATURAL * natural[name]) for name, one in derived.items()}
 
 
@@ -352,7 +366,7 @@ class _RunProblem(GradientProblem[RunSpec]):
 
     def __init__(self, spec: RunSpec, definitions: Definitions):
         super().__init__(spec, definitions)
-        every = [needs_of(one) for one in self.expressions.values()]
+        every = [needs_of(expression) for expression in self.expressions.values()]
         self._needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
         self._specs = VariedSpecs(spec.canonical_json())
 

@@ -205,24 +205,17 @@ class Direction:
         signs = np.where(prepared.side != 0, prepared.side, signs)
         return cls(parameters, signs * prepared.seeds.scale, bool(np.any(prepared.side)))
 
-    def differences(self, measured: Measured, value: np.ndarray) -> np.ndarray:
-        """Return differences (2, M) of second order, at both `STEPS`; `value` (M,) has the measures of the spec
-        itself.
+    def difference(self, measured: Measured, step: float, value: np.ndarray | None = None) -> np.ndarray:
+        """Return differences (M,) of second order at a distance; `value` (M,) has the measures of the spec itself, if
+        they are known.
         """
+        if self.is_one_sided and value is None:
+            value = np.array(measured(self._settings(0.0)))
         places = (1, 2) if self.is_one_sided else (-1, 1)
-        runs = np.array([measured(self._settings(place * step)) for step in STEPS for place in places])
-        first, second, steps = runs[::2], runs[1::2], np.array(STEPS)[:, None]
+        first, second = (np.array(measured(self._settings(place * step))) for place in places)
         if self.is_one_sided:
-            return np.asarray((4.0 * (first - value) - (second - value)) / (2.0 * steps))
-        return np.asarray((second - first) / (2.0 * steps))
-
-    def of_reference(self, measured: Measured, step: float = REFERENCE_STEP) -> np.ndarray:
-        """Return differences (M,) of second order at a distance."""
-        places = (0, 1, 2) if self.is_one_sided else (-1, 1)
-        runs = [np.array(measured(self._settings(place * step))) for place in places]
-        if self.is_one_sided:
-            return np.asarray((4.0 * (runs[1] - runs[0]) - (runs[2] - runs[0])) / (2.0 * step))
-        return np.asarray((runs[1] - runs[0]) / (2.0 * step))
+            return np.asarray((4.0 * (first - value) - (second - value)) / (2.0 * step))
+        return np.asarray((second - first) / (2.0 * step))
 
     def _settings(self, share: float) -> Settings:
         return [
@@ -253,7 +246,7 @@ def check_gradient(
         Functions that return the measures by another, more accurate method, and then their gradients (M, K), nan where
         unknown; None if the computation has no discretization error.
     """
-    differences = direction.differences(measured, value)
+    differences = np.array([direction.difference(measured, step, value) for step in STEPS])
     ratio = (STEPS[1] / STEPS[0]) ** 2
     extrapolated = (ratio * differences[0] - differences[1]) / (ratio - 1.0)
     derivative = jacobian @ direction.change
@@ -266,7 +259,7 @@ def check_gradient(
         unexplained = np.abs(derivative - extrapolated) + CORRECTED * np.abs(correction) + rounding
     else:
         correction = (REFERENCE_STEP / STEPS[0]) ** 2 * correction
-        other = direction.of_reference(reference) + correction  # the error of the differences is removed
+        other = direction.difference(reference, REFERENCE_STEP) + correction  # the error of the differences is removed
         if reference_jacobian is not None:
             found = reference_jacobian()
             witness = np.where(np.isnan(found), jacobian, found)  # errors then follow from the direction alone
@@ -278,7 +271,7 @@ def check_gradient(
     return GradientCheck(
         direction.change, np.array(STEPS), derivative, differences, extrapolated, error,
         agrees | np.isnan(derivative), tuple(sizes), other, terms, jacobian, entry_error, is_accurate,
-        tuple(one.name for one in direction.parameters),
+        tuple(parameter.name for parameter in direction.parameters),
     )  # fmt: skip
 
 
@@ -305,7 +298,7 @@ def _unexplained(
     along, terms = witness @ direction.change, np.sum(np.abs(witness * direction.change), axis=1)
     other_error = CORRECTED * np.abs(correction) + REFERENCE_ERROR * size / REFERENCE_STEP
     if np.any(np.abs(along - other) > SUSPECT * terms + other_error):
-        wider = direction.of_reference(reference, 2.0 * REFERENCE_STEP) + 4.0 * correction
+        wider = direction.difference(reference, 2.0 * REFERENCE_STEP) + 4.0 * correction
         scatter = np.nan_to_num(SCATTER * np.abs(wider - other))
         other_error = other_error + np.minimum(scatter, UNSURE * terms)
     return np.asarray(np.maximum(np.abs(along - other) - other_error, 0.0))

@@ -87,7 +87,7 @@ def _put_values(data: dict[str, Any], values: Mapping[str, Any]) -> None:
         put(data, path, plain(value, path))
 
 
-def _names_in(data: Any) -> set[str]:
+def _names_in(data: object) -> set[str]:
     if isinstance(data, str):
         return names_in(data)
     values = data.values() if isinstance(data, Mapping) else data if isinstance(data, list) else ()

@@ -147,7 +147,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     begins: dict[int, int] = {}
     conditions: list[LawCondition | FurtherCondition] = []
     rows, laws = top.laws.copy(), list(mechanism.laws)
-    elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
+    elements = {int(spring[3]): int(top.force_place[k]) for k, spring in enumerate(top.springs) if spring[5] > 0}
     for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):
         begin = int(top.laws[row, LAW_ROW.parameters])
         given = top.law_parameters[begin : begin + 1 + int(top.law_parameters[begin])]
@@ -227,7 +227,7 @@ def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:
 
 
 @cache
-def _sided(law: Any, names: tuple[str, ...]) -> SidedLaw | None:
+def _sided(law: object, names: tuple[str, ...]) -> SidedLaw | None:
     """Return a law with sides; None if the law is not an expression."""
     if not isinstance(law, ExpressionLaw):
         return None

@@ -83,7 +83,7 @@ def _keep_shared_states(run: DifferentiatedRun, states: MotionStates, expression
 
     These are the states at given times, and those of the quadrature of integrals in steps that no point divides.
     """
-    functionals = [one for expression in expressions for one in expression.functionals]
+    functionals = [functional for expression in expressions for functional in expression.functionals]
     span = float(run.rows.time[0]), float(run.rows.time[-1])
     values = [one.time({}, span, lambda _: np.nan) for one in functionals if one.is_value and not one.is_nested]
     split = sum(one.reduction == "integral" and not one.is_of_stages for one in functionals)
@@ -279,7 +279,7 @@ class _MeasureEvaluation(DoubtedMeasure):
     def _at_corner(self, number: int) -> DifferentiatedStates:
         """Return the states before and after the discontinuity at which part `number` begins."""
         corners = [_corner_of(motion, number) for motion in self.run.motions]
-        return joined_states([one_after_another([one.before, one.after]) for one in corners])
+        return joined_states([one_after_another([corner.before, corner.after]) for corner in corners])
 
     def _sampled(self, functional: Functional, number: int) -> Sampled:
         known: Integrals = {
@@ -326,8 +326,8 @@ class _MeasureEvaluation(DoubtedMeasure):
         switches: list[DerivedValue] = []
         here = self._of_operand(index, self.states.at(number, time), switches=switches)
         self._largest_term = max(self._largest_term, float(np.max(np.abs(here.slope), initial=0.0)))
-        for place, one in enumerate(switches):
-            if place != peak.switch and one.slope.any() and np.abs(one.value) <= AT_ZERO * np.abs(here.value):
+        for place, switch in enumerate(switches):
+            if place != peak.switch and switch.slope.any() and np.abs(switch.value) <= AT_ZERO * np.abs(here.value):
                 self._note_sides(
                     "the operand of 'abs' is zero, or the operands of 'min' or 'max' are equal, at an extremum"
                 )
@@ -394,7 +394,7 @@ class _MeasureEvaluation(DoubtedMeasure):
         parts = self.run.motions[0].parts
         inside = [number for number, part in enumerate(parts) if part.span[0] <= at <= part.span[1]]
         sides = [self._on_part(number, at, index, moved) for number in inside]
-        if any(not np.allclose(one.slope, sides[0].slope, rtol=1e-6, atol=1e-9 * self.size) for one in sides[1:]):
+        if any(not np.allclose(side.slope, sides[0].slope, rtol=1e-6, atol=1e-9 * self.size) for side in sides[1:]):
             self._note_sides("the time in 'at' is the time of a discontinuity")
         found = sides[0]
         if at in rows:  # as in runs

@@ -104,7 +104,6 @@ class SidedStepper(DifferentiatedStepper):
         with_nodes: bool,
     ):
         super().__init__(method, workspace, replace(timetable, single=True), None, seeds, with_nodes=with_nodes)
-        assert self.steps is not None
         self.conditions = conditions
         self.history: list[Sides] = []
         self.corners: list[LawCorner] = []
@@ -126,7 +125,6 @@ class SidedStepper(DifferentiatedStepper):
 
     def set_sides(self, sides: np.ndarray) -> None:
         """Use the given sides from now on."""
-        assert self.steps is not None
         places = [condition.side for condition in self.conditions]
         self._numbers[places] = self.workspace.scratch.law_values[places] = sides
         self.steps.run.top.law_parameters[places, 0] = sides
@@ -136,7 +134,6 @@ class SidedStepper(DifferentiatedStepper):
         return self.workspace.mechanism.topology.law_parameters
 
     def _note(self) -> None:
-        assert self.steps is not None
         self.history.append(Sides(self.recorded, int(self.steps.run.nodes[1]), self.sides))
 
     # --- steps
@@ -209,13 +206,11 @@ class SidedStepper(DifferentiatedStepper):
     # --- corners
 
     def _here(self) -> DifferentiatedStates:
-        assert self.steps is not None
         run = self.steps.run
         return self._evaluator.states(np.array([self.time]), *(np.array(x)[None] for x in (run.q, run.v, run.z)))
 
     def _conditions(self, here: DifferentiatedStates) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the functions (C,) of the conditions in a state, their derivatives (C, K), and their rates (C,)."""
-        assert self.steps is not None
         around, distance = self._evaluator.around(here, float(self.timetable.step or 1.0))
         forces, moved = here.observed.forces[0], around.observed.forces[:, :, 1, 0]
         values, slopes, rates = [], [], []
@@ -248,7 +243,6 @@ class SidedStepper(DifferentiatedStepper):
 
     def _pass(self, number: int) -> None:
         """Pass a corner: change the sides, and the derivatives of velocities, first-order states and energies."""
-        assert self.steps is not None
         before = self._here()
         _, slope, rate = self._conditions(before)
         sides = self._ahead(before)

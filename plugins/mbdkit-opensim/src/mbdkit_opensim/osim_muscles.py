@@ -164,7 +164,7 @@ class MuscleReader:
             raise UnreadError(f"it wraps around '{name}' between one pair of several points")
         center = numbers_of(surface, "translation", 3, "0 0 0")[:2]
         quadrant = text_of(surface, "quadrant", "all")
-        start, end = (self._start(one) for one in items)
+        start, end = (self._start(item) for item in items)
         middle = self.place(body, center)
         left = np.array([start[1] - end[1], end[0] - start[0]])
         if quadrant in QUADRANTS:

@@ -85,7 +85,7 @@ class PlanarJoint:
     @property
     def moving(self) -> list[tuple[np.ndarray, Term]]:
         """The displacements that change during a motion."""
-        return [one for one in self.directions if one[1].varies]
+        return [direction for direction in self.directions if direction[1].varies]
 
     @property
     def coordinates(self) -> list[OsimCoordinate]:
@@ -112,7 +112,7 @@ def planar_joint(joint: Element, coordinates: list[OsimCoordinate]) -> PlanarJoi
     """
     label = label_of(joint)
     x, y = np.eye(2)
-    free = [Term(IDENTITY, one).held() for one in coordinates]
+    free = [Term(IDENTITY, coordinate).held() for coordinate in coordinates]
     nothing = Term(constant(0.0))
     expected = {"WeldJoint": 0, "PinJoint": 1, "SliderJoint": 1, "PlanarJoint": 3}
     if joint.tag in expected and len(free) != expected[joint.tag]:

@@ -171,10 +171,10 @@ def second_leg(first: LegParts, same: LegParts) -> LegParts:
             for name, joint in same.joints.items()
         },
         {
-            of_second.of(name): one.model_copy(
-                update={"of": of_second.of(one.of), "relative_to": of_second.of(one.relative_to)}
+            of_second.of(name): coordinate.model_copy(
+                update={"of": of_second.of(coordinate.of), "relative_to": of_second.of(coordinate.relative_to)}
             )
-            for name, one in same.coordinates.items()
+            for name, coordinate in same.coordinates.items()
         },
         {
             of_second.of(name): marker.model_copy(update={"body": of_second.of(marker.body)})

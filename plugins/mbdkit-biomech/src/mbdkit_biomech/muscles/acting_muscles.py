@@ -225,7 +225,7 @@ def lower(
 
 def lower_excitations(muscles: tuple[ActingMuscle, ...], lowering: Lowering) -> tuple[ActingMuscle, ...]:
     """Replace the rates of activations by expressions, for excitations that are expressions of the state."""
-    return tuple(_with_excitation(one, lowering) for one in muscles)
+    return tuple(_with_excitation(muscle, lowering) for muscle in muscles)
 
 
 def _with_excitation(one: ActingMuscle, lowering: Lowering) -> ActingMuscle:
@@ -242,11 +242,11 @@ def fibers_at_start(
 ) -> dict[int, float]:
     """Return lengths of the fibres on elastic tendons [m], in equilibrium at positions `q`, by index of the state."""
     names, found = QuantityNames(mechanism), {}
-    for one in muscles:
-        path = MusclePath(one.force.name, one.force.muscle, names).at(np.array([t0]), q.reshape(1, -1))
-        fiber = one.force.fiber_length_at(float(path.length[0]))
-        if one.force.muscle.tendon == "elastic":
-            found[one.activation + 1] = fiber
+    for muscle in muscles:
+        path = MusclePath(muscle.force.name, muscle.force.muscle, names).at(np.array([t0]), q.reshape(1, -1))
+        fiber = muscle.force.fiber_length_at(float(path.length[0]))
+        if muscle.force.muscle.tendon == "elastic":
+            found[muscle.activation + 1] = fiber
     return found
 
 
@@ -267,7 +267,7 @@ def torn_path(muscles: tuple[ActingMuscle, ...], workspace: Workspace, t: float,
     top = workspace.mechanism.topology
     tangents_at(workspace.engine, t, q, v, np.zeros_like(q), np.zeros((len(top.pairs), 2)))
     rows = np.flatnonzero(np.isnan(workspace.scratch.s[:, 0]) & (top.springs[:, SPRING.segments] > 0))
-    names = {one.place: one.force.name for one in muscles}
+    names = {muscle.place: muscle.force.name for muscle in muscles}
     torn = [names[place] for place in top.force_place[rows].tolist() if place in names]
     if not torn:
         return ""
@@ -279,7 +279,7 @@ def stiffest(muscles: tuple[ActingMuscle, ...]) -> str:
 
     It is empty if all tendons are rigid.
     """
-    elastic = [one.force for one in muscles if one.force.muscle.tendon == "elastic"]
+    elastic = [muscle.force for muscle in muscles if muscle.force.muscle.tendon == "elastic"]
     if not elastic:
         return ""
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -30,7 +30,9 @@ A step of Newton's method follows.
 MORE_HALLEY = 6
 """Number of Halley iterations for weighted sums of the two coordinates of a curve."""
 
-Points = Sequence[Any]
+Traced: TypeAlias = Any
+"""A number or an array, or a symbol of either that `mbdkit.plugin.TracedLaw` follows through a formula."""
+Points = Sequence[Traced]
 """First distinct control point of a segment, and the differences between consecutive distinct control points."""
 
 
@@ -97,7 +99,7 @@ class BezierCurve:
             slope = np.where(beyond, own, slope)
         return value, slope
 
-    def value(self, x: Any) -> Any:
+    def value(self, x: Traced) -> Traced:
         """Return values at x, computed by a fixed sequence of operations that can be traced; see
         `mbdkit.engine.traced_law`.
         """
@@ -112,7 +114,7 @@ class BezierCurve:
         )
         return np.where(plain < first, below, np.where(plain > last, above, found))
 
-    def x_where(self, p: Any, q: Any, r: Any) -> Any:
+    def x_where(self, p: Traced, q: Traced, r: Traced) -> Traced:
         """Return the x at which ``p y + q x = r``, computed by a fixed sequence of operations that can be traced.
 
         Each segment of the left side is a Bezier curve with the same parameter as x and y. The left side must increase
@@ -147,14 +149,14 @@ class BezierCurve:
         return [_bezier(points, GRID)[0] for points in self.x]
 
 
-def without_slopes(x: Any) -> Any:
+def without_slopes(x: Traced) -> Traced:
     """Return a number without its derivatives, for comparisons and initial values of iterations; arrays are returned
     unchanged.
     """
     return getattr(x, "plain", x)
 
 
-def _chosen(points: np.ndarray, begins: Sequence[Any], x: Any) -> Points:
+def _chosen(points: np.ndarray, begins: Sequence[Traced], x: Traced) -> Points:
     """Return the points of the segment in which x lies, from the control points (S, 4) of all segments.
 
     `begins` are the values (S - 1,) of x at which the segments after the first begin.
@@ -166,7 +168,7 @@ def _chosen(points: np.ndarray, begins: Sequence[Any], x: Any) -> Points:
     return found
 
 
-def _bezier_of(points: Points, u: Any) -> tuple[Any, Any, Any]:
+def _bezier_of(points: Points, u: Traced) -> tuple[Traced, Traced, Traced]:
     """Return value, first and second derivative with respect to u of the curve."""
     start, a, b, c = points
     w = 1.0 - u
@@ -178,7 +180,7 @@ def _bezier_of(points: Points, u: Any) -> tuple[Any, Any, Any]:
     return value, derivative, second
 
 
-def _reached(points: Points, goal: Any, iterations: int) -> Any:
+def _reached(points: Points, goal: Traced, iterations: int) -> Traced:
     """Return the parameter at which a segment reaches a value.
 
     Only the last step, by Newton's method, computes derivatives with respect to traced variables. The parameter is

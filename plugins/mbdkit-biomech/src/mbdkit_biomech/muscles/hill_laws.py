@@ -29,13 +29,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from mbdkit.plugin import LawState, TracedLaw
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.measures import Program, value_of
+from mbdkit_biomech.muscles.bezier_curve import Traced
 from mbdkit_biomech.muscles.force_curves import CURVES, DeGrooteFregly, ForceCurves, Millard
 from mbdkit_biomech.muscles.muscle import Activation, Muscle
 
@@ -53,10 +54,10 @@ exact.
 
 LAW_ID = "mbdkit:muscle"
 
-Parameters = Mapping[str, Any]
+Parameters = Mapping[str, Traced]
 
 
-def activation_rate(excitation: Any, p: Parameters) -> Any:
+def activation_rate(excitation: Traced, p: Parameters) -> Traced:
     """Return the derivative of the activation with respect to time."""
     a = p["activation"]
     slowing = 0.5 + 1.5 * a
@@ -73,12 +74,12 @@ def activation_rate_text(times: Activation, excitation: str, activation: str) ->
     return f"((0.5 + {f})/({times.rise!r}*{slowing}) + (0.5 - {f})*{slowing}/{times.fall!r})*{gap}"
 
 
-def _value(curves: ForceCurves, name: Literal["active", "passive", "velocity", "tendon"], x: Any) -> Any:
+def _value(curves: ForceCurves, name: Literal["active", "passive", "velocity", "tendon"], x: Traced) -> Traced:
     """Return values of a curve, computed by operations that can be traced."""
     return curves.curves[name].value(x) if isinstance(curves, Millard) else getattr(curves, name)(x)[0]
 
 
-def rigid_tension(length: Any, rate: Any, p: Parameters, curves: ForceCurves) -> Any:
+def rigid_tension(length: Traced, rate: Traced, p: Parameters, curves: ForceCurves) -> Traced:
     """Return the tension of a muscle with a rigid tendon."""
     along = length - p["tendon_length"]
     fiber = np.sqrt(along * along + p["thickness"] * p["thickness"])
@@ -89,12 +90,12 @@ def rigid_tension(length: Any, rate: Any, p: Parameters, curves: ForceCurves) ->
     return p["max_force"] * (active + _value(curves, "passive", normal) + p["damping"] * velocity) * cosine
 
 
-def elastic_tension(length: Any, p: Parameters, curves: ForceCurves) -> Any:
+def elastic_tension(length: Traced, p: Parameters, curves: ForceCurves) -> Traced:
     """Return the tension of an elastic tendon."""
     return p["max_force"] * _value(curves, "tendon", (length - _along(p)) / p["tendon_length"])
 
 
-def fiber_pull(velocity: Any, p: Parameters, curves: ForceCurves) -> Any:
+def fiber_pull(velocity: Traced, p: Parameters, curves: ForceCurves) -> Traced:
     """Return the force of fibres along an elastic tendon, as a share of `max_force`, at a normalised velocity."""
     normal = p["fiber_length"] / p["optimal_length"]
     active = p["activation"] * _value(curves, "active", normal) * _value(curves, "velocity", velocity)
@@ -102,7 +103,7 @@ def fiber_pull(velocity: Any, p: Parameters, curves: ForceCurves) -> Any:
     return pull * _along(p) / p["fiber_length"]
 
 
-def tendon_gap(length: Any, force: Any, p: Parameters, curves: ForceCurves) -> Any:
+def tendon_gap(length: Traced, force: Traced, p: Parameters, curves: ForceCurves) -> Traced:
     """Return zero if the tendon exerts a force, a share of `max_force`, where the fibres leave room for it.
 
     With De Groote's curves, lengths are compared and not forces, which would grow by factors of 10 with each 6 % of
@@ -114,13 +115,13 @@ def tendon_gap(length: Any, force: Any, p: Parameters, curves: ForceCurves) -> A
     return stretch - curves.stretch(force)[0]
 
 
-def _along(p: Parameters) -> Any:
+def _along(p: Parameters) -> Traced:
     """Return the length of the fibres along the tendon; nan if they are shorter than the thickness of the muscle."""
     fiber, thickness = p["fiber_length"], p["thickness"]
     return np.where(fiber > thickness, np.sqrt(fiber * fiber - thickness * thickness), np.nan)
 
 
-def fiber_rate(length: Any, p: Parameters, curves: ForceCurves) -> Any:
+def fiber_rate(length: Traced, p: Parameters, curves: ForceCurves) -> Traced:
     """Return the rate of the length of fibres in equilibrium with an elastic tendon."""
     along, fiber = _along(p), p["fiber_length"]
     normal = fiber / p["optimal_length"]
@@ -136,7 +137,7 @@ def fiber_rate(length: Any, p: Parameters, curves: ForceCurves) -> Any:
     return p["max_speed"] * velocity
 
 
-def solved(p: Any, q: Any, r: Any) -> Any:
+def solved(p: Traced, q: Traced, r: Traced) -> Traced:
     """Return the solution y of ``p y + q sinh(y) = r``, where p and q are not negative and one of them is positive.
 
     Halley's method starts from the smaller of two upper bounds of abs(y). The solution is less than 1 away from there,
@@ -182,7 +183,7 @@ It is limited because programs of laws have `mbdkit.engine.kernels.law_programs.
 """
 
 
-def excitation_of(form: Form, time: Any, numbers: Sequence[Any]) -> Any:
+def excitation_of(form: Form, time: Traced, numbers: Sequence[Traced]) -> Traced:
     """Return an excitation at a time.
 
     Parameters
@@ -197,7 +198,7 @@ def excitation_of(form: Form, time: Any, numbers: Sequence[Any]) -> Any:
     return value_of(form, lambda operation, number: next(constants) if operation == "const" else time)
 
 
-def _of_table(form: TableForm, time: Any, numbers: Sequence[Any]) -> Any:
+def _of_table(form: TableForm, time: Traced, numbers: Sequence[Traced]) -> Traced:
     ends, terms = numbers[: form.pieces + 1], form.terms
     if form.is_periodic:
         period = ends[-1] - ends[0]
@@ -225,7 +226,7 @@ def muscle_law(tendon: str, curves: str, form: Form) -> TracedLaw:
     else:
         count = sum(name == "const" for name, _ in form)
 
-    def activation(length: Any, rate: Any, time: Any, p: Parameters) -> Any:
+    def activation(length: Traced, rate: Traced, time: Traced, p: Parameters) -> Traced:
         if not form:
             return 0.0 * p["activation"]
         return activation_rate(excitation_of(form, time, [p[f"number_{i}"] for i in range(count)]), p)
@@ -244,7 +245,7 @@ def muscle_law(tendon: str, curves: str, form: Form) -> TracedLaw:
     return TracedLaw(lambda length, rate, time, p: elastic_tension(length, p, own), _parameters, tuple(states))
 
 
-def _parameters(force: Any) -> dict[str, float]:
+def _parameters(force: Traced) -> dict[str, float]:
     """Return the parameters of the law of a `MuscleForce`."""
     muscle: Muscle = force.muscle
     numbers = {f"number_{i}": number for i, number in enumerate(force.numbers)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -12,6 +12,7 @@ from mbdkit.mechanism.coordinate_function import names_of, value_and_slopes
 from mbdkit.plugin import (
     CoordinateFunction,
     Element,
+    Mechanism,
     NotNegative,
     Number,
     Point,
@@ -43,7 +44,7 @@ TOO_STEEP = math.radians(80)
 """Pennation angles from this value on are refused, because the force along the tendon would almost vanish."""
 
 
-def _point(value: Any) -> Any:
+def _point(value: object) -> object:
     """Accept a list of two or three items."""
     plain = sequence(value)
     if not isinstance(plain, tuple) or len(plain) not in (2, 3):
@@ -161,7 +162,7 @@ class Metabolics(StrictModel):
     """Mass of the muscle [kg]; by default, max_force / specific_tension * density * optimal_length."""
 
 
-def _as_metabolics(value: Any) -> Any:
+def _as_metabolics(value: object) -> object:
     return {"model": value} if isinstance(value, str) else value
 
 
@@ -282,7 +283,7 @@ class Muscle(Element):
         return [] if self.excitation is None else of_state([("excitation", self.excitation)])
 
 
-def check_moving_points(muscles: Mapping[str, Muscle], mechanism: Any, prefix: str = "") -> None:
+def check_moving_points(muscles: Mapping[str, Muscle], mechanism: Mechanism, prefix: str = "") -> None:
     """Raise SpecError for the first point with an unknown name, or whose offset z depends on a coordinate.
 
     Parameters

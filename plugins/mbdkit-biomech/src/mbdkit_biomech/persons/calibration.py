@@ -61,7 +61,7 @@ class Trial:
     @classmethod
     def of(cls, file: MarkerFile, clusters: Mapping[str, MarkerCluster]) -> Trial:
         """Return the trial of a file."""
-        markers = {body: file.markers(one.names, f"motion.clusters.{body}") for body, one in clusters.items()}
+        markers = {body: file.markers(cluster.names, f"motion.clusters.{body}") for body, cluster in clusters.items()}
         poses = {body: poses_of(clusters[body].template, own) for body, own in markers.items()}
         return cls(file, poses, {body: Artefact.of(own) for body, own in poses.items()})
 

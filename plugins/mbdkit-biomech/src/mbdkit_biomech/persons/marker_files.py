@@ -31,7 +31,7 @@ class MarkerFile:
     def names(self) -> list[str]:
         """Names of the markers."""
         headings = self.table.headings
-        return [one[:-2] for one in headings if one.endswith(".x") and not one.startswith("plate")]
+        return [heading[:-2] for heading in headings if heading.endswith(".x") and not heading.startswith("plate")]
 
     def has(self, name: str) -> bool:
         """Return whether the file has a marker."""

@@ -96,7 +96,7 @@ class Person:
         """Return lines of a summary by label."""
         of, kg = self.subject, self.masses
         plates = (f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts)
-        sizes = ((name, one.value, one.deviation) for name, one in self.lengths.items())
+        sizes = ((name, length.value, length.deviation) for name, length in self.lengths.items())
         lengths = (f"{name} {size:.3f} +- {deviation:.3f} m, {kg[name]:.3g} kg" for name, size, deviation in sizes)
         centers = (f"{name} {one.method} +- {1000 * max(one.deviation):.0f} mm" for name, one in self.centers.items())
         offset = ""

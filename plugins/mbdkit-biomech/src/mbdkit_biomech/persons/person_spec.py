@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
     data = json.loads(spec.canonical_json())
     del data["subject"]
     data.pop("uncertainty", None)
-    lengths = {name: one.value for name, one in person.lengths.items()}
+    lengths = {name: length.value for name, length in person.lengths.items()}
     data["model"] = scaled_model(spec, person.subject, lengths)
     source = {key: data["motion"][key] for key in ("file", "data") if key in data["motion"]}
     time = data["motion"]["time"]
@@ -88,6 +88,6 @@ def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
     return expanded
 
 
-def _gapped(columns: Mapping[str, np.ndarray]) -> dict[str, list[Any]]:
+def _gapped(columns: Mapping[str, np.ndarray]) -> dict[str, list[float | None]]:
     """Return columns as lists, with None in gaps."""
     return {name: [None if np.isnan(one) else one for one in values.tolist()] for name, values in columns.items()}

@@ -158,7 +158,7 @@ class _Plate:
 def plate_numbers(file: MarkerFile) -> list[int]:
     """Return the numbers of the plates of a file."""
     headings = file.table.headings
-    return [int(one[5:-8]) for one in headings if one.startswith("plate") and one.endswith(".force.x")]
+    return [int(heading[5:-8]) for heading in headings if heading.startswith("plate") and heading.endswith(".force.x")]
 
 
 def plates_under_feet(
@@ -202,7 +202,7 @@ def plates_under_feet(
         if body not in feet:
             feet_named = listed([f"'{foot}'" for foot in feet])
             raise SpecError(f"should be a foot of the person ({feet_named}), not '{body}'", key=f"loads.{name}.body")
-        mine = [one for one in contacts if one.plate in own and one.body == body]
+        mine = [contact for contact in contacts if contact.plate in own and contact.body == body]
         other = next((f"'{one.body}' stands on plate {one.plate}" for one in contacts if one.plate in own), "")
         if mine:
             loads[name] = _load([plates[one.plate] for one in mine], mine, time, late, smooth)
@@ -254,8 +254,8 @@ def _load(
     J. Biomech. 45 (2012) 666-671).
     """
     columns = np.zeros((len(time), 5))  # force forward and up, free torque, moment, and height times force
-    for plate, one in zip(plates, contacts, strict=True):
-        own = np.s_[one.first : one.end]
+    for plate, contact in zip(plates, contacts, strict=True):
+        own = np.s_[contact.first : contact.end]
         f, p = plate.force[own, :2], np.nan_to_num(plate.point[own, :2])
         columns[own, :2] += f
         columns[own, 2] += plate.torque[own, 2]

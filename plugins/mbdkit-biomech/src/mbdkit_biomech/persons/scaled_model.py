@@ -28,7 +28,7 @@ POSE = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "trunk_angle", "lef
 """Options with the pose of a leg, which are left out for the upright pose."""
 
 
-def leg_options(model: Any) -> LegOptions:
+def leg_options(model: object) -> LegOptions:
     """Return the options of the model of a person; raise SpecError if it is not a leg with a free trunk."""
     if not isinstance(model, LegOptions) or isinstance(model, LegFourBarOptions):
         raise SpecError("should be `leg`, the model that `subject` scales", key="model.name")

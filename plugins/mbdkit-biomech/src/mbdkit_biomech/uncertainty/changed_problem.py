@@ -7,7 +7,7 @@ follow from it. The smoothing has the parameters of the result.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,6 +26,7 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, M
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import fixed, smoothed_each
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import actuators_of
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_biomech.persons.calibration import ENDS, joints_of
@@ -109,14 +110,14 @@ class Changer:
             other.bodies[name] = body.model_copy(update={"mass": body.mass * mass})
         sizes = {name: factor(change, "lengths", segment_of(name, self.person)) for name in base.bodies}
         if any(size != 1.0 for size in sizes.values()):
-            other.joints = {name: _stretched_points(one, sizes) for name, one in base.joints.items()}
-            other.forces = {name: _stretched_points(one, sizes) for name, one in base.forces.items()}
+            other.joints = {name: _stretched_points(joint, sizes) for name, joint in base.joints.items()}
+            other.forces = {name: _stretched_points(force, sizes) for name, force in base.forces.items()}
             other.markers = {
                 name: one.model_copy(update={"point": _scaled(one.point or (0.0, 0.0), sizes.get(one.body, 1.0))})
                 for name, one in base.markers.items()
             }
         if muscles := getattr(base, "muscles", None):
-            other.muscles = {name: with_moved_points(name, one, sizes, change) for name, one in muscles.items()}
+            other.muscles = {name: with_moved_points(name, muscle, sizes, change) for name, muscle in muscles.items()}
         return other
 
     @cached_property
@@ -193,7 +194,7 @@ class Changer:
         return replace(fitted, measured=measured, q=q), independent, motion
 
     @cached_property
-    def _how(self) -> list[Any]:
+    def _how(self) -> list[Smoothing]:
         independent = self.result.independent
         assert independent is not None
         values = independent.quantities.values(self.result.fitted.q)
@@ -202,16 +203,16 @@ class Changer:
     def _loads(self, change: Change) -> dict[str, LoadSeries]:
         late = change.get(("offset",), 0.0)
         found = {}
-        for name, one in self.problem.loads.items():
+        for name, load in self.problem.loads.items():
             if (gain := factor(change, "plate_gain", name)) != 1.0:
-                one = replace(one, force=gain * one.force, torque=gain * one.torque)
+                load = replace(load, force=gain * load.force, torque=gain * load.torque)
             if move := change.get(("pressure", name), 0.0):
-                one = one.moved(("point", 0), move)
+                load = load.moved(("point", 0), move)
             if late and name in self.person.plates.loads:
-                point = None if one.point is None else later(one.time, one.point, late)
-                force, torque = (later(one.time, x, late) for x in (one.force, one.torque))
-                one = replace(one, force=force, torque=torque, point=point)
-            found[name] = one
+                point = None if load.point is None else later(load.time, load.point, late)
+                force, torque = (later(load.time, x, late) for x in (load.force, load.torque))
+                load = replace(load, force=force, torque=torque, point=point)
+            found[name] = load
         return found
 
     def _recruiter(self, problem: InverseProblem, change: Change) -> Recruiter:
@@ -238,7 +239,7 @@ def _stretched_points(element: Any, sizes: Mapping[str, float]) -> Any:
     return element.model_copy(update={"points": tuple(_scaled(point, sizes.get(body, 1.0)) for body, point in own)})
 
 
-def _scaled(point: Any, size: float) -> tuple[float, ...]:
+def _scaled(point: Sequence[float], size: float) -> tuple[float, ...]:
     return tuple(size * x for x in point)
 
 
@@ -249,6 +250,6 @@ def with_moved_points(name: str, muscle: Muscle, sizes: Mapping[str, float], cha
     for body in bodies:
         x, y = (change.get(("muscle_points", name, body, axis), 0.0) for axis in "xy")
         points[body] = (sizes.get(body, 1.0), x, y)
-    if all(one == (1.0, 0.0, 0.0) for one in points.values()):
+    if all(point == (1.0, 0.0, 0.0) for point in points.values()):
         return muscle
     return Muscle.model_validate(moved_muscle(muscle.model_dump(mode="json", exclude_none=True), points))

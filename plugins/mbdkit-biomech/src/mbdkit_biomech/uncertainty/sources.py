@@ -189,7 +189,7 @@ class _Sources:
 
     def _of_loads(self) -> Iterator[UncertainScalar]:
         loads = self.problem.loads
-        pressed = [name for name, one in loads.items() if one.point is not None and one.frame < 0]
+        pressed = [name for name, load in loads.items() if load.point is not None and load.frame < 0]
         forced = [name for name, one in loads.items() if np.any(one.force != 0)]
         for key, names, what in (("pressure", pressed, "point in the global frame"), ("plate_gain", forced, "force")):
             if not names:

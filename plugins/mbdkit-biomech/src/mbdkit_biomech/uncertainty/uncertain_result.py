@@ -140,7 +140,7 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
         _bound(np.abs(muscles)) ** 2,
     ]
     largest = np.max(np.linalg.norm(sampled.reactions[..., :2], axis=-1), axis=1)
-    kinds = {one.group: one.kind for one in sources}
+    kinds = {source.group: source.kind for source in sources}
     shares = _shares(stacked, sources, nominal, force, [*kinds])
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
     failures = int(np.sum(failed.any(axis=1))), float(np.mean(failed))
@@ -178,9 +178,9 @@ def drawn(sources: Sequence[UncertainScalar], samples: int, random: np.random.Ge
             share = product(own[:, column + 1 :].T, own[:, column]) / half
             own[:, column + 1 :] -= own[:, column, None] * share
     found[:, normal] = np.concatenate([own, -own])
-    for index, one in enumerate(sources):
-        if one.span is not None:
-            found[:, index] = one.levels[random.permutation(2 * half) % LEVELS]
+    for index, source in enumerate(sources):
+        if source.span is not None:
+            found[:, index] = source.levels[random.permutation(2 * half) % LEVELS]
     return found
 
 
@@ -213,7 +213,7 @@ def _alone(
     units = zip(np.eye(len(sources)), sources, strict=True)
     values = np.array([value * unit for unit, one in units for value, _ in one.nodes])
     every, begin = stacked.at(values).reactions[..., :2], 0
-    for one in sources:
-        weights = np.array([weight for _, weight in one.nodes])
-        yield one.group, weights, every[begin : begin + len(weights)]
+    for source in sources:
+        weights = np.array([weight for _, weight in source.nodes])
+        yield source.group, weights, every[begin : begin + len(weights)]
         begin += len(weights)

@@ -127,7 +127,7 @@ def suspicious_columns(measured: Measured, length: float, *, no_pose: bool) -> l
     if doubts or not no_pose:
         return doubts
     ranges = np.ptp(measured.values, axis=0) / np.abs(measured.quantities.sizes(length))
-    axes = [getattr(one, "axis", None) for one in measured.quantities.quantities]
+    axes = [getattr(quantity, "axis", None) for quantity in measured.quantities.quantities]
     usual = np.array([np.median([size for size, own in zip(ranges, axes, strict=True) if own == one]) for one in axes])
     worst = int(np.argmax(ranges / np.maximum(usual, np.finfo(float).tiny)))
     if not ranges[worst] > ODD_RANGE * usual[worst]:

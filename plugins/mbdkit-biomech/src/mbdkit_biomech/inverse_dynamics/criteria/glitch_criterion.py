@@ -76,7 +76,7 @@ def spans(time: np.ndarray, rows: np.ndarray) -> str:
     """Return the times of sequences of marked rows, (T,) or (T, ...), as text; at most four sequences."""
     marked = np.flatnonzero(np.any(rows.reshape(len(time), -1), axis=1))
     parts = [time[one] for one in np.split(marked, np.flatnonzero(np.diff(marked) > 1) + 1)]
-    told = [f"{one[0]:.6g} s" if len(one) == 1 else f"{one[0]:.6g} to {one[-1]:.6g} s" for one in parts]
+    told = [f"{part[0]:.6g} s" if len(part) == 1 else f"{part[0]:.6g} to {part[-1]:.6g} s" for part in parts]
     more = [f"{len(told) - 4} more times"] if len(told) > 4 else []
     return f"at t = {listed([*told[:4], *more], 'and')}"
 

@@ -389,4 +389,4 @@ def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) 
 def _at(time: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return values (T, ...) interpolated linearly at other times."""
     columns = values.reshape(len(time), -1).T
-    return np.stack([np.interp(times, time, one) for one in columns], axis=1).reshape(values.shape)
+    return np.stack([np.interp(times, time, column) for column in columns], axis=1).reshape(values.shape)

@@ -66,7 +66,7 @@ def far_apart(measured: Measured, length: float) -> str | None:
     if len(markers) < 2:
         return None
     spread = float(np.max(np.ptp(np.array([at for _, at in markers.values()]), axis=0)))
-    reach = length * (1 + len({one.body for one in markers}))
+    reach = length * (1 + len({marker.body for marker in markers}))
     if spread <= APART * reach:
         return None
     return (

@@ -69,7 +69,7 @@ def record_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
     time, peaks = result.motion.time, _peaks(result, bars)
     for (start, end), gap in told_gaps(result, long_gaps(result)).items():
         rows = (time > start) & (time < end)
-        open_peaks = [one for one in peaks if np.any(one.reached[rows] > one.value)]
+        open_peaks = [peak for peak in peaks if np.any(peak.reached[rows] > peak.value)]
         if open_peaks:
             told = listed((one.told(time) for one in open_peaks), "and", NAMED)
             yield doubt(
@@ -95,7 +95,7 @@ def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding
         half = slice(len(time) // 2) if at_start else slice(len(time) // 2, None)
         near = [one for one in peaks if one.of_ends > OF_ENDS * one.value and (one.row < len(time) // 2) == at_start]
         doubted = {one.label for one in near}
-        lost = [(float(np.max(one.likely[half])), one) for one in peaks if one.label not in doubted]
+        lost = [(float(np.max(peak.likely[half])), peak) for peak in peaks if peak.label not in doubted]
         lost = [(most, one) for most, one in lost if most > (1 + OF_ENDS) * one.value]
         if not near and not lost:
             continue

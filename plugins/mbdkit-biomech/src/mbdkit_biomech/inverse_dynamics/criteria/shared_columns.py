@@ -76,7 +76,7 @@ def equal_columns(problem: InverseProblem) -> Iterator[str]:
 
 def _tied(problem: InverseProblem, first: int, second: int) -> bool:
     manifold, pose = problem.fitter.manifold, problem.prepared.equations.q0[None]
-    free = manifold.directions(manifold.frames(problem.measured.time[:1], pose).jacobian).free[0]
+    free = manifold.directions_at(problem.measured.time[:1], pose).free[0]
     slopes = product(problem.measured.quantities.jacobian(pose)[0] * manifold.scale, free)
     a, b = slopes[first], slopes[second]
     off = b - a * np.sum(a * b) / max(float(np.sum(a * a)), np.finfo(float).tiny)

@@ -193,7 +193,7 @@ def _covariances(data: NoisyData, others: Sequence[_Other]) -> list[np.ndarray]:
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
     for noise in data.samples(data.asked.samples):
         own = data.path.smoothed(noise).every
-        for index, change in enumerate([own, *(one.noise(noise).every - own for one in others)]):
+        for index, change in enumerate([own, *(other.noise(noise).every - own for other in others)]):
             totals[index] = totals[index] + products(change, np.swapaxes(change, 1, 2))
     return [np.asarray(total / data.asked.samples) for total in totals]
 

@@ -65,7 +65,7 @@ class NoisePath:
         self._missing = np.isnan(result.fitted.measured.raw)
         self._person, self._names = result.problem.source.person, result.fitted.measured.names
         manifold, target, q = result.problem.fitter.manifold, result.fitted.measured.target, result.fitted.q
-        directions = manifold.directions(manifold.frames(target.time, q).jacobian)
+        directions = manifold.directions_at(target.time, q)
         observed, coordinates = target.quantities.jacobian(q), independent.quantities.jacobian(q)
         moved = _solved(directions, observed * target.root_weight[:, None], np.diag(target.root_weight))
         self._fitted = products(coordinates, moved)  # (T, U, K)

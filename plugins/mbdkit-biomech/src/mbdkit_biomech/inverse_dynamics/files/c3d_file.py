@@ -103,9 +103,9 @@ def read_c3d(path: Path, most_cells: int) -> MeasuredTable | None:
         program = f"import sys; sys.path[:] = {places!r}; from {__name__} import write_columns; write_columns()"
         command = [sys.executable, "-c", program, str(path.absolute()), str(columns), str(most_cells)]
         alone = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # whose threads take address space
-        quiet: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        none = subprocess.DEVNULL
         try:
-            code = subprocess.run(command, **quiet, env=alone, timeout=LONGEST).returncode
+            code = subprocess.run(command, stdin=none, stdout=none, stderr=none, env=alone, timeout=LONGEST).returncode
         except subprocess.TimeoutExpired:
             raise _unreadable(path, f"its reader does not end in {LONGEST:g} s") from None
         if not columns.exists():

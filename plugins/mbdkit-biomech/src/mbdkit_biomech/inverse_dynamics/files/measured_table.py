@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,8 @@ GAPS = (
 """Texts, in lower case, of cells without a value."""
 
 HEADINGS_SHOWN = 30
+Cell: TypeAlias = str | float | None
+"""A cell of a table: text of a file, a number, or nothing."""
 
 
 SLOW = 0.1
@@ -61,7 +63,7 @@ class MeasuredTable:
 
     file: str
     headings: Sequence[str]
-    cells: Sequence[Sequence[Any]]
+    cells: Sequence[Sequence[Cell]]
     lines: Sequence[int] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     in_degrees: bool = False
@@ -137,7 +139,7 @@ class MeasuredTable:
             texts = [cells[place] for cells in self.cells]
             if not all(map(_is_plain, texts)):
                 raise ValueError
-            values = np.array([float(text) for text in texts])
+            values = np.array([float(text) for text in texts])  # type: ignore[arg-type]  # None raises TypeError
         except (IndexError, TypeError, ValueError):  # there are gaps, or cells that are not numbers
             values = np.array([math.inf])
         if np.any(np.isinf(values)):
@@ -145,7 +147,7 @@ class MeasuredTable:
             values = np.array([self._number(cell, row, heading) for row, cell in enumerate(cells)])
         return values
 
-    def _number(self, cell: Any, row: int, heading: str) -> float:
+    def _number(self, cell: Cell, row: int, heading: str) -> float:
         if cell is None:
             return math.nan
         if isinstance(cell, str):
@@ -237,12 +239,12 @@ DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
 """Pattern of a number with a decimal comma."""
 
 
-def begins_like_number(cell: Any) -> bool:
+def begins_like_number(cell: Cell) -> bool:
     """Return whether a cell is a number, or a text that begins like one."""
     return not isinstance(cell, str) or bool(re.match(r"\s*[-+.]?\d", cell))
 
 
-def _is_plain(cell: Any) -> bool:
+def _is_plain(cell: Cell) -> bool:
     """Return whether `float` reads a cell as other programs do; false for ``1_0``, read as 10, and digits of other
     scripts.
     """

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeGuard, TypeVar
 
 from mbdkit.plugin import SpecError, cited, listed
-from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
+from mbdkit_biomech.inverse_dynamics.files.measured_table import Cell, MeasuredTable
 
 Rows = Sequence[tuple[int, list[str]]]
 """Rows of cells with the numbers of their lines, without empty lines."""
@@ -64,10 +64,10 @@ def read_qualisys(file: str, rows: Rows) -> MeasuredTable:
     width = max((len(stripped(cells)) for _, cells in data), default=0)
     has_time = width > len(headings) or (has_heads and _first(rows[place][1]).lower() == "frame")
     lead = 2 if has_time else 0
-    cells: list[list[Any]] = []
+    cells: list[list[Cell]] = []
     lines: list[int] = []
     for row, (line, given) in enumerate(data):
-        values: list[Any] = [cell.strip() for cell in given]
+        values: list[Cell] = [cell.strip() for cell in given]
         if len(stripped(values)) > lead + len(headings):
             raise SpecError(
                 f"this row has {len(values)} cells, but {len(markers)} markers need {lead + len(headings)}",
@@ -92,7 +92,7 @@ class _Section(NamedTuple):
     rate: float
     headings: list[str]
     units: list[str]
-    rows: dict[tuple[int, int], tuple[int, list[Any]]]
+    rows: dict[tuple[int, int], tuple[int, list[Cell]]]
 
 
 def read_vicon(file: str, rows: Rows) -> MeasuredTable:
@@ -122,7 +122,7 @@ def read_vicon(file: str, rows: Rows) -> MeasuredTable:
     per_frame = 1 + max(sub for _, sub in main.rows) if main is devices else 1
     keys = sorted(main.rows)
     headings, units = ["time"], dict[str, str]()
-    cells: list[list[Any]] = [[(frame - 1 + sub / per_frame) / (main.rate / per_frame)] for frame, sub in keys]
+    cells: list[list[Cell]] = [[(frame - 1 + sub / per_frame) / (main.rate / per_frame)] for frame, sub in keys]
     for section in found.values():
         headings += section.headings
         units |= {heading: unit for heading, unit in zip(section.headings, section.units, strict=True) if unit}
@@ -157,7 +157,7 @@ def _section(file: str, name: str, rows: Rows) -> _Section:
         of_column = (names[column] if column < len(names) else "") or of_column
         component = components[column].lower() if components[column] in ("X", "Y", "Z") else components[column]
         headings.append(f"{of_column}.{component}" if of_column and component else "")
-    found: dict[tuple[int, int], tuple[int, list[Any]]] = {}
+    found: dict[tuple[int, int], tuple[int, list[Cell]]] = {}
     for line, cells in rows[5:]:
         if not stripped(cells):
             continue
@@ -170,6 +170,9 @@ def _section(file: str, name: str, rows: Rows) -> _Section:
     # Nexus writes N.mm, and degree signs in some versions
     readable = [unit.replace(".", " ").replace("\u00b0", "deg") for unit in (*units, *[""] * count)]
     return _Section(rate, headings, readable[2:count], found)
+
+
+C = TypeVar("C", bound=Cell)
 
 
 def _whole(cell: str, file: str, line: int) -> int:
@@ -185,7 +188,7 @@ def _rate(text: str, file: str, line: int | None) -> float:
     return float(text)
 
 
-def _is_number(cell: Any) -> bool:
+def _is_number(cell: Cell) -> TypeGuard[str | float]:
     try:
         return cell is not None and math.isfinite(float(cell))
     except ValueError:
@@ -196,7 +199,7 @@ def _first(cells: Sequence[str]) -> str:
     return cells[0].strip() if cells else ""
 
 
-def stripped(cells: Sequence[Any]) -> list[Any]:
+def stripped(cells: Sequence[C]) -> list[C]:
     """Return cells without empty cells at their end."""
     last = (at for at, cell in enumerate(cells, 1) if cell is not None and str(cell).strip())
     return list(cells[: max(last, default=0)])

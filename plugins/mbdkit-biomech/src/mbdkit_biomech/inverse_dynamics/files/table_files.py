@@ -8,9 +8,8 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from mbdkit.base.units import NUMBER
 from mbdkit.plugin import SpecError, cited, read_data, read_unit
@@ -306,7 +305,7 @@ def _is_in_degrees(file: str, header: Mapping[str, str]) -> bool:
     return header[key].lower() == "yes"
 
 
-def _cells_of(headings: str) -> Any:
+def _cells_of(headings: str) -> Callable[[str], list[str]]:
     """Return the function that splits the lines of a table with these headings.
 
     Lines are split at tabs if the headings contain tabs, otherwise at blanks.

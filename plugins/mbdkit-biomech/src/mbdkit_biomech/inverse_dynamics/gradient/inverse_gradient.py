@@ -42,17 +42,14 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, 
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
 from mbdkit_biomech.muscles.muscle_values import Muscles
-from mbdkit_gradients.differentiated_expressions import Definitions, Measures, definitions_of, expressions_of
+from mbdkit_gradients.differentiated_expressions import Definitions, Measures, expressions_of
 from mbdkit_gradients.differentiated_run import DifferentiatedRun
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states
 from mbdkit_gradients.differentiated_stepper import dual_laws
 from mbdkit_gradients.gradient import Gradient, GradientProblem
 from mbdkit_gradients.gradient_check import Settings
-from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
+from mbdkit_gradients.gradient_parameters import Names, Parameter
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
-
-WITHOUT_BARS = [(("motion", "errors"), "none")]
-"""Settings that leave out the error bars. Measures do not need them, and they take ten times as long as the rest."""
 
 
 def inverse_gradient(
@@ -110,25 +107,29 @@ def inverse_gradient(
     >>> found.check.is_passed
     True
     """
-    source, wanted = read_names(source, names, parameters, sections)
-    spec = load_inverse_spec(source, (), **sections).expanded
-    chosen = resolved(spec, wanted)
-    definitions = definitions_of(spec, measures)
+
+    def loaded(*given: Any, **more: Any) -> InverseSpec:
+        return load_inverse_spec(*given, **more).expanded
+
     with one_thread_of_linear_algebra():
-        return gradient_of_inverse(spec, definitions, chosen, check=check)
+        problem, chosen = _InverseDynamics.asked(loaded, source, measures, names, parameters, sections)
+        return problem.gradient(chosen, check=check)
 
 
 def gradient_of_inverse(
     spec: InverseSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool
 ) -> Gradient:
     """Return the gradient of measures of a validated spec; see `inverse_gradient`."""
-    return _InverseDynamics(varied_inverse(spec, WITHOUT_BARS), definitions).gradient(parameters, check=check)
+    return _InverseDynamics(spec, definitions).gradient(parameters, check=check)
 
 
 class _InverseDynamics(GradientProblem[InverseSpec]):
     """Inverse dynamics without error bars, with its measures."""
 
     def __init__(self, spec: InverseSpec, definitions: Definitions):
+        # measures do not need error bars, which take ten times as long as the rest
+        keys = ("motion", "errors"), *([("uncertainty",)] if spec.uncertainty is not None else [])
+        spec = varied_inverse(spec, [(key, "none") for key in keys])
         problem = InverseProblem.of(spec)
         if problem.recruiter is not None:
             require_derivatives_of(problem.recruiter)
@@ -281,10 +282,8 @@ class _Frames:
 
     @cached_property
     def _balance(self) -> Balance:
-        problem, motion = self.result.problem, self.result.motion
-        manifold = problem.fitter.manifold
-        directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
-        return Balance(manifold, motion, problem.actuators, directions)
+        problem = self.result.problem
+        return Balance(problem.fitter.manifold, self.result.motion, problem.actuators)
 
     def _needed(self, lack: np.ndarray) -> np.ndarray:
         """Return the derivatives (T, n, K) of the generalized forces that actuators and joints supply."""

@@ -42,9 +42,7 @@ def muscle_arrays(problem: InverseProblem, motion: Motion) -> dict[str, np.ndarr
     """Return the arrays of the muscles of a motion that may depend on parameters, and the weights of the muscles."""
     recruiter = problem.recruiter
     assert recruiter is not None
-    manifold = problem.fitter.manifold
-    directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
-    balance = Balance(manifold, motion, problem.actuators, directions)
+    balance = Balance(problem.fitter.manifold, motion, problem.actuators)
     own = recruiter.contraction(motion)
     arms = balance.as_actuators(own.pull)
     every = {name: arms if name == "arms" else np.nan_to_num(getattr(own, name)) for name in OF_MUSCLES}
@@ -161,7 +159,7 @@ def differentiated_muscles(
     """Return the muscles with an additional last axis for the value and its K derivatives."""
     own = recruited.contraction
     slopes = [_slopes(seeds, recruited, k) for k in range(seeds.count)]
-    kinematic = {name: np.stack([one[name] for one in slopes], axis=-1) for name in OF_MUSCLES[:4]}
+    kinematic = {name: np.stack([slope[name] for slope in slopes], axis=-1) for name in OF_MUSCLES[:4]}
     power = -(change.force * own.rate[..., None] + recruited.force[..., None] * kinematic["rate"])
     values = {name: getattr(own, name) for name in kinematic} | {
         "activation": recruited.activation,

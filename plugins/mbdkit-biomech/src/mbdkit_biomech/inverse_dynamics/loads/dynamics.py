@@ -94,7 +94,7 @@ class Balance:
     actuators
         The U actuators.
     directions
-        Free directions of the mechanism in each frame.
+        Directions in each frame; computed if they are not given.
 
     Attributes
     ----------
@@ -109,7 +109,14 @@ class Balance:
         If the mechanism passes a singular position, where reactions are not determined.
     """
 
-    def __init__(self, manifold: Manifold, motion: Motion, actuators: Sequence[NamedActuator], directions: Directions):
+    def __init__(
+        self,
+        manifold: Manifold,
+        motion: Motion,
+        actuators: Sequence[NamedActuator],
+        directions: Directions | None = None,
+    ):
+        directions = manifold.directions_at(motion.time, motion.q) if directions is None else directions
         _require_regular(directions, motion)
         self.directions, self._scale = directions, manifold.scale
         self.columns = columns_of(motion.q, actuators)
@@ -148,7 +155,7 @@ class Balance:
 def require_driven(fitter: Fitter, time: float, q: np.ndarray, actuators: Sequence[NamedActuator]) -> None:
     """Raise SpecError if actuators cannot produce every motion from a pose (n,), as `solve_dynamics` does."""
     manifold, times, poses = fitter.manifold, np.array([time]), q[None]
-    directions = manifold.directions(manifold.frames(times, poses, np.zeros_like(poses)).jacobian)
+    directions = manifold.directions_at(times, poses)
     free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)
     effect = products(free, columns_of(poses, actuators)) / weights_of(manifold, actuators)
     _rank(fitter, directions, effect, times, report=False)

@@ -38,7 +38,7 @@ _PLACES = {
 }
 """Phrases for the caption: what the arrows of each kind show, and where they are drawn."""
 
-Arrow = tuple[str, Array, Array]
+Arrow = tuple[str, np.ndarray, np.ndarray]
 
 
 def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
@@ -102,7 +102,7 @@ def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> 
     return film | {"arrows": data, "view": _widened(film["view"], ends)}
 
 
-def _widened(view: list[float], points: Array) -> list[float]:
+def _widened(view: list[float], points: np.ndarray) -> list[float]:
     """Return a view [m] enlarged about its centre so that it contains the points (P, 2)."""
     found = []
     for axis, (low, high) in enumerate((view[:2], view[2:])):
@@ -119,7 +119,7 @@ def _has_arrows(run: Run, mechanism: Mechanism | None) -> bool:
     return mechanism is not None and list(mechanism.bodies) == list(run.bodies) and len(run.bodies) <= Drawing.CROWD
 
 
-def _box(frame: NamedPose) -> Array:
+def _box(frame: NamedPose) -> np.ndarray:
     """Return the drawn points (P, 2) [m] of the moving bodies in a frame."""
     return np.asarray(frame.drawing.world(frame.pose)[frame.drawing.owner >= 0])
 
@@ -150,7 +150,7 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
     return canvas.svg()
 
 
-def _moments(run: Run, count: int) -> Array:
+def _moments(run: Run, count: int) -> np.ndarray:
     """Return the times [s] of the frames: the middles of equal parts of the first cycle or, without a cycle, equally
     spaced times from the first to the last row.
     """
@@ -173,7 +173,7 @@ def _cycle(run: Run) -> tuple[float, float] | None:
     return None
 
 
-def _covered(boxes: list[Array], arrows: list[list[Arrow]], shifts: list[Array], scale: float) -> Array:
+def _covered(boxes: list[np.ndarray], arrows: list[list[Arrow]], shifts: list[np.ndarray], scale: float) -> np.ndarray:
     """Return the points (P, 2) [m] that the drawing must contain: the bodies and the tips of the arrows in all frames,
     which are side by side, and a point above all of these, so that there is space for the legend.
     """
@@ -204,7 +204,7 @@ def _arrows(run: Run, frame: NamedPose, row: int) -> Iterator[Arrow]:
             yield "spring", ends[1], -pull
 
 
-def _arrow(canvas: Canvas, kind: str, start: Array, along: Array) -> None:
+def _arrow(canvas: Canvas, kind: str, start: np.ndarray, along: np.ndarray) -> None:
     """Draw a force at `start` [px]; arrows too short for a head are not drawn."""
     vector = along * (1.0, -1.0)
     length = float(np.hypot(*vector))

@@ -215,8 +215,7 @@ class Fitter:
 
         The message names the bodies that move in a free direction without any change of the quantities.
         """
-        jacobian = self.manifold.frames(target.time, q).jacobian
-        free = self.manifold.directions(jacobian).free
+        free = self.manifold.directions_at(target.time, q).free
         if not free.shape[2]:
             return
         seen = products(target.quantities.jacobian(q) * self.manifold.scale, free)

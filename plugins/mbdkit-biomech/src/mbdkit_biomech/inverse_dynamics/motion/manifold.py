@@ -93,6 +93,10 @@ class Manifold:
         reactions_in_frames(self._equations.address, *given, out)
         return out
 
+    def directions_at(self, times: np.ndarray, q: np.ndarray) -> Directions:
+        """Return the constrained and the free directions at positions `q` (T, n)."""
+        return self.directions(self.frames(times, q).jacobian)
+
     def directions(self, jacobian: np.ndarray) -> Directions:
         """Return the constrained and the free directions, given the Jacobian Phi_q (T, m, n) of the constraints."""
         scaled = np.swapaxes(jacobian * self.scale, 1, 2)

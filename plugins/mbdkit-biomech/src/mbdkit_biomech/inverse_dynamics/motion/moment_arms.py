@@ -56,7 +56,7 @@ def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
     geometry = copy(run.mechanism)
     geometry.forces = {}  # moment arms do not depend on them
     manifold = Manifold(AssembledMechanism.at(GivenMechanism(geometry), float(time[0]), float(time[-1])))
-    free = manifold.directions(manifold.frames(time, q).jacobian).free * manifold.scale[:, None]
+    free = manifold.directions_at(time, q).free * manifold.scale[:, None]
     joints = [names.joint(name, "coordinate") for name in names.mechanism.joints]
     rates = products(Quantities([own, *joints, *names.candidates().values()]).jacobian(q), free)
     rows = _independent(rates[len(time) // 2])

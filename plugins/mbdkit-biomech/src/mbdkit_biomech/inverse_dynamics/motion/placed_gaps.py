@@ -142,7 +142,7 @@ def _determined(fitter: Fitter, target: FitTarget, q: np.ndarray, root_weight: n
     manifold = fitter.manifold
     rows = np.flatnonzero(np.any(root_weight == 0.0, axis=1))
     found = np.zeros(len(q), dtype=bool)
-    free = manifold.directions(manifold.frames(target.time[rows], q[rows]).jacobian).free
+    free = manifold.directions_at(target.time[rows], q[rows]).free
     seen = products(target.quantities.jacobian(q[rows]) * manifold.scale, free)
     if not free.shape[2] or root_weight.shape[1] < free.shape[2]:
         return found

@@ -157,7 +157,7 @@ def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quan
 
     They are divided by the `scale` of the quantity, and by the characteristic length (lengths) or 1 rad (angles).
     """
-    directions = manifold.directions(manifold.frames(time, q).jacobian)
+    directions = manifold.directions_at(time, q)
     rows = products(quantities.jacobian(q) * manifold.scale, directions.free)
     return np.asarray(rows / quantities.sizes(manifold.length)[:, None])
 

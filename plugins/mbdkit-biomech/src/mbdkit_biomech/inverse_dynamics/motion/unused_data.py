@@ -46,8 +46,8 @@ class UnusedData:
             return cls()
         observed = {
             names.element(name)
-            for name, one in zip(measured.names, measured.quantities.quantities, strict=True)
-            if isinstance(without_scale(one), MarkerCoordinate) and name not in names.mechanism.coordinates
+            for name, quantity in zip(measured.names, measured.quantities.quantities, strict=True)
+            if isinstance(without_scale(quantity), MarkerCoordinate) and name not in names.mechanism.coordinates
         }
         markers = tuple(name for name in names.mechanism.markers if name not in observed)
         used = table.resolved(_headings(spec, measured))

@@ -89,7 +89,7 @@ class ElasticMuscles:
 
     def __init__(self, muscles: dict[str, Muscle], *, with_passive: bool):
         self.names, self._muscles, self._with_passive = tuple(muscles), tuple(muscles.values()), with_passive
-        self.max_force = np.array([one.max_force for one in self._muscles])
+        self.max_force = np.array([muscle.max_force for muscle in self._muscles])
         self._optimal = np.array([one.optimal_length for one in self._muscles])
         self._tendon = np.array([one.tendon_length for one in self._muscles])
         self._thickness = np.array([one.thickness for one in self._muscles])
@@ -98,7 +98,7 @@ class ElasticMuscles:
     def _curve(self, name: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the values and slopes (M,) of a curve, of each muscle at its component of the arguments x (M,)."""
         value, slope = np.empty_like(x), np.empty_like(x)
-        for kind in dict.fromkeys(one.curves for one in self._muscles):
+        for kind in dict.fromkeys(muscle.curves for muscle in self._muscles):
             own = np.array([one.curves == kind for one in self._muscles])
             value[own], slope[own] = getattr(CURVES[kind], name)(x[own])
         return value, slope

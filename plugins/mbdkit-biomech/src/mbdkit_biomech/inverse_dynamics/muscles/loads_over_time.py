@@ -173,7 +173,7 @@ class _Iterate:
     @property
     def residual(self) -> float:
         """Largest residual of the optimality conditions, except slack * multiplier = 0."""
-        return max(float(np.max(np.abs(one), initial=0.0)) for one in self._residuals)
+        return max(float(np.max(np.abs(residual), initial=0.0)) for residual in self._residuals)
 
     @cached_property
     def _residuals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -88,7 +88,7 @@ class Recruiter:
             raise SpecError(
                 f"activation dynamics need an exponent of 2 or more, not {asked.exponent}", key="recruitment.exponent"
             )
-        self._joined = np.array([not one.is_residual for one in actuators], dtype=bool)
+        self._joined = np.array([not actuator.is_residual for actuator in actuators], dtype=bool)
         self._reserves = reserves_of(asked, actuators)
 
     def _require_simple(self, name: str) -> None:

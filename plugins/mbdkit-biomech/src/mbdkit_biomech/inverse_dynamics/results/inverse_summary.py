@@ -50,7 +50,7 @@ def largest_actuators(run: Run) -> list[Headline]:
         errors = run.errors.of_largest("actuators.value", list(run.actuators), size, bars)
     units = {name: actuator.units for name, actuator in run.actuators.items()}
     headlines = largest_of("", run, list(run.actuators), size, "", errors)
-    own = [one for one in headlines if run.actuators[one.label].kind != "residual"]
+    own = [headline for headline in headlines if run.actuators[headline.label].kind != "residual"]
     return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in own[:2]]
 
 

@@ -97,10 +97,10 @@ def _muscles(run: Run) -> tuple[Section, ...]:
         alone = float(np.max(without[:, index]))
         joints.append((name, peak, alone, peak / alone if alone > 0 else None))
     muscles: list[tuple[Cell, ...]] = []
-    for name, one in run.muscles.items():
-        row = int(np.argmax(one.force))
-        error = float(one.force_error[row])
-        values = (float(np.max(one.activation)), float(np.mean(one.activation)), float(one.force[row]))
+    for name, muscle in run.muscles.items():
+        row = int(np.argmax(muscle.force))
+        error = float(muscle.force_error[row])
+        values = (float(np.max(muscle.activation)), float(np.mean(muscle.activation)), float(muscle.force[row]))
         muscles.append((name, *values, error if np.isfinite(error) else None, float(run.time[row])))
     shares = reserve_shares(run)
     told = [f"{share:.2%} of {name}" for name, share in shares.items()]

@@ -9,9 +9,9 @@ from mbdkit_report import Cell, Table, View, columns_of
 def workload_view(found: Workload) -> View:
     """Return the view of a workload."""
     rows: list[tuple[Cell, ...]] = [
-        (one.name, one.kind, load.units, load.peak, load.peak_error, load.peak_time, load.impulse)
-        for one in found.elements
-        for load in (one.load, one.torque)
+        (element.name, element.kind, load.units, load.peak, load.peak_error, load.peak_time, load.impulse)
+        for element in found.elements
+        for load in (element.load, element.torque)
         if load is not None
     ]
     columns = columns_of("element; kind; unit; peak; \u00b1 error; time of the peak [s]; impulse [unit s]")

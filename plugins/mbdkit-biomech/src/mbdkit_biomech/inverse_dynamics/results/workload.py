@@ -407,7 +407,7 @@ def _work(time: np.ndarray, power: np.ndarray) -> ElementWork:
     return ElementWork(float(np.max(power)), float(np.min(power)), positive, negative)
 
 
-def _cycle_data(one: Normalized) -> dict[str, Any]:
+def _cycle_data(one: Normalized) -> dict[str, list[float] | list[float | None]]:
     deviation = [None if math.isnan(x) else x for x in one.deviation.tolist()]
     return {"mean": one.mean.tolist(), "deviation": deviation}
 

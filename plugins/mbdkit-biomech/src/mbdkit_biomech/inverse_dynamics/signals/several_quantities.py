@@ -32,7 +32,7 @@ class Quantities:
 
     def sizes(self, length: float) -> np.ndarray:
         """Return the values (K,) that count as 1: 1 rad for angles, and `length` for lengths."""
-        return np.where(self.is_angle, 1.0, length) * self.scale
+        return np.asarray(np.where(self.is_angle, 1.0, length) * self.scale)
 
     def values(self, q: np.ndarray) -> np.ndarray:
         """Return the values (T, K)."""

@@ -9,14 +9,14 @@ from typing import Any, TypeAlias
 
 from mbdkit.plugin import loaded
 from mbdkit.plugin.files import Path as KeyPath
-from mbdkit.plugin.specs import put
+from mbdkit.plugin.specs import Document, put
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
 """A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics."""
 
 
-def load_inverse_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> InverseSpec:
+def load_inverse_spec(source: InverseSource | Document, overrides: Iterable[str] = (), **sections: Any) -> InverseSpec:
     """Load and validate a spec of inverse dynamics, build its mechanism, and return the spec.
 
     Parameters
@@ -32,12 +32,12 @@ def load_inverse_spec(source: Any, overrides: Iterable[str] = (), **sections: An
     return loaded("inverse", InverseSpec, source, overrides, sections)
 
 
-def is_inverse(data: Mapping[str, Any]) -> bool:
+def is_inverse(data: Mapping[str, object]) -> bool:
     """Return whether plain data are a spec of inverse dynamics; only such specs have a section `motion`."""
     return "motion" in data
 
 
-def varied_inverse(spec: InverseSpec, values: Sequence[tuple[KeyPath, Any]]) -> InverseSpec:
+def varied_inverse(spec: InverseSpec, values: Sequence[tuple[KeyPath, object]]) -> InverseSpec:
     """Return a spec of inverse dynamics with values at key paths; raise SpecError if it is not valid."""
     data = json.loads(spec.canonical_json())
     for path, value in values:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -15,11 +15,11 @@ from mbdkit_biomech.persons.person_sections import Center, PlaneAxes
 Named = Annotated[str, Field(min_length=1)]
 
 
-def _as_column(value: Any) -> Any:
+def _as_column(value: object) -> object:
     return {"column": value} if isinstance(value, str) else value
 
 
-def _as_smoothing(value: Any) -> Any:
+def _as_smoothing(value: object) -> object:
     return {"name": value} if isinstance(value, str) else value
 
 
@@ -191,7 +191,7 @@ Data = dict[str, list[float | None]]
 """Columns of a table by heading; None and NaN are gaps."""
 
 
-def _one_source(section: Any, *, required: bool) -> None:
+def _one_source(section: MeasuredMotion | Load, *, required: bool) -> None:
     if section.file is not None and section.data is not None:
         raise PydanticCustomError("mbdkit", "takes either `file` or `data`, not both")
     if required and section.file is None and section.data is None:

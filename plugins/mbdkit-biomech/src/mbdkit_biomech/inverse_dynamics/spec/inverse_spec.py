@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
 
@@ -16,6 +16,7 @@ from mbdkit.plugin.specs import (
     Registered,
     Registry,
     RunMeasures,
+    Section,
     check_name,
     defined,
     description,
@@ -35,11 +36,13 @@ from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 if TYPE_CHECKING:
     from mbdkit.plugin import Mechanism
 
+S = TypeVar("S", bound=Section)
+
 _PERSON_OF_SPEC: Target[Any] = Target("mbdkit_biomech.persons.person_spec:person_of_spec")
 """Named by text, because specs are read by parts of mbdkit that do not compute inverse dynamics."""
 
 
-def _named(sections: dict[str, Any]) -> dict[str, Any]:
+def _named(sections: dict[str, S]) -> dict[str, S]:
     for name in sections:
         if name != GROUND:  # allowed, because "ground" is a natural name for a load
             check_name(name, name)

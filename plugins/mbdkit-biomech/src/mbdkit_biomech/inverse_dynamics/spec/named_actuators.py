@@ -122,7 +122,7 @@ def reserves_of(asked: Recruitment, actuators: Sequence[NamedActuator]) -> list[
     SpecError
         If a reserve is given for an actuator that does not exist, or for a residual actuator.
     """
-    own = {one.name: index for index, one in enumerate(actuators) if not one.is_residual}
+    own = {actuator.name: index for index, actuator in enumerate(actuators) if not actuator.is_residual}
     optimal = asked.reserves if isinstance(asked.reserves, dict) else dict.fromkeys(own, asked.reserves)
     for name in optimal:
         if name not in own:
