@@ -35,6 +35,7 @@ from mbdkit_contact.polylines import reaching_segments
 if TYPE_CHECKING:
     from mbdkit.plugin import Lowering, Mechanism
     from mbdkit_contact.contact import Contact
+    from mbdkit_contact.exported_contacts import SymbolicContacts
 
 HEAVY = 10.0
 """Largest contact force at the start, relative to the weight of all bodies, that is accepted. Larger forces mean that
@@ -90,6 +91,13 @@ class ActingContact:
     first_state: int = -1
     law_place: int = -1
     coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @staticmethod
+    def symbolic(contacts: Sequence[ActingContact]) -> SymbolicContacts:
+        """Return the contacts of a mechanism in functions of symbols, for optimal control."""
+        from mbdkit_contact.exported_contacts import SymbolicContacts
+
+        return SymbolicContacts(contacts)
 
     @property
     def edges(self) -> list[float]:

@@ -30,13 +30,13 @@ from mbdkit.plugin import SpecError
 from mbdkit.plugin.mechanisms import curve_of
 from mbdkit_predict.breaks import breaks_of
 from mbdkit_predict.casadi_system import CasadiSystem
-from mbdkit_predict.elastic_fibers import ElasticFibers
 from mbdkit_predict.grid import Grid, weights
 from mbdkit_predict.guessed_motion import archived_motion, solved_motion
 from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, Condition, NonlinearProgram, Solution, Stop, solve_pose
 from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_hessian import PointHessian
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
+from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
 
 OF_STATE = ("a", "lam", "u")
 """Symbols that are not known at the start and the end of a motion, only at collocation points."""
@@ -79,8 +79,6 @@ class Mesh:
 
 
 class _Path(NamedTuple):
-    """A condition along the path of one phase, or of all if `phase` is None."""
-
     name: str
     expression: ca.SX
     low: float
@@ -98,7 +96,7 @@ class Transcription:
         self, spec: PredictSpec, system: CasadiSystem, objective: Objective, simpler: Transcription | None = None
     ):
         self.spec, self.system, self.objective = spec, system, objective
-        self.fibers = ElasticFibers(spec.chosen, self.system)
+        self.balanced = StatesInEquilibrium(spec.chosen, self.system)
         self.simpler = simpler
         self._simple: Mesh | None = None  # its solution
         self._known_motion = archived_motion(spec, system) if isinstance(spec.guess, str) else None
@@ -195,7 +193,7 @@ class Transcription:
         low, high, start = self.limits["u"]
         u = np.repeat(start[:, None], len(times), axis=1)
         if random is not None:
-            high, low = np.where(np.isfinite(high - low), (high, low), start)  # unknowns of fibres are not drawn
+            high, low = np.where(np.isfinite(high - low), (high, low), start)  # unknowns of equilibria are not drawn
             shares, end = np.linspace(0.0, 1.0, 5), knots[-1]
             drawn = np.clip(start + 0.25 * (high - low) * random.standard_normal((5, len(u))), low, high)
             u = np.array([np.interp(times, shares * end, x) for x in drawn.T])
@@ -215,7 +213,7 @@ class Transcription:
         # velocities in other motions are zero: those on the line lead the swing-up of a pole to five times its effort
         v = filled("v", np.gradient(q, times, axis=1) if spec.periodic else 0.0 * q)
         z = np.repeat(system.z0[:, None], len(times), axis=1)
-        z[self.fibers.states] = self.fibers.guess(q, p)
+        z[self.balanced.states] = self.balanced.guess(q, p)
         a, z, u, mu = filled("a", 0.0 * v), filled("z", z), filled("u", u), np.zeros((m, len(times)))
         columns = {"q": q, "v": v, "a": a, "lam": filled("lam", mu), "mu": mu, "z": z, "u": u}
         values = {name: x[:, 1:] for name, x in columns.items()}
@@ -404,7 +402,6 @@ class Transcription:
     def _program(
         self, grid: Grid
     ) -> tuple[dict[str, ca.MX], dict[str, Any], list[Condition], ca.MX, PointHessian | None]:
-        """Return unknowns, their bounds, conditions, objective, and second derivatives on a grid."""
         system, s = self.system, len(self.c)
         count = len(grid.phase)
         total = count * s
@@ -436,7 +433,7 @@ class Transcription:
             )
             conditions += [Condition(ENDS, moved), Condition(JOINTS, joined)]
         start, end, duration = x["start"], ends[:, -1], ca.sum1(x["duration"])
-        at_rest = [x for x, k in zip(self.fibers.at_rest, self.fibers.states, strict=True) if not self._is_free[k]]
+        at_rest = [x for x, k in zip(self.balanced.at_rest, self.balanced.states, strict=True) if not self._is_free[k]]
         rows: Any = system.constraints(*system.symbols.values())[:2]
         for name, zeros in (("the joints at the start", rows), ("the equilibrium of fibres at the start", at_rest)):
             if any(one.numel() for one in zeros):
@@ -519,13 +516,12 @@ class Transcription:
         return np.flatnonzero(chosen)
 
     def _bounds(self, grid: Grid) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the bounds of the unknowns."""
         system = self.system
         n, m, z, total = len(system.q0), len(system.constraint_names), len(system.z0), grid.points.shape[1]
         sizes = {"q": n, "v": n, "a": n, "lam": m, "mu": m, "z": z}
         free = {name: np.full((size, total), np.inf) for name, size in sizes.items()}
         is_free = self._is_free.copy()
-        is_free[self.fibers.states] = True
+        is_free[self.balanced.states] = True
         start = np.concatenate([np.where(self._idle, 0.0, np.inf), np.where(is_free, np.inf, 0.0)])
         at = np.concatenate([np.where(self._idle, [*system.q0, *system.v0], 0.0), np.where(is_free, 0.0, system.z0)])
         bounds = {
@@ -556,7 +552,6 @@ class Transcription:
 
     @property
     def _rows(self) -> dict[str, slice]:
-        """Rows of positions, velocities and first-order states in a state."""
         n = len(self.system.q0)
         return {"q": slice(n), "v": slice(n, 2 * n), "z": slice(2 * n, None)}
 
@@ -600,7 +595,6 @@ class Transcription:
         return expression
 
     def _check_known(self, expression: ca.SX, text: str, key: str) -> None:
-        """Raise SpecError for an expression that is not known at the start and the end of a motion."""
         unknown = [self.system.symbols[name] for name in OF_STATE]
         if any(x.numel() and ca.depends_on(expression, x) for x in unknown):
             why = "depends on accelerations, reactions or controls, which are not known at the start and the end"

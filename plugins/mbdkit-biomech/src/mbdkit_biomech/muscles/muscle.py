@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -34,6 +34,9 @@ from mbdkit.plugin.mechanisms import (
     pair,
     sequence,
 )
+
+if TYPE_CHECKING:
+    from mbdkit_biomech.muscles.fiber_equilibrium import FiberEquilibrium
 
 MOST_CIRCLES = 4
 """Largest number of circles between two points of a path. It is limited because all patterns of touched circles are
@@ -229,6 +232,13 @@ class Muscle(Element):
                     f"there are more than {MOST_CIRCLES} circles between two points", key=f"path[{index}].wrap"
                 )
         return self
+
+    @property
+    def equilibrium(self) -> FiberEquilibrium | None:
+        """The equilibrium of the fibres with an elastic tendon, for predictions; None if it is rigid."""
+        from mbdkit_biomech.muscles.fiber_equilibrium import FiberEquilibrium
+
+        return FiberEquilibrium(self) if self.tendon == "elastic" else None
 
     @property
     def thickness(self) -> float:
