@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, SpecError
+from mbdkit.plugin import GROUND, SpecError, Target
 from mbdkit.plugin.equations import CompiledLaw, NativeLaw, elementary, native_law, with_ground
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.contact_laws import (
@@ -35,7 +35,6 @@ from mbdkit_contact.polylines import reaching_segments
 if TYPE_CHECKING:
     from mbdkit.plugin import Lowering, Mechanism
     from mbdkit_contact.contact import Contact
-    from mbdkit_contact.exported_contacts import SymbolicContacts
 
 HEAVY = 10.0
 """Largest contact force at the start, relative to the weight of all bodies, that is accepted. Larger forces mean that
@@ -91,13 +90,7 @@ class ActingContact:
     first_state: int = -1
     law_place: int = -1
     coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @staticmethod
-    def symbolic(contacts: Sequence[ActingContact]) -> SymbolicContacts:
-        """Return the contacts of a mechanism in functions of symbols, for optimal control."""
-        from mbdkit_contact.exported_contacts import SymbolicContacts
-
-        return SymbolicContacts(contacts)
+    symbolic: ClassVar[Target[Any]] = Target("mbdkit_contact.exported_contacts:SymbolicContacts")
 
     @property
     def edges(self) -> list[float]:

@@ -1,9 +1,11 @@
 """How elements of mechanisms export themselves as expressions: what an element kind may offer for optimal control.
 
 The laws and kernels of elements are executed with symbols as they are, so that most kinds need nothing of this file. A
-kind whose kernels search, or that records quantities of its own, has a method `symbolic` in its acting elements, those
-in `CompiledMechanism.extensions`. A kind with a stiff state, such as the length of fibres on an elastic tendon, has an
-attribute `equilibrium` in the elements of the mechanism.
+kind whose kernels search, or that records quantities of its own, has a class attribute `symbolic` in its acting
+elements, those in `CompiledMechanism.extensions`: a `mbdkit.plugin.Target` of a function that takes them and returns
+`SymbolicElements`. A kind with a stiff state, such as the length of fibres on an elastic tendon, has a class attribute
+`equilibrium` in the elements of the mechanism: a target of a function that takes one and returns its
+`ElementEquilibrium`, or None.
 """
 
 from __future__ import annotations
@@ -79,7 +81,7 @@ def equilibria(mechanism: Mechanism) -> dict[tuple[str, str], ElementEquilibrium
         (kind, name): equilibrium
         for kind, elements in mechanism.elements.items()
         for name, element in elements.items()
-        if (equilibrium := getattr(element, "equilibrium", None)) is not None
+        if hasattr(element, "equilibrium") and (equilibrium := element.equilibrium()(element)) is not None
     }
 
 
@@ -144,4 +146,4 @@ class SymbolicElements(Protocol):
 def symbolic_elements(compiled: CompiledMechanism) -> list[SymbolicElements]:
     """Return the acting elements that export themselves."""
     every = [acting for acting in compiled.extensions.values() if isinstance(acting, Sequence) and acting]
-    return [cast(SymbolicElements, acting[0].symbolic(acting)) for acting in every if hasattr(acting[0], "symbolic")]
+    return [cast(SymbolicElements, acting[0].symbolic()(acting)) for acting in every if hasattr(acting[0], "symbolic")]

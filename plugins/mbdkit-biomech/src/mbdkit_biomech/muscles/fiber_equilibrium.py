@@ -47,3 +47,8 @@ class FiberEquilibrium:
         own = self.muscle
         along = np.maximum(lengths - own.tendon_length, SHORTEST * own.optimal_length)
         return np.asarray(np.hypot(along, own.thickness))
+
+
+def equilibrium_of(muscle: Muscle) -> FiberEquilibrium | None:
+    """Return the equilibrium of the fibres of a muscle with an elastic tendon; None if the tendon is rigid."""
+    return FiberEquilibrium(muscle) if muscle.tendon == "elastic" else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -18,6 +18,7 @@ from mbdkit.plugin import (
     Positive,
     SpecError,
     StrictModel,
+    Target,
     did_you_mean,
     listed,
     of_models,
@@ -34,9 +35,6 @@ from mbdkit.plugin.mechanisms import (
     pair,
     sequence,
 )
-
-if TYPE_CHECKING:
-    from mbdkit_biomech.muscles.fiber_equilibrium import FiberEquilibrium
 
 MOST_CIRCLES = 4
 """Largest number of circles between two points of a path. It is limited because all patterns of touched circles are
@@ -176,6 +174,7 @@ class Muscle(Element):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics")
+    equilibrium: ClassVar[Target[Any]] = Target("mbdkit_biomech.muscles.fiber_equilibrium:equilibrium_of")
 
     path: Annotated[list[PathItem], Field(min_length=2)]
     """Points and circles from origin to insertion; the first and the last item are points without `when`."""
@@ -232,13 +231,6 @@ class Muscle(Element):
                     f"there are more than {MOST_CIRCLES} circles between two points", key=f"path[{index}].wrap"
                 )
         return self
-
-    @property
-    def equilibrium(self) -> FiberEquilibrium | None:
-        """The equilibrium of the fibres with an elastic tendon, for predictions; None if it is rigid."""
-        from mbdkit_biomech.muscles.fiber_equilibrium import FiberEquilibrium
-
-        return FiberEquilibrium(self) if self.tendon == "elastic" else None
 
     @property
     def thickness(self) -> float:
