@@ -57,7 +57,7 @@ With adaptive barrier parameters, a walk leaves the neighbourhood of the optimum
 """
 
 
-class Condition(NamedTuple):
+class ProgramCondition(NamedTuple):
     """A condition: its name, its values, and their bounds; conditions of the user have a name with a colon.
 
     If there is a column of values for each of some collocation points, `points` are the indices of these.
@@ -142,14 +142,14 @@ class NonlinearProgram:
     Attributes
     ----------
     points
-        `Condition.points` by name of the condition.
+        `ProgramCondition.points` by name of the condition.
     """
 
     def __init__(
         self,
         unknowns: Mapping[str, ca.MX],
         bounds: Mapping[str, tuple[np.ndarray, np.ndarray]],
-        conditions: Sequence[Condition],
+        conditions: Sequence[ProgramCondition],
         objective: ca.MX,
         sizes: Mapping[str, np.ndarray],
         hessian: PointHessian | None = None,

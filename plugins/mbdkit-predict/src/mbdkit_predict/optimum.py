@@ -111,10 +111,10 @@ class Optimum:
 
 def find_optimum(transcription: Transcription, stop: Stop) -> Optimum:
     """Return the best motion of a problem, found on finer and finer meshes until `stop` says to stop."""
-    return _Search(transcription, stop).run()
+    return _MeshSearch(transcription, stop).run()
 
 
-class _Search:
+class _MeshSearch:
     """Refines meshes until the error of the objective is known to be small enough."""
 
     def __init__(self, transcription: Transcription, stop: Stop):

@@ -27,7 +27,7 @@ NOTE = (
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldJoints:
     """Misalignment of one long run.
 
     Attributes
@@ -94,10 +94,10 @@ def verdict(study: Study) -> Verdict:
     )
 
 
-def _held(point: StudyPoint) -> Held:
+def _held(point: StudyPoint) -> HeldJoints:
     size = value(point, "mechanism_size")
     position, velocity = value(point, "misalignment_max"), value(point, "velocity_misalignment_every_step")
-    return Held(
+    return HeldJoints(
         point.family,
         str(point.axes[COMBINATION]),
         position / size if size > 0 else math.nan,
@@ -106,7 +106,7 @@ def _held(point: StudyPoint) -> Held:
     )
 
 
-def _holds(found: Sequence[Held], name: str, values: Sequence[float], what: str) -> Claim:
+def _holds(found: Sequence[HeldJoints], name: str, values: Sequence[float], what: str) -> Claim:
     """Return the claim that all values lie below the bound: no if any value does not, open if any is unknown."""
     answers = [exceeds(HELD, each) for each in values]
     worst = max(
