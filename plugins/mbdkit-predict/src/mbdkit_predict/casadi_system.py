@@ -137,9 +137,9 @@ class CasadiSystem:
     def _add_functions(self) -> None:
         eq, run = self._equations, self._run
         top, w = eq.top, eq.w
-        for one in self._balanced():
-            address, begin, _, program = map(int, top.laws[int(top.springs[one.segment, 3]), :4])
-            run.known_forces[address, program, begin] = one.in_si[1]
+        for element in self._balanced():
+            address, begin, _, program = map(int, top.laws[int(top.springs[element.segment, 3]), :4])
+            run.known_forces[address, program, begin] = element.in_si[1]
         residual = _zeros(len(self._q))
         run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
         run(applied_forces.applied_forces)(top, w, eq.q, eq.v)
@@ -161,8 +161,8 @@ class CasadiSystem:
     def _rates(self, top: Topology) -> np.ndarray:
         rates = _zeros(len(self._z))
         self._run(applied_forces.state_rates)(top, self._equations.w, self._equations.v, rates)
-        for one in self._balanced():
-            rates[one.state] = one.in_si[0]
+        for element in self._balanced():
+            rates[element.state] = element.in_si[0]
         return rates
 
     def _balanced(self) -> Iterator[_Balanced]:
@@ -178,9 +178,9 @@ class CasadiSystem:
             yield _Balanced(equilibrium, segment, state, self._u[rate], self._u[force], values)
 
     def _equilibrium(self) -> Iterator[Any]:
-        for one in self._balanced():
-            length = self._equations.w.s[one.segment, 0]
-            yield from one.equilibrium.conditions(one.rate, one.force, length, one.law)
+        for element in self._balanced():
+            length = self._equations.w.s[element.segment, 0]
+            yield from element.equilibrium.conditions(element.rate, element.force, length, element.law)
 
     @cached_property
     def _states(self) -> States:
