@@ -10,3 +10,7 @@ def test_parts_take_as_many_names_from_each_other_as_their_budget_says() -> None
     counts = {pair: str(len(names)) for pair, names in names_between().items()}
     hint = "use the door of the other part (`python -m tests.names_between_parts --names` lists the names)"
     assert counts == budget, f"{hint}; where there are fewer, lower the budget"
+
+
+def test_parts_take_at_most_a_hundred_names_from_each_other() -> None:
+    assert len(set().union(*names_between().values())) <= 100

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, SpecError
+from mbdkit.plugin import GROUND, SpecError, Target
 from mbdkit.plugin.equations import CompiledLaw, NativeLaw, elementary, native_law, with_ground
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.contact_laws import (
@@ -90,6 +90,7 @@ class ActingContact:
     first_state: int = -1
     law_place: int = -1
     coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    symbolic: ClassVar[Target[Any]] = Target("mbdkit_contact.exported_contacts:SymbolicContacts")
 
     @property
     def edges(self) -> list[float]:

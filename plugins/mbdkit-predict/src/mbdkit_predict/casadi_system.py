@@ -3,33 +3,43 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
-from mbdkit.kernels import INTERACTION, LAW_ROW, SPRING, LawRow, Observed, Reactions, Topology
+from mbdkit.kernels import LAW_ROW, SPRING, LawRow, Observed, Reactions, Topology
 from mbdkit.plugin import SpecError, States, listed
 from mbdkit.plugin.archives import KINDS, Quantity, archive_names
-from mbdkit.plugin.equations import CompiledMechanism, Workspace, elementary
+from mbdkit.plugin.equations import Workspace, elementary
 from mbdkit.plugin.measures import RunExpression, value_of
-from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
-from mbdkit_biomech.muscles.force_curves import CURVES
-from mbdkit_biomech.muscles.hill_laws import fiber_pull, tendon_gap
-from mbdkit_contact.acting_contacts import contact_law, pairs_of_shapes
-from mbdkit_contact.kernels import contact_laws
 from mbdkit_predict.chosen_numbers import ChosenNumbers
+from mbdkit_predict.exported_elements import ElementEquilibrium, symbolic_elements
 from mbdkit_predict.interpreted import Interpreter
 from mbdkit_predict.symbols import BranchError, Symbol, column, symbols
 
 ARGUMENTS = ("q", "v", "a", "lam", "z", "u", "p", "t")
 """Arguments of all functions."""
-_CONTACT = {"gap": 0, "normal_force": 1, "friction_force": 2, "slip": 3}
-"""Quantities of contacts, with their index in the results of the law of contacts."""
+
+
+class _Balanced(NamedTuple):
+    equilibrium: ElementEquilibrium
+    segment: int
+    """Index of its segment among the springs."""
+    state: int
+    rate: Symbol
+    force: Symbol
+    law: Mapping[str, Any]
+    """Parameters of its law by name."""
+
+    @property
+    def in_si(self) -> tuple[Any, Any]:
+        """Rate of the state, and force, in SI units."""
+        return self.equilibrium.in_si(self.rate, self.force, self.law)
 
 
 class CasadiSystem:
@@ -68,16 +78,17 @@ class CasadiSystem:
     rates : casadi.Function
         Derivatives of the states by time, (Z, 1).
     equilibrium : casadi.Function
-        Zeros in a motion, two for each muscle whose unknowns are controls: force of the fibres along the tendon less
-        that of the tendon, as a share of the largest force; and, as a share of its length, the room for the tendon less
-        its length (with the curves `millard`, also a difference of forces).
+        Zeros in a motion, two for each element whose unknowns are controls, such as a muscle with an elastic tendon:
+        see `mbdkit_predict.exported_elements.ElementEquilibrium.conditions`.
     """
 
     def __init__(self, chosen: ChosenNumbers, t0: float):
         self.chosen = chosen
         start = mechanism_at_start(self.chosen.mechanism, t0)
         self._compiled = start.mechanism
-        _check(self._compiled)
+        self._elements = symbolic_elements(self._compiled)
+        for elements in self._elements:
+            elements.check()
         self._controls = {name: i for i, name in enumerate(chosen.control_states)}
         names = [state.name for state in self._compiled.states]
         self._is_state = [name not in self._controls for name in names]
@@ -94,7 +105,7 @@ class CasadiSystem:
         self.q0, self.v0 = start.q0[:n].copy(), start.v0[:n].copy()
         self.z0 = self._compiled.initial_states[self._is_state]
         self.u0, self.p0 = np.array(chosen.control_start), np.array(chosen.parameter_start)
-        self._run = Interpreter(self._compiled.laws)
+        self._run = Interpreter(self._compiled.laws, self._elements)
         self._equations = self._new_equations()
         self._add_functions()
 
@@ -114,7 +125,6 @@ class CasadiSystem:
         return ca.Function(name, given, values, list(self.symbols), list(results))
 
     def _new_equations(self) -> equations.Equations:
-        """Return the arrays of the engine, with numbers and symbols as objects."""
         known = self._compiled
         work = Workspace(known, 0.0, np.zeros(known.size), np.zeros(known.size))
         top = self.chosen.topology(known.topology, self._p)
@@ -125,12 +135,11 @@ class CasadiSystem:
         return bundle
 
     def _add_functions(self) -> None:
-        """Add the functions `residual`, `constraints`, `rates` and `equilibrium`."""
         eq, run = self._equations, self._run
         top, w = eq.top, eq.w
-        for _, segment, _, force, values in self._fibers():
-            address, begin, _, program = LawRow(*map(int, top.laws[int(top.springs[segment, SPRING.law])]))
-            run.known_forces[address, program, begin] = values["max_force"] * force
+        for element in self._balanced():
+            address, begin, _, program = LawRow(*map(int, top.laws[int(top.springs[element.segment, SPRING.law])]))
+            run.known_forces[address, program, begin] = element.in_si[1]
         residual = _zeros(len(self._q))
         run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
         run(applied_forces.applied_forces)(top, w, eq.q, eq.v)
@@ -150,33 +159,28 @@ class CasadiSystem:
         self.equilibrium = self.function("equilibrium", {"equilibrium": column(list(self._equilibrium()))})
 
     def _rates(self, top: Topology) -> np.ndarray:
-        """Return the rates of the first-order states."""
         rates = _zeros(len(self._z))
         self._run(applied_forces.state_rates)(top, self._equations.w, self._equations.v, rates)
-        for muscle, _, velocity, _, values in self._fibers():
-            rates[muscle.activation + 1] = values["max_speed"] * velocity
+        for element in self._balanced():
+            rates[element.state] = element.in_si[0]
         return rates
 
-    def _fibers(self) -> Iterator[tuple[ActingMuscle, int, Symbol, Symbol, dict[str, Any]]]:
-        """Yield each muscle whose fibres have unknowns among the controls, with its segment, the velocity, the force,
-        and the parameters of its law.
-        """
-        top, law_values = self._compiled.topology, self._equations.w.law_values
-        for muscle in self._compiled.extensions.get("muscles", ()):
-            if indices := self.chosen.fibers.get(muscle.force.name):
-                is_first = top.springs[:, SPRING.segments] > 0
-                (segment,) = np.flatnonzero((top.force_place == muscle.place) & is_first).tolist()
-                law = int(top.springs[segment, SPRING.law])
-                names = [name for name, _ in self._compiled.laws[law][1].parameters]
-                values = dict(zip(names, law_values[int(top.laws[law, LAW_ROW.parameters]) + 1 :], strict=False))
-                yield muscle, segment, *(self._u[i] for i in indices), values
+    def _balanced(self) -> Iterator[_Balanced]:
+        known, law_values = self._compiled, self._equations.w.law_values
+        top = known.topology
+        for kind, name, equilibrium, rate, force in self.chosen.equilibria:
+            (place,) = (acting.place for acting in known.extensions[kind] if acting.force.name == name)
+            (segment,) = np.flatnonzero((top.force_place == place) & (top.springs[:, SPRING.segments] > 0)).tolist()
+            law = int(top.springs[segment, SPRING.law])
+            names = [parameter for parameter, _ in known.laws[law][1].parameters]
+            values = dict(zip(names, law_values[int(top.laws[law, LAW_ROW.parameters]) + 1 :], strict=False))
+            state = self.compiled_states.index(f"{name}.{equilibrium.state}")
+            yield _Balanced(equilibrium, segment, state, self._u[rate], self._u[force], values)
 
     def _equilibrium(self) -> Iterator[Any]:
-        """Yield the conditions of equilibrium of the fibres that have unknowns among the controls."""
-        for muscle, segment, velocity, force, values in self._fibers():
-            curves = CURVES[muscle.force.muscle.curves]
-            yield fiber_pull(velocity, values, curves) - force
-            yield tendon_gap(self._equations.w.s[segment, 0], force, values, curves)
+        for element in self._balanced():
+            length = self._equations.w.s[element.segment, 0]
+            yield from element.equilibrium.conditions(element.rate, element.force, length, element.law)
 
     @cached_property
     def _states(self) -> States:
@@ -197,21 +201,14 @@ class CasadiSystem:
         return States(self._compiled, t, q, v, lambda: observed, z=z)
 
     @cached_property
-    def _contacts(self) -> dict[str, np.ndarray]:
-        """Values of all rows of contacts by name."""
-        by_name = dict[str, np.ndarray]()
-        w, top = self._equations.w, self._equations.top
-        for k, rows in enumerate(pairs_of_shapes(self._compiled.extensions.get("contacts", ()))):
-            law = contact_law(rows, contact_laws.VALUES)
-            begin = top.laws[top.interactions[k, INTERACTION.law], LAW_ROW.parameters]
-            out = _zeros(len(rows), contact_laws.VALUE)
-            self._run.call_law(law.address, law.program, 0.0, 0.0, 0.0, w.law_values, begin, out, 0, contact_laws.VALUE)
-            by_name |= {row.pair.name: values for row, values in zip(rows, out, strict=True)}
-        return by_name
+    def _own_values(self) -> dict[str, tuple[tuple[str, ...], Mapping[str, Sequence[Any]]]]:
+        """By kind of quantities that elements compute themselves: names, and their values by name of the element."""
+        w, top, call = self._equations.w, self._equations.top, self._run.call_law
+        every = [(one, one.values(call, top, w.law_values)) for one in self._elements]
+        return {kind: (one.attributes, values) for one, values in every for kind in one.kinds}
 
     @cached_property
     def _quantities(self) -> tuple[dict[str, ca.SX], dict[str, str]]:
-        """All quantities by name, and the reasons why others cannot be exported."""
         values, refused = {}, {}
         for name in self._names():
             try:
@@ -240,7 +237,6 @@ class CasadiSystem:
         return self.function("quantities", {"quantities": ca.vertcat(*self._quantities[0].values())})
 
     def _names(self) -> Iterator[str]:
-        """Yield the names of all quantities that have one value at each time."""
         names = archive_names(self._compiled)
         for kind in KINDS:
             every = kind.attributes.values()
@@ -282,10 +278,11 @@ class CasadiSystem:
         name, reason = quantity.name, ""
         if quantity.recorded.array.is_shared and name in self._compiled.redundancy.not_unique:
             reason = "redundant joints share it, so that it does not follow from the multipliers"
-        elif quantity.kind == "contacts" and quantity.attribute in _CONTACT:
-            return self._contacts[name][_CONTACT[quantity.attribute]]
-        elif quantity.kind in ("contacts", "ground_reactions"):
-            reason = f"of contacts, there are {listed(list(_CONTACT), 'and')}"
+        elif quantity.kind in self._own_values:
+            attributes, values = self._own_values[quantity.kind]
+            if quantity.attribute in attributes and name in values:
+                return values[name][attributes.index(quantity.attribute)]
+            reason = f"of {quantity.kind}, there are {listed(attributes, 'and')}"
         else:
             try:
                 value = quantity.taker(archive_names(self._compiled))(self._states)
@@ -293,14 +290,6 @@ class CasadiSystem:
             except (BranchError, TypeError, ValueError, AttributeError) as error:
                 reason = f"its definition cannot be executed with symbols ({error})"
         raise SpecError(f"{quantity} cannot be exported: {reason}")
-
-
-def _check(mechanism: CompiledMechanism) -> None:
-    """Raise SpecError for a rigid contact."""
-    for contact in mechanism.extensions.get("contacts", ()):
-        if contact.first_state >= 0:
-            why = "is rigid, so that its force is not a function of the state; give it a `compliance`"
-            raise SpecError(f"contact '{contact.pair.name}' {why}", key=contact.pair.key)
 
 
 def _elements(vector: ca.SX) -> list[Symbol]:

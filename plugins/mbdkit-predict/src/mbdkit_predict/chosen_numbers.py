@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from mbdkit.kernels import Topology
-from mbdkit.plugin import Mechanism, SpecError, copied, did_you_mean, listed, parse_path, path_text, plain, quoted
+from mbdkit.plugin import Mechanism, SpecError, copied, did_you_mean, parse_path, path_text, plain
 from mbdkit.plugin.equations import compile_mechanism
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.mechanisms import element_kinds
+from mbdkit_predict.exported_elements import chosen_equilibria
 
 STEP = 0.25
 """Change of parameters, relative to their values, by which linear functions are recognized, together with its half."""
@@ -29,10 +30,6 @@ LINEAR = 1e-9
 """Largest difference between the slopes for both changes, relative to the slope."""
 NOT_READ = "weight", "length", "row_units"
 """Arrays of numbers that the equations of motion do not contain, only their solution."""
-
-UNKNOWNS = "fiber_velocity", "tendon_force"
-"""Unknowns of the equilibrium of fibres with an elastic tendon: the velocity of the fibres, negative for shortening, as
-a share of the largest velocity, and the force of the tendon as a share of `max_force`."""
 
 
 class ChosenNumbers:
@@ -45,9 +42,9 @@ class ChosenNumbers:
     mechanism
         The mechanism with controls as states.
     control_states
-        Names of the states that are the controls; the keys of unknowns of fibres, which are no states.
-    fibers
-        Indices of both `UNKNOWNS` of fibres among the controls, by name of the muscle.
+        Names of the states that are the controls; the keys of unknowns of equilibria, which are no states.
+    equilibria
+        Equilibria of elements, such as fibres with an elastic tendon, whose unknowns are controls.
     control_start, parameter_start
         Present values; 0 for controls that are not numbers.
     """
@@ -56,8 +53,8 @@ class ChosenNumbers:
         self.controls, self.parameters = tuple(controls), tuple(parameters)
         self._spec = mechanism.to_spec()
         self._original = mechanism
-        self.fibers = self._fibers()
-        unknowns = {controls[i] for both in self.fibers.values() for i in both}
+        self.equilibria = chosen_equilibria(mechanism, controls)
+        unknowns = {controls[i] for one in self.equilibria for i in one.unknowns}
         self.control_start = [0.0 if key in unknowns else self._start(key) for key in controls]
         if both := set(controls) & set(parameters):
             raise SpecError("is a control, so that it is no parameter", key=f"model.{min(both)}")
@@ -73,19 +70,7 @@ class ChosenNumbers:
                 raise
             raise SpecError("is no control, because it cannot change with time", key=error.key) from None
 
-    def _fibers(self) -> dict[str, tuple[int, int]]:
-        """Return `fibers`."""
-        fibers = {}
-        for name in elastic_muscles(self._original):
-            keys = unknowns_of(name)
-            if present := [key for key in keys if key in self.controls]:
-                if len(present) == 1:
-                    raise SpecError(f"the equilibrium needs both {listed(keys, 'and')}", key=f"model.{present[0]}")
-                fibers[name] = self.controls.index(keys[0]), self.controls.index(keys[1])
-        return fibers
-
     def _add_control(self, key: str, start: float) -> str:
-        """Add a control; return the name of its state."""
         kind, *path = parse_path(key)
         if kind == "states" and len(path) == 1:  # the state itself is the control
             self._spec["states"][path[0]] |= {"initial": start, "rate": "0"}
@@ -130,7 +115,6 @@ class ChosenNumbers:
         holder[last] = value
 
     def _mechanism(self, spec: dict[str, Any]) -> Mechanism:
-        """Return the mechanism of a changed spec, with its elements in the original order."""
         changed, original = Mechanism.from_spec(spec), self._original
         changed.name, changed.treatments = original.name, original.treatments
         for kind in ("bodies", *original.elements):
@@ -187,20 +171,8 @@ class ChosenNumbers:
         return known._replace(**arrays)
 
     def _compiled(self, changes: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the numbers of the compiled mechanism with changed parameters."""
         changed = self.with_parameters((np.array(self.parameter_start) + changes).tolist())
         return dict(_numbers(compile_mechanism(changed).topology))
-
-
-def elastic_muscles(mechanism: Mechanism) -> list[str]:
-    """Return the names of the muscles with elastic tendons."""
-    muscles: Mapping[str, Any] = mechanism.elements.get("muscles", {})
-    return [name for name, muscle in muscles.items() if muscle.tendon == "elastic"]
-
-
-def unknowns_of(muscle: str) -> list[str]:
-    """Return the keys of both `UNKNOWNS` of the fibres of a muscle."""
-    return [f"muscles.{quoted(muscle)}.{name}" for name in UNKNOWNS]
 
 
 def _numbers(topology: Topology) -> Iterator[tuple[str, np.ndarray]]:

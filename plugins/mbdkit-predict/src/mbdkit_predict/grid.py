@@ -13,7 +13,7 @@ NEAR = 0.25
 
 
 @dataclass(frozen=True)
-class Grid:
+class IntervalGrid:
     """N intervals of a motion with P phases, and the s collocation points in each of them.
 
     Attributes
@@ -31,11 +31,11 @@ class Grid:
     c: np.ndarray
 
     @classmethod
-    def uniform(cls, counts: Sequence[int], c: np.ndarray) -> Grid:
+    def uniform(cls, counts: Sequence[int], c: np.ndarray) -> IntervalGrid:
         """Return intervals of equal length, given their number in each phase."""
         return cls(np.repeat(np.arange(len(counts)), counts), np.repeat(1.0 / np.array(counts), counts), c)
 
-    def with_ends(self, phase: int, shares: Iterable[float]) -> Grid:
+    def with_ends(self, phase: int, shares: Iterable[float]) -> IntervalGrid:
         """Return a grid in which intervals of a phase also end at given shares of its duration, in ascending order.
 
         The nearest end moves there from at most `NEAR` of an interval; otherwise, an interval is divided.
@@ -52,11 +52,11 @@ class Grid:
         first, last = np.flatnonzero(own)[[0, -1]]
         parts = [self.share[:first], np.diff(ends), self.share[last + 1 :]]
         phases = [self.phase[:first], np.full(len(ends) - 1, phase), self.phase[last + 1 :]]
-        return Grid(np.concatenate(phases), np.concatenate(parts), self.c)
+        return IntervalGrid(np.concatenate(phases), np.concatenate(parts), self.c)
 
-    def divided(self, parts: np.ndarray) -> Grid:
+    def divided(self, parts: np.ndarray) -> IntervalGrid:
         """Return a finer grid, given the number of parts (N,) of each interval."""
-        return Grid(np.repeat(self.phase, parts), np.repeat(self.share / parts, parts), self.c)
+        return IntervalGrid(np.repeat(self.phase, parts), np.repeat(self.share / parts, parts), self.c)
 
     @property
     def counts(self) -> tuple[int, ...]:

@@ -15,8 +15,8 @@ from mbdkit_predict.predict_spec import PredictSpec
 
 LARGEST_FILE = 2**31
 """Largest size of an archive that is read [bytes]."""
-IN_PLACE = {"excitation": "activation", "fiber_velocity": "fiber_rate", "tendon_force": "force"}
-"""Quantities of muscles in archives that stand for controls."""
+IN_PLACE = {"excitation": "activation"}
+"""Quantities in archives that stand for controls; equilibria of elements name those that stand for their unknowns."""
 
 
 class GuessedMotion:
@@ -66,15 +66,23 @@ def archived_motion(spec: PredictSpec, system: CasadiSystem) -> GuessedMotion:
         if run.records("constraints/multiplier"):
             rows = run.array("constraints/constraint").tolist()
             known["lam"] = _chosen(system.constraint_names, rows, run.array("constraints/multiplier"))
-        chosen, muscles = spec.chosen, spec.mechanism().muscles
-        sizes = {chosen.controls[i]: muscles[name].max_force for name, (_, i) in chosen.fibers.items()}
-        for name, (i, _) in chosen.fibers.items():
-            sizes[chosen.controls[i]] = muscles[name].max_velocity * muscles[name].optimal_length
+        chosen = spec.chosen
+        unknowns = {
+            chosen.controls[index]: (one.equilibrium.recorded[k], one.equilibrium.sizes[k])
+            for one in chosen.equilibria
+            for k, index in enumerate(one.unknowns)
+        }
         controls = zip(chosen.controls, chosen.control_states, strict=True)
         optimized = json.loads(str(run.provenance.get("optimized", "{}")))
         known |= {
             "z": np.array([_history(run, name) for name in system.state_names]),
-            "u": np.array([_history(run, state, key) / sizes.get(key, 1.0) for key, state in controls]),
+            "u": np.array(
+                [
+                    _history(run, state, key, recorded) / size
+                    for key, state in controls
+                    for recorded, size in [unknowns.get(key, ("", 1.0))]
+                ]
+            ),
             "p": np.array([np.full(len(run.time), optimized.get(key, np.nan)) for key in system.parameter_names]),
         }
         return GuessedMotion(time, known, json.loads(str(run.provenance.get("durations", "[]"))))
@@ -100,13 +108,17 @@ def _chosen(wanted: Sequence[str], names: list[str], histories: np.ndarray) -> n
     return padded[:, places].reshape(len(padded), -1).T
 
 
-def _history(run: Run, state: str, control: str = "") -> np.ndarray:
-    """Return the values (T,) of a state, or of what stands for a control; nan if the run has none."""
+def _history(run: Run, state: str, control: str = "", recorded: str = "") -> np.ndarray:
+    """Return the values (T,) of a state, or of what stands for a control, `recorded` by default; nan without any."""
     owner, _, attribute = state.rpartition(".")
     sources = [("states", state, "value"), ("muscles", owner, attribute)]
     if control and len(path := parse_path(control)) == 3:
         kind, name, value = map(str, path)
-        sources[1:] = [("actuators", name, value), (kind, name, value), (kind, name, IN_PLACE.get(value, value))]
+        sources[1:] = [
+            ("actuators", name, value),
+            (kind, name, value),
+            (kind, name, recorded or IN_PLACE.get(value, value)),
+        ]
     for kind, name, value in sources:
         with suppress(AttributeError, LookupError, MbdkitError):
             values = np.asarray(getattr(getattr(run, kind)[name], value))

@@ -2,15 +2,15 @@
 
 The source of kernels has no branches on numbers, because it is also compiled for lanes (several runs at once), with two
 exceptions: tables of motions, and laws that are called by address. These are executed once for each branch
-(`mbdkit_predict.symbols.every_branch`), except the law of contacts, which searches among edges: its branches are merged
-(`mbdkit_predict.merged_branches`).
+(`mbdkit_predict.symbols.every_branch`), except in modules that search, such as the law of contacts among edges: their
+branches are merged (`mbdkit_predict.merged_branches`).
 """
 
 from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import BuiltinFunctionType, CellType, CodeType, FunctionType, SimpleNamespace
 from typing import Any
@@ -22,7 +22,7 @@ from mbdkit.expressions import operations
 from mbdkit.kernels import DECLARED, OPCODES, Entry, Kernel, LawFunction, arithmetic, calls
 from mbdkit.plugin import FunctionLaw, SpecError
 from mbdkit.plugin.equations import CompiledLaw
-from mbdkit_contact.kernels import contact_laws, uneven_ground
+from mbdkit_predict.exported_elements import SymbolicElements, SymbolTools
 from mbdkit_predict.merged_branches import Numbers, merged, select
 from mbdkit_predict.symbols import BranchError, Symbol, apply, best, every_branch, where
 
@@ -42,16 +42,6 @@ def _numbers_at(address: Any, first: int, count: int, like: Any) -> Any:
     return calls.numbers_at(int(address), first, int(count), 0.0).tolist()
 
 
-def _segment_at(x: np.ndarray, ground: int, count: int, px: Any) -> Any:
-    """Return the last segment that starts at or before a place; the search is not by bisection."""
-    last: Any = 0
-    for j in range(1, count):
-        last = select(x[ground + uneven_ground.SEGMENT * j] <= px, j, last)
-    return last
-
-
-MERGED = (contact_laws.__name__, uneven_ground.__name__)
-"""Modules whose functions search, so that their branches are merged."""
 _BUILTINS = {"min": partial(best, operator.lt), "max": partial(best, operator.gt), "float": _number}
 _REPLACED: Mapping[Any, Callable[..., Any]] = {
     arithmetic.where: where,
@@ -65,7 +55,6 @@ _REPLACED: Mapping[Any, Callable[..., Any]] = {
     angles.cosine_and_sine: _cosine_and_sine,
     angles._near: _cosine_and_sine,
     equations.load_equations: lambda equations: equations,
-    uneven_ground.segment_at: _segment_at,
 }
 """Functions that compiled code replaces as well, or that need a form for symbols."""
 
@@ -89,12 +78,13 @@ class Interpreter:
         evaluated.
     """
 
-    def __init__(self, laws: tuple[tuple[str, CompiledLaw], ...]):
+    def __init__(self, laws: tuple[tuple[str, CompiledLaw], ...], elements: Sequence[SymbolicElements] = ()):
         self._names = {(law.address, law.program): name for name, law in laws}
         self._functions: dict[int, Any] = {law.address: law for law in DECLARED.laws.values()}
         self._functions |= {law.address: law.law.function for _, law in laws if isinstance(law.law, FunctionLaw)}
         self.known_forces: dict[tuple[int, int, int], Symbol] = {}
         self._known: dict[Any, Any] = {**_REPLACED, calls.call_law: self.call_law}
+        self._searching = frozenset(module for one in elements for module in one.searching)
         execute, is_true = self(law_programs._execute), self(law_programs._is_true)
 
         def instruction(op: int, a: int, b: int, c: int, to: int, x: np.ndarray) -> None:
@@ -105,8 +95,9 @@ class Interpreter:
                 execute(op, a, b, c, to, x)
 
         self._known[law_programs._execute] = instruction
-        for window in (uneven_ground.window_around, uneven_ground.corners_window):
-            self._known[window] = self._bounded(self(window))
+        tools = SymbolTools(self, select, lambda x: isinstance(x, Symbol) and not x.sx.is_constant())
+        for one in elements:
+            self._known |= one.forms(tools)
         polynomial = self(motions._piecewise_polynomial)
         self._known[motions._piecewise_polynomial] = lambda *given: every_branch(lambda: polynomial(*given))
 
@@ -117,7 +108,7 @@ class Interpreter:
         if function in self._known:
             return self._known[function]
         original, names = function, dict[str, Any](_BUILTINS)
-        if function.__module__ in MERGED:
+        if function.__module__ in self._searching:
             function = merged(function)
         cells = function.__closure__ and tuple(CellType() for _ in function.__closure__)
         translated = FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells)
@@ -137,19 +128,6 @@ class Interpreter:
             return self(value)
         return value
 
-    @staticmethod
-    def _bounded(window: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function for the segments that are searched: all of them, if the first search was not enough.
-
-        The distance that is searched is a number at first; it depends on the state once it is increased.
-        """
-
-        def segments(x: np.ndarray, at: int, sizes: tuple[int, int], *others: Any) -> Any:
-            is_first = not isinstance(others[-1], Symbol) or others[-1].sx.is_constant()
-            return window(x, at, sizes, *others) if is_first else (0, sizes[1] - 1)
-
-        return segments
-
     def call_law(
         self, address: int, program: int, length: Any, rate: Any, time: Any, parameters: np.ndarray, begin: int,
         out: np.ndarray, row: int, count: int,
@@ -162,7 +140,7 @@ class Interpreter:
         name = self._names.get((int(address), int(program)), "")
         given = parameters[begin:]
         try:
-            if law is contact_laws.contact:
+            if isinstance(law, LawFunction) and law.function.__module__ in self._searching:
                 self(law)(int(program), length, rate, time, given.view(Numbers), out[row:].reshape(-1).view(Numbers))
             elif isinstance(law, LawFunction):
                 run = self(law)
@@ -181,6 +159,5 @@ class Interpreter:
 
 
 def _names_in(code: CodeType) -> set[str]:
-    """Return the names that a function and the functions in it use."""
     inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
     return set(code.co_names).union(*map(_names_in, inner))

@@ -3,8 +3,8 @@
 `merged` rewrites a function of Python: both branches of a condition on symbols are executed, and each variable is
 selected by the condition. A search for the nearest edge thus takes as many selections as there are edges, whereas
 `mbdkit_predict.symbols.every_branch` would execute all sequences of outcomes. An integer that depends on conditions,
-such as the number of this edge, is a `Choice` among a few numbers. Functions that are called must be rewritten too, and
-must not change anything but elements of arrays. Loops are ``for`` over `range`, or ``while True``.
+such as the number of this edge, is an `IntegerChoice` among a few numbers. Functions that are called must be rewritten
+too, and must not change anything but elements of arrays. Loops are ``for`` over `range`, or ``while True``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MOST_REPEATS = 2
 """Number of passes of ``while True``, a search that is repeated until it succeeds; the last one must be complete."""
 
 
-class Choice:
+class IntegerChoice:
     """An integer that depends on conditions: its possible values, each with its condition, one of which holds."""
 
     __hash__ = None  # type: ignore[assignment]
@@ -40,7 +40,7 @@ class Choice:
 
 
 def _cases(x: Any) -> dict[int, Any]:
-    return x.cases if isinstance(x, Choice) else {int(x): True}
+    return x.cases if isinstance(x, IntegerChoice) else {int(x): True}
 
 
 def _chosen(pairs: Iterator[tuple[Any, Any]]) -> Any:
@@ -49,7 +49,7 @@ def _chosen(pairs: Iterator[tuple[Any, Any]]) -> Any:
         cases[value] = either(cases.get(value, False), holds)
     if isinstance(next(iter(cases)), bool):
         return cases.get(True, False) if False in cases else True
-    return Choice(cases) if len(cases) > 1 else next(iter(cases))
+    return IntegerChoice(cases) if len(cases) > 1 else next(iter(cases))
 
 
 def _operation(name: str, *, is_reflected: bool = False) -> Callable[..., Any]:
@@ -62,16 +62,16 @@ def _operation(name: str, *, is_reflected: bool = False) -> Callable[..., Any]:
 
 
 for _name in ("add", "sub", "mul", "floordiv", "mod", "eq", "ne", "lt", "le", "gt", "ge"):
-    setattr(Choice, f"__{_name}__", _operation(_name))
+    setattr(IntegerChoice, f"__{_name}__", _operation(_name))
 for _name in ("add", "sub", "mul"):
-    setattr(Choice, f"__r{_name}__", _operation(_name, is_reflected=True))
+    setattr(IntegerChoice, f"__r{_name}__", _operation(_name, is_reflected=True))
 
 
 class Numbers(np.ndarray):
     """An array of numbers and symbols in which an index may be a choice."""
 
     def __getitem__(self, index: Any) -> Any:
-        (first, _), *others = index.cases.items() if isinstance(index, Choice) else [(index, True)]
+        (first, _), *others = index.cases.items() if isinstance(index, IntegerChoice) else [(index, True)]
         value = super().__getitem__(first)
         for i, condition in others:
             value = where(condition, super().__getitem__(i), value)
@@ -101,7 +101,7 @@ def select(condition: Any, x: Any, y: Any) -> Any:
         return x if x is y or condition else y
     if isinstance(x, tuple):
         return tuple(select(condition, *pair) for pair in zip(x, y, strict=True))
-    if all(isinstance(value, int | Choice) for value in (x, y)):
+    if all(isinstance(value, int | IntegerChoice) for value in (x, y)):
         sides = ((x, condition), (y, negated(condition)))
         if isinstance(x, bool):
             return _chosen(iter(sides))
@@ -127,21 +127,21 @@ def if_else(condition: Any, x: Callable[[], Any], y: Callable[[], Any]) -> Any:
     return select(condition, x(), y()) if isinstance(condition, Symbol) else (x if condition else y)()
 
 
-class Run:
+class MergedExecution:
     """The execution of a function: the conditions of the statement that is executed.
 
     A stack has the condition under which the function has not returned yet, those of the branches around the
     statement, and for each loop that it was not left, followed by that the rest of this pass was not skipped.
     """
 
-    _running: list[Run] = []  # noqa: RUF012
+    _running: list[MergedExecution] = []  # noqa: RUF012
 
     def __init__(self) -> None:
         self._stack, self._loops = [True], list[int]()
         self.result: Any = None
         self._outer = self._running[-1].guard() if self._running else True
 
-    def __enter__(self) -> Run:
+    def __enter__(self) -> MergedExecution:
         self._running.append(self)
         return self
 
@@ -213,7 +213,10 @@ class _Rewriter(ast.NodeTransformer):
         return node if rewrite is None else rewrite(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> Any:
-        node.body, node.decorator_list = _block("with _merged.Run() as _run:", node.body, "return _run.result"), []
+        node.body, node.decorator_list = (
+            _block("with _merged.MergedExecution() as _run:", node.body, "return _run.result"),
+            [],
+        )
         return node
 
     def visit_Assign(self, node: ast.Assign) -> Any:

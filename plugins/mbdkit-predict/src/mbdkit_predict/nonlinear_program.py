@@ -5,8 +5,8 @@ from __future__ import annotations
 import ctypes
 import io
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import redirect_stderr
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,11 +35,6 @@ SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 ROUNDED = "Search_Direction_Becomes_Too_Small"
 """Reports of the optimizer."""
 
-# OpenBLAS of CasADi, which threadpoolctl does not know: blocks of the linear solver are too small for several threads
-for _name in ("libcasadi-tp-openblas.so.0", "libcasadi-tp-openblas.dll"):
-    if (_file := Path(ca.__file__).with_name(_name)).exists():
-        ctypes.CDLL(str(_file)).openblas_set_num_threads(1)
-
 _SILENT: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
 _OPTIONS: dict[str, Any] = {
     **_SILENT, "show_eval_warnings": False, "calc_lam_x": True, "ipopt.tol": PRECISION,
@@ -62,7 +57,7 @@ With adaptive barrier parameters, a walk leaves the neighbourhood of the optimum
 """
 
 
-class Condition(NamedTuple):
+class ProgramCondition(NamedTuple):
     """A condition: its name, its values, and their bounds; conditions of the user have a name with a colon.
 
     If there is a column of values for each of some collocation points, `points` are the indices of these.
@@ -147,14 +142,14 @@ class NonlinearProgram:
     Attributes
     ----------
     points
-        `Condition.points` by name of the condition.
+        `ProgramCondition.points` by name of the condition.
     """
 
     def __init__(
         self,
         unknowns: Mapping[str, ca.MX],
         bounds: Mapping[str, tuple[np.ndarray, np.ndarray]],
-        conditions: Sequence[Condition],
+        conditions: Sequence[ProgramCondition],
         objective: ca.MX,
         sizes: Mapping[str, np.ndarray],
         hessian: PointHessian | None = None,
@@ -202,7 +197,7 @@ class NonlinearProgram:
                     for name, _ in self._conditions]  # fmt: skip
             start["lam_g0"] = -np.concatenate([_flat(row) for row in rows])
             start["lam_x0"] = -np.concatenate([_flat(slopes[name]) for name in self._names]) * self._sizes
-        with redirect_stderr(io.StringIO()):
+        with redirect_stderr(io.StringIO()), _one_thread():
             solver = ca.nlpsol("prediction", "ipopt", self._functions, {**_OPTIONS, **options})
             result: Any = solver(lbx=self._low_x, ubx=self._high_x, lbg=self._low, ubg=self._high, **start)
         report = solver.stats()
@@ -273,6 +268,23 @@ class _Watcher(ca.Callback):
         if np.all(np.isfinite(order)) and (self.best is None or order < self.best[0]):
             self.best = order, np.array(now["x"]), g, f
         return [int(self._stop.now)]
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let OpenBLAS of CasADi, which threadpoolctl does not know, use one thread: blocks of the linear solver are too
+    small for several.
+    """
+    names = ("libcasadi-tp-openblas.so.0", "libcasadi-tp-openblas.dll")
+    libraries = [ctypes.CDLL(str(file)) for name in names if (file := Path(ca.__file__).with_name(name)).exists()]
+    before = [library.openblas_get_num_threads() for library in libraries]
+    for library in libraries:
+        library.openblas_set_num_threads(1)
+    try:
+        yield
+    finally:
+        for library, count in zip(libraries, before, strict=True):
+            library.openblas_set_num_threads(count)
 
 
 def solve_pose(program: Any, **given: Any) -> np.ndarray:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from mbdkit_predict.between_points import Residual, residual_between_points
 from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution, Stop
+from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
 ROUNDING = 1e-8
@@ -34,13 +36,14 @@ conditions become active, methods of high order have no constant ratio.
 """
 
 
+@dataclass(frozen=True)
 class Optimum:
     """The best motion that is found.
 
     Attributes
     ----------
-    spec
-        The spec of the problem.
+    transcription
+        The problem.
     mesh
         The solution on the last mesh with an optimum; without one, the best iterate.
     meshes
@@ -53,39 +56,25 @@ class Optimum:
         Times of ends of intervals at which forces jump as functions of the state.
     starts
         Objective on the first mesh from each first guess; nan where no optimum was found.
-    is_minimum
-        Whether the second-order condition holds.
     """
 
-    def __init__(self, transcription: Transcription, stop: Stop):
-        self.spec, self.transcription, self._stop = transcription.spec, transcription, stop
-        self.meshes, self.starts, self.reason, self.jumps = list[Mesh](), list[float](), "", list[float]()
-        self._halved = 0  # index of the mesh from which on all intervals are divided
-        mesh = self._first()
-        error = np.nan
-        while _solution(mesh).is_optimum:
-            self.meshes.append(mesh)
-            error, is_known = self._error()
-            limit, count = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING, len(mesh.grid.phase)
-            is_last = len(self.meshes) > self._halved + 1 and 2 * count > MOST_INTERVALS
-            chosen = None
-            if (is_known and error <= limit) or is_last:
-                residual = residual_between_points(self.transcription, mesh)
-                error = max(error, float(abs(residual.change).sum()))
-                chosen = residual.is_large(limit, math.sqrt(self.spec.tolerance))
-                if is_last and (error > limit or chosen.any()):
-                    self.reason = _mesh_limit(error, limit, residual, count)
-                if is_last or not chosen.any():
-                    jumps = residual.jump > math.sqrt(self.spec.tolerance)
-                    self.jumps = (mesh.values["duration"] @ mesh.grid.ends)[jumps].tolist()
-                    break
-                self._halved = len(self.meshes)
-            mesh = self.transcription.solved(self.transcription.refined(mesh, chosen), self._stop)
-        if not _solution(mesh).is_optimum:
-            self.reason = self._failure(mesh)
-        self.mesh = self.meshes[-1] if self.meshes else mesh
-        self.is_minimum = self.is_optimum and _solution(self.mesh).is_strict
-        self.error = error if np.isfinite(error) else np.nan
+    transcription: Transcription
+    mesh: Mesh
+    meshes: Sequence[Mesh]
+    error: float
+    reason: str
+    jumps: Sequence[float]
+    starts: Sequence[float]
+
+    @property
+    def spec(self) -> PredictSpec:
+        """The spec of the problem."""
+        return self.transcription.spec
+
+    @property
+    def is_minimum(self) -> bool:
+        """Whether the second-order condition holds."""
+        return self.is_optimum and _solution(self.mesh).is_strict
 
     @property
     def record(self) -> list[tuple[tuple[int, ...], float]]:
@@ -119,17 +108,56 @@ class Optimum:
         }
         return {name: by_parameter[name] for name in self.spec.sensitivities} | by_duration | by_condition
 
+
+def find_optimum(transcription: Transcription, stop: Stop) -> Optimum:
+    """Return the best motion of a problem, found on finer and finer meshes until `stop` says to stop."""
+    return _MeshSearch(transcription, stop).run()
+
+
+class _MeshSearch:
+    """Refines meshes until the error of the objective is known to be small enough."""
+
+    def __init__(self, transcription: Transcription, stop: Stop):
+        self.spec, self.transcription, self.stop = transcription.spec, transcription, stop
+        self.meshes, self.starts = list[Mesh](), list[float]()
+        self.halved = 0  # index of the mesh from which on all intervals are divided
+
+    def run(self) -> Optimum:
+        mesh, error, reason, jumps = self._first(), math.nan, "", list[float]()
+        while _solution(mesh).is_optimum:
+            self.meshes.append(mesh)
+            error, is_known = self._error()
+            limit, count = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING, len(mesh.grid.phase)
+            is_last = len(self.meshes) > self.halved + 1 and 2 * count > MOST_INTERVALS
+            chosen = None
+            if (is_known and error <= limit) or is_last:
+                residual = residual_between_points(self.transcription, mesh)
+                error = max(error, float(abs(residual.change).sum()))
+                chosen = residual.is_large(limit, math.sqrt(self.spec.tolerance))
+                if is_last and (error > limit or chosen.any()):
+                    reason = _mesh_limit(error, limit, residual, count)
+                if is_last or not chosen.any():
+                    has_jump = residual.jump > math.sqrt(self.spec.tolerance)
+                    jumps = (mesh.values["duration"] @ mesh.grid.ends)[has_jump].tolist()
+                    break
+                self.halved = len(self.meshes)
+            mesh = self.transcription.solved(self.transcription.refined(mesh, chosen), self.stop)
+        if not _solution(mesh).is_optimum:
+            reason = self._failure(mesh)
+        best = self.meshes[-1] if self.meshes else mesh
+        error = error if math.isfinite(error) else math.nan
+        return Optimum(self.transcription, best, self.meshes, error, reason, jumps, self.starts)
+
     def _first(self) -> Mesh:
-        """Return the best solution on the first mesh."""
         random, best = np.random.default_rng(self.spec.seed), None
         for k in range(self.spec.starts):
-            guess = self.transcription.guess(random if k else None, self._stop)
-            mesh = self.transcription.solved(guess, self._stop, ITERATIONS_OF_START if k else MOST_ITERATIONS)
+            guess = self.transcription.guess(random if k else None, self.stop)
+            mesh = self.transcription.solved(guess, self.stop, ITERATIONS_OF_START if k else MOST_ITERATIONS)
             solution = _solution(mesh)
             self.starts.append(solution.objective if solution.is_optimum else np.nan)
             if best is None or _order(mesh) < _order(best):
                 best = mesh
-            if self._stop.now:
+            if self.stop.now:
                 break
         assert best is not None
         return best
@@ -141,7 +169,7 @@ class Optimum:
         meshes may agree by accident: then it takes four meshes, or two changes of nothing.
         """
         floor, is_smooth = self._floor(), _solution(self.meshes[-1]).is_smooth
-        changes = np.abs(np.diff([_solution(mesh).objective for mesh in self.meshes[self._halved :]]))
+        changes = np.abs(np.diff([_solution(mesh).objective for mesh in self.meshes[self.halved :]]))
         if not len(changes):
             return np.inf, False
         settled = bool(np.all(changes[-1 if is_smooth else -2 :] <= floor)) and (is_smooth or len(changes) > 1)
@@ -153,15 +181,13 @@ class Optimum:
         return max(floor, extrapolated(changes[-last:], order, accident)), is_smooth or len(changes) > 2
 
     def _floor(self) -> float:
-        """Return the smallest error of the objective, due to the optimizer."""
         solution = _solution(self.meshes[-1])
         return max(ROUNDING * abs(solution.objective), 2.0 * solution.gap)
 
     def _failure(self, mesh: Mesh) -> str:
-        """Return code and sentence for a mesh without an optimum."""
-        if self._stop.interrupted:
+        if self.stop.interrupted:
             why = "interrupted: stopped by the user"
-        elif self._stop.now:
+        elif self.stop.now:
             assert self.spec.limits is not None
             why = f"wall-time: stopped after limits.wall_time = {self.spec.limits.wall_time:g} s"
         else:
@@ -180,11 +206,8 @@ class Optimum:
         return why
 
     def _cause(self, mesh: Mesh) -> str:
-        """Return a clause on the condition that cannot hold."""
         guess = self.transcription.guess()
-        largest = max(
-            self.transcription.nearest_violations(guess, self._stop).items(), key=lambda x: x[1], default=None
-        )
+        largest = max(self.transcription.nearest_violations(guess, self.stop).items(), key=lambda x: x[1], default=None)
         if largest is not None and largest[1] > 1e-6:
             return f"; `{largest[0]}` cannot hold with the others: the nearest motion misses it by {largest[1]:.3g}"
         name, size = max(_solution(mesh).violations.items(), key=lambda x: x[1])
@@ -206,7 +229,6 @@ def extrapolated(changes: Sequence[float] | np.ndarray, order: int, accident: fl
 
 
 def _mesh_limit(error: float, limit: float, residual: Residual, count: int) -> str:
-    """Return code and sentence for a mesh that is not divided any more."""
     if error > limit:
         why = f"the error of the objective is still {error:.2g}, which is more than `tolerance`,"
     else:

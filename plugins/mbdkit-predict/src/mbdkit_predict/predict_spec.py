@@ -25,7 +25,8 @@ from mbdkit.plugin.specs import (
     check_tables,
     description,
 )
-from mbdkit_predict.chosen_numbers import UNKNOWNS, ChosenNumbers, elastic_muscles, unknowns_of
+from mbdkit_predict.chosen_numbers import ChosenNumbers
+from mbdkit_predict.exported_elements import equilibria, unknown_keys
 from mbdkit_predict.measured_functions import MeasuredFunction
 
 if TYPE_CHECKING:
@@ -265,9 +266,16 @@ class PredictSpec(ModelSpec):
         return re.sub(r"(?<![\w.\"'])(controls|measured)(?:\[([\"'])(.*?)\2\]|\.(\w+))", state, text)
 
     def control(self, name: str) -> Variable:
-        """Return the bounds and the start of a control; of unknowns of fibres, they are free by default."""
-        low, start = (0.0, 0.1) if name.endswith(UNKNOWNS[1]) else (-math.inf, 0.0)
-        return self.controls.get(name) or Variable.model_construct(bounds=(low, math.inf), start=start)
+        """Return the bounds and the start of a control; unknowns of equilibria have bounds and starts of their own."""
+        own = {
+            self.chosen.controls[index]: Variable.model_construct(
+                bounds=(one.equilibrium.lowest[k], math.inf), start=one.equilibrium.starts[k]
+            )
+            for one in self.chosen.equilibria
+            for k, index in enumerate(one.unknowns)
+        }
+        free = Variable.model_construct(bounds=(-math.inf, math.inf), start=0.0)  # measured functions
+        return self.controls.get(name) or own.get(name, free)
 
     @contextmanager
     def blaming(self, key: str) -> Iterator[None]:
@@ -308,7 +316,7 @@ class PredictSpec(ModelSpec):
 
     def _built(self) -> Mechanism:
         mechanism = super()._built()
-        unknowns = [key for name in elastic_muscles(mechanism) for key in unknowns_of(name)]
+        unknowns = [key for (kind, name), own in equilibria(mechanism).items() for key in unknown_keys(kind, name, own)]
         fixed = [key for key in self.sensitivities if key not in self.optimized]
         for name in self.measured:
             mechanism.state(f"measured.{name}", rate="0")

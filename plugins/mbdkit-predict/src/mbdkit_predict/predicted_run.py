@@ -21,7 +21,7 @@ from mbdkit_predict.forward_run import Difference, forward_difference
 from mbdkit_predict.grid import weights
 from mbdkit_predict.nonlinear_program import Stop
 from mbdkit_predict.objective import objective_of
-from mbdkit_predict.optimum import Optimum
+from mbdkit_predict.optimum import Optimum, find_optimum
 from mbdkit_predict.predict_loading import compared_spec, simpler_spec
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.transcription import Transcription
@@ -46,8 +46,8 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     stop = Stop(np.inf if spec.limits is None else wall + spec.limits.wall_time)
     with one_thread_of_linear_algebra(), interrupts_noted(stop.interrupt):
-        result = Optimum(transcription, stop)
-        rival = None if other is None or stop.now else Optimum(other, stop)
+        result = find_optimum(transcription, stop)
+        rival = None if other is None or stop.now else find_optimum(other, stop)
     timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
     return _run_of(result, rival, file, timings, overwrite=overwrite)
 
@@ -143,7 +143,6 @@ def _run_of(
 
 
 def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dict[str, str | int | float]:
-    """Return what predictions record in addition to runs."""
     optimized = dict(zip(result.transcription.system.parameter_names, result.mesh.values["p"].tolist(), strict=True))
     texts = {
         "mesh": [[counts[0] if len(counts) == 1 else counts, value] for counts, value in result.record],
@@ -160,7 +159,6 @@ def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dic
 
 
 def _judgement(result: Optimum, rival: Optimum | None, forward: Difference) -> Judgement:
-    """Return the verdict on a prediction."""
     if not result.is_optimum:
         return Judgement("bad", (NO_OPTIMUM,))
     # the objective of a minimum changes with the square of a change of the motion

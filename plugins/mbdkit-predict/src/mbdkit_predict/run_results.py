@@ -15,7 +15,7 @@ SAME = 1e-4
 """Optima on the first mesh whose relative difference is below this count as one."""
 
 
-class Gain(NamedTuple):
+class PredictedGain(NamedTuple):
     """Difference of two optima."""
 
     value: float
@@ -83,19 +83,19 @@ def forward_run(run: Run) -> dict[str, float]:
     return dict(_recorded(run, "forward_run"))
 
 
-def gain(run: Run) -> Callable[..., Gain]:
-    """Return the function of another prediction that returns the gain of this one; see `Gain`.
+def gain(run: Run) -> Callable[..., PredictedGain]:
+    """Return the function of another prediction that returns the gain of this one; see `PredictedGain`.
 
     Without an argument, the other one is that of `compare` in the spec.
     """
 
-    def of(other: Run | None = None) -> Gain:
+    def of(other: Run | None = None) -> PredictedGain:
         if other is not None:
             there, its_error = objective(other), objective_error(other)
         else:
             there, its_error = (float(_recorded(run, f"compared_{name}")) for name in ("objective", "error"))
         value = there - objective(run)
-        return Gain(value, its_error + objective_error(run), value / abs(there) if there else math.nan)
+        return PredictedGain(value, its_error + objective_error(run), value / abs(there) if there else math.nan)
 
     return of
 

@@ -30,13 +30,20 @@ from mbdkit.plugin import SpecError
 from mbdkit.plugin.mechanisms import curve_of
 from mbdkit_predict.breaks import breaks_of
 from mbdkit_predict.casadi_system import CasadiSystem
-from mbdkit_predict.elastic_fibers import ElasticFibers
-from mbdkit_predict.grid import Grid, weights
+from mbdkit_predict.grid import IntervalGrid, weights
 from mbdkit_predict.guessed_motion import archived_motion, solved_motion
-from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, Condition, NonlinearProgram, Solution, Stop, solve_pose
+from mbdkit_predict.nonlinear_program import (
+    MOST_ITERATIONS,
+    NonlinearProgram,
+    ProgramCondition,
+    Solution,
+    Stop,
+    solve_pose,
+)
 from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_hessian import PointHessian
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
+from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
 
 OF_STATE = ("a", "lam", "u")
 """Symbols that are not known at the start and the end of a motion, only at collocation points."""
@@ -59,7 +66,7 @@ MOST_UNEVEN = 0.125
 class Mesh:
     """A solution, or a first guess, on a grid."""
 
-    grid: Grid
+    grid: IntervalGrid
     values: Mapping[str, np.ndarray]
     """Arrays of the unknowns by name: ``q``, ``v``, ``a``, ``lam``, ``mu``, ``z``, ``u`` have a column for each of the
     N s points; ``start`` (2 n + Z,) is the state at the start, ``nodes`` are those at the ends of intervals, if these
@@ -78,9 +85,7 @@ class Mesh:
         return np.asarray(self.values["duration"] @ self.grid.points)
 
 
-class _Path(NamedTuple):
-    """A condition along the path of one phase, or of all if `phase` is None."""
-
+class _PathOfPhase(NamedTuple):
     name: str
     expression: ca.SX
     low: float
@@ -98,7 +103,7 @@ class Transcription:
         self, spec: PredictSpec, system: CasadiSystem, objective: Objective, simpler: Transcription | None = None
     ):
         self.spec, self.system, self.objective = spec, system, objective
-        self.fibers = ElasticFibers(spec.chosen, self.system)
+        self.balanced = StatesInEquilibrium(spec.chosen, self.system)
         self.simpler = simpler
         self._simple: Mesh | None = None  # its solution
         self._known_motion = archived_motion(spec, system) if isinstance(spec.guess, str) else None
@@ -131,8 +136,8 @@ class Transcription:
              self._expression(first, "periodic", 0.0))
             for last, first in spec.repeated_values
         ]  # fmt: skip
-        self._path: list[_Path] = []
-        self._bounded: list[tuple[str, int, _Path]] = []
+        self._path: list[_PathOfPhase] = []
+        self._bounded: list[tuple[str, int, _PathOfPhase]] = []
         for k, (place, phase) in enumerate(spec.whole.items()):
             self._add_path(phase.subject_to, f"{place}subject_to", k)
         if spec.phases:
@@ -151,7 +156,7 @@ class Transcription:
         for name, condition in conditions.items():
             expression = self._expression(condition.value, f"{key}.{name}.value")
             low, high = condition.bounds
-            path = _Path(f"{key}: {name}", expression, low, high, phase)
+            path = _PathOfPhase(f"{key}: {name}", expression, low, high, phase)
             if expression.is_symbolic() and (unknown := unknowns.get(expression.element_hash())):
                 self._bounded.append((*unknown, path))
             else:
@@ -195,7 +200,7 @@ class Transcription:
         low, high, start = self.limits["u"]
         u = np.repeat(start[:, None], len(times), axis=1)
         if random is not None:
-            high, low = np.where(np.isfinite(high - low), (high, low), start)  # unknowns of fibres are not drawn
+            high, low = np.where(np.isfinite(high - low), (high, low), start)  # unknowns of equilibria are not drawn
             shares, end = np.linspace(0.0, 1.0, 5), knots[-1]
             drawn = np.clip(start + 0.25 * (high - low) * random.standard_normal((5, len(u))), low, high)
             u = np.array([np.interp(times, shares * end, x) for x in drawn.T])
@@ -215,7 +220,7 @@ class Transcription:
         # velocities in other motions are zero: those on the line lead the swing-up of a pole to five times its effort
         v = filled("v", np.gradient(q, times, axis=1) if spec.periodic else 0.0 * q)
         z = np.repeat(system.z0[:, None], len(times), axis=1)
-        z[self.fibers.states] = self.fibers.guess(q, p)
+        z[self.balanced.states] = self.balanced.guess(q, p)
         a, z, u, mu = filled("a", 0.0 * v), filled("z", z), filled("u", u), np.zeros((m, len(times)))
         columns = {"q": q, "v": v, "a": a, "lam": filled("lam", mu), "mu": mu, "z": z, "u": u}
         values = {name: x[:, 1:] for name, x in columns.items()}
@@ -223,12 +228,14 @@ class Transcription:
         done = self._simple.iterations if self._simple is not None and random is None else 0
         return Mesh(grid, self._with_nodes(values), done)
 
-    def _first_grid(self) -> Grid:
+    def _first_grid(self) -> IntervalGrid:
         """Return the first mesh: intervals of equal length, some of which end earlier or later, at discontinuities of
         functions of time, up to the first phase whose duration is free.
         """
         spec, begin = self.spec, 0.0
-        grid = Grid.uniform([phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c)
+        grid = IntervalGrid.uniform(
+            [phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c
+        )
         for k, (low, high, _) in enumerate(self.limits["duration"].T.tolist()):
             if low < high:
                 break
@@ -278,7 +285,7 @@ class Transcription:
             parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
         return np.asarray(parts @ np.array([weights(points, share) for share in shares]).T)
 
-    def _refined_slopes(self, mesh: Mesh, grid: Grid) -> dict[str, np.ndarray]:
+    def _refined_slopes(self, mesh: Mesh, grid: IntervalGrid) -> dict[str, np.ndarray]:
         """Return `Solution.slopes` on a finer grid.
 
         Multipliers of points are weights of the quadrature times functions of time, which are taken from the nearest
@@ -402,9 +409,8 @@ class Transcription:
         return np.concatenate([~of_q, ~(of_q | of_v)]) if n else np.zeros(0, dtype=bool)
 
     def _program(
-        self, grid: Grid
-    ) -> tuple[dict[str, ca.MX], dict[str, Any], list[Condition], ca.MX, PointHessian | None]:
-        """Return unknowns, their bounds, conditions, objective, and second derivatives on a grid."""
+        self, grid: IntervalGrid
+    ) -> tuple[dict[str, ca.MX], dict[str, Any], list[ProgramCondition], ca.MX, PointHessian | None]:
         system, s = self.system, len(self.c)
         count = len(grid.phase)
         total = count * s
@@ -425,8 +431,8 @@ class Transcription:
         changes = ca.mtimes(states, ca.kron(each, ca.DM(inverse.T)))
         changes -= ca.mtimes(begins, ca.kron(each, ca.DM(inverse.sum(axis=1)).T))
         conditions = [
-            Condition(MOTION, ca.vertcat(balance, closed), points=np.arange(total)),
-            Condition(COLLOCATION, changes - slopes * ca.repmat(lengths, states.shape[0], 1)),
+            ProgramCondition(MOTION, ca.vertcat(balance, closed), points=np.arange(total)),
+            ProgramCondition(COLLOCATION, changes - slopes * ca.repmat(lengths, states.shape[0], 1)),
         ]
         if self.has_nodes:
             whole = ca.mtimes(slopes, ca.kron(each, ca.DM(self.b))) * ca.repmat(h, states.shape[0], 1)
@@ -434,24 +440,24 @@ class Transcription:
             moved, joined = self._projection.map(count)(
                 ends, ca.repmat(x["p"], 1, count), at_ends, ends - begins - whole, x["jumps"]
             )
-            conditions += [Condition(ENDS, moved), Condition(JOINTS, joined)]
+            conditions += [ProgramCondition(ENDS, moved), ProgramCondition(JOINTS, joined)]
         start, end, duration = x["start"], ends[:, -1], ca.sum1(x["duration"])
-        at_rest = [x for x, k in zip(self.fibers.at_rest, self.fibers.states, strict=True) if not self._is_free[k]]
+        at_rest = [x for x, k in zip(self.balanced.at_rest, self.balanced.states, strict=True) if not self._is_free[k]]
         rows: Any = system.constraints(*system.symbols.values())[:2]
         for name, zeros in (("the joints at the start", rows), ("the equilibrium of fibres at the start", at_rest)):
             if any(one.numel() for one in zeros):
-                conditions.append(Condition(name, self._at_node(ca.vertcat(*zeros))(start, x["p"], 0.0)))
+                conditions.append(ProgramCondition(name, self._at_node(ca.vertcat(*zeros))(start, x["p"], 0.0)))
         at: list[Any] = [ca.sum1(x["duration"][: k + 1]) for k in range(len(self._ends))]
         nodes = [(start, 0.0), *((ends[:, k], t) for k, t in zip(grid.ends_of_phases(), at, strict=True))]
         for (state, t), asked in zip(nodes, (self._initial, *self._ends), strict=True):
             for name, (expression, low, high) in asked.items():
-                conditions.append(Condition(name, self._at_node(expression)(state, x["p"], t), low, high))
+                conditions.append(ProgramCondition(name, self._at_node(expression)(state, x["p"], t), low, high))
         for name, at_last, at_first in self._periodic:
             change = self._at_node(at_last)(end, x["p"], duration) - self._at_node(at_first)(start, x["p"], 0.0)
-            conditions.append(Condition(name, change))
+            conditions.append(ProgramCondition(name, change))
         for k, condition in enumerate(self._path):
             points = self._points(grid, condition)
-            conditions.append(Condition(condition.name, path[k, points.tolist()], *condition[2:4], points))
+            conditions.append(ProgramCondition(condition.name, path[k, points.tolist()], *condition[2:4], points))
         weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
         finals = self._at_node(self.objective.finals)(end, x["p"], duration)
         objective = self.objective.value(ca.mtimes(integrands, weighted), finals, duration)
@@ -504,7 +510,7 @@ class Transcription:
             costates += (self._weights * slopes[ENDS].reshape(rows, -1, order="F"))[:, None]
         return np.asarray(costates.reshape(rows, -1, order="F"))
 
-    def _points(self, grid: Grid, path: _Path) -> np.ndarray:
+    def _points(self, grid: IntervalGrid, path: _PathOfPhase) -> np.ndarray:
         """Return the indices of the collocation points at which a condition along the path is asked.
 
         These are the points of its phase, except ends whose conditions fix the value within the bounds: no motion near
@@ -518,14 +524,13 @@ class Transcription:
                     chosen[(last + 1) * len(self.c) - 1] &= self.has_nodes
         return np.flatnonzero(chosen)
 
-    def _bounds(self, grid: Grid) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the bounds of the unknowns."""
+    def _bounds(self, grid: IntervalGrid) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         system = self.system
         n, m, z, total = len(system.q0), len(system.constraint_names), len(system.z0), grid.points.shape[1]
         sizes = {"q": n, "v": n, "a": n, "lam": m, "mu": m, "z": z}
         free = {name: np.full((size, total), np.inf) for name, size in sizes.items()}
         is_free = self._is_free.copy()
-        is_free[self.fibers.states] = True
+        is_free[self.balanced.states] = True
         start = np.concatenate([np.where(self._idle, 0.0, np.inf), np.where(is_free, np.inf, 0.0)])
         at = np.concatenate([np.where(self._idle, [*system.q0, *system.v0], 0.0), np.where(is_free, 0.0, system.z0)])
         bounds = {
@@ -556,7 +561,6 @@ class Transcription:
 
     @property
     def _rows(self) -> dict[str, slice]:
-        """Rows of positions, velocities and first-order states in a state."""
         n = len(self.system.q0)
         return {"q": slice(n), "v": slice(n, 2 * n), "z": slice(2 * n, None)}
 
@@ -600,7 +604,6 @@ class Transcription:
         return expression
 
     def _check_known(self, expression: ca.SX, text: str, key: str) -> None:
-        """Raise SpecError for an expression that is not known at the start and the end of a motion."""
         unknown = [self.system.symbols[name] for name in OF_STATE]
         if any(x.numel() and ca.depends_on(expression, x) for x in unknown):
             why = "depends on accelerations, reactions or controls, which are not known at the start and the end"

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 import mbdkit
-from mbdkit_predict.grid import Grid
+from mbdkit_predict.grid import IntervalGrid
 from predict.exact_optima import EFFORT, PUSH, block
 
 TRIANGLE = {"table": [[0, 0.5166, 0.5206, 0.5246, 1], [0, 0, 1000, 0, 0]], "interpolation": "linear"}
@@ -136,7 +136,7 @@ def test_tables_must_cover_the_longest_duration() -> None:
 
 
 def test_intervals_end_at_given_times() -> None:
-    grid = Grid.uniform([4, 2], np.ones(1)).with_ends(0, [0.3, 0.31, 0.6, 0.9])
+    grid = IntervalGrid.uniform([4, 2], np.ones(1)).with_ends(0, [0.3, 0.31, 0.6, 0.9])
     ends = np.array([0.3, 0.31, 0.5, 0.6, 0.75, 0.9, 1.0, 1.5, 2.0])
     np.testing.assert_allclose(np.ones(2) @ grid.ends, ends, atol=1e-15)
     assert grid.counts == (7, 2)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -19,8 +20,10 @@ from mbdkit import MbdkitError, Mechanism, SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
+from mbdkit.plugin import Target
 from mbdkit.spec import load_spec
 from mbdkit_predict.casadi_system import CasadiSystem
+from mbdkit_predict.exported_elements import chosen_equilibria, symbolic_elements
 from mbdkit_predict.symbols import BranchError, Symbol, column, every_branch
 from tests.engine import random_mechanisms
 from tests.engine.strategies import Drawn, mechanisms
@@ -381,3 +384,33 @@ def test_derivatives_are_finite_where_a_selection_avoids_a_singularity() -> None
     function = ca.Function("derivative", [x.sx], [ca.jacobian(result.sx, x.sx)])
     assert [float(function(at)) for at in (-1.0, 0.0)] == [1.0, 1.0]
     assert float(function(4.0)) == pytest.approx(0.25 + 3.0 - 0.0625, rel=1e-15)
+
+
+class Wheels:
+    """Elements of a stranger that export quantities of their own."""
+
+    searching, kinds, attributes = ("acme.kernels",), ("wheels",), ("slip",)
+
+    def __init__(self, acting: tuple[Any, ...]):
+        self.acting = acting
+
+
+class Wheel:
+    symbolic: ClassVar[Target[Any]] = Target(f"{__name__}:Wheels")
+    equilibrium: ClassVar[Target[Any]] = Target(f"{__name__}:balanced")
+
+
+def balanced(wheel: Wheel) -> Any:
+    return SimpleNamespace(unknowns=("rate", "force"), wheel=wheel)
+
+
+def test_elements_of_a_stranger_export_themselves() -> None:
+    wheel = Wheel()
+    compiled: Any = SimpleNamespace(extensions={"wheels": (wheel,), "others": (1.0,), "none": ()})
+    (exported,) = symbolic_elements(compiled)
+    assert (type(exported), exported.kinds) == (Wheels, ("wheels",))
+    mechanism: Any = SimpleNamespace(elements={"wheels": {"front": wheel}, "joints": {"pin": 1.0}})
+    (chosen,) = chosen_equilibria(mechanism, ["x", "wheels.front.force", "wheels.front.rate"])
+    assert (chosen.kind, chosen.name, chosen.rate, chosen.force) == ("wheels", "front", 2, 1)
+    with pytest.raises(SpecError, match="needs both"):
+        chosen_equilibria(mechanism, ["wheels.front.force"])

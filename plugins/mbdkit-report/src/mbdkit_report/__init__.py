@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.figures.quantity_text import heading as heading, with_unit as with_unit
     from mbdkit_report.figures.svg_canvas import Canvas as Canvas, svg_of as svg_of
     from mbdkit_report.group_table import TableColumn as TableColumn, data_frame as data_frame
-    from mbdkit_report.key_words import (
+    from mbdkit_report.spec_words import (
         key_unit as key_unit, key_words as key_words, keys_ending_in as keys_ending_in, stated_units as stated_units,
     )
     from mbdkit_report.notebook.result_views import Picture as Picture, View as View

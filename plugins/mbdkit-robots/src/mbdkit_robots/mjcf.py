@@ -40,10 +40,10 @@ def read_mjcf(file: str) -> SpatialModel:
     """Return the model of an MJCF file; raise SpecError if the file contains something that influences the motion but
     cannot be read.
     """
-    return _Reader(read_xml(file, "mujoco")).model
+    return _MjcfReader(read_xml(file, "mujoco")).model
 
 
-class _Reader:
+class _MjcfReader:
     def __init__(self, root: Element):
         self.root, self.model = root, SpatialModel(root.get("model", "mujoco"))
         if next(root.iter("include"), None) is not None:

@@ -45,12 +45,12 @@ def equilibrium(
     if output is not None:
         _check_picture(output, spec, overwrite=overwrite)
     prepared = PreparedMechanism.of(spec, assignments or ())
-    found = equilibrium_of(prepared)
+    result = equilibrium_of(prepared)
     notes = []
     if write is not None:
         from mbdkit.plugin.specs import write_yaml
 
-        written = spec_at(prepared, found)
+        written = spec_at(prepared, result)
         with replacing(write, overwrite=overwrite, source=spec) as temporary:
             temporary.write_text(write_yaml(written), encoding="utf-8", newline="\n")
         if left_out := [name for name in prepared.spec.parameters if name not in written["parameters"]]:
@@ -60,13 +60,13 @@ def equilibrium(
         from mbdkit_statics.equilibrium_plot import equilibrium_figure
 
         mechanism = prepared.spec.mechanism()
-        save(equilibrium_figure(found, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
+        save(equilibrium_figure(result, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
         show_json(
-            mechanics_summary.equilibrium_data(found) | {"warnings": [*_warnings(prepared), *found.warnings, *notes]}
+            mechanics_summary.equilibrium_data(result) | {"warnings": [*_warnings(prepared), *result.warnings, *notes]}
         )
     else:
-        _show(mechanics_summary.equilibrium_text(found), prepared, found.warnings, notes)
+        _show(mechanics_summary.equilibrium_text(result), prepared, result.warnings, notes)
 
 
 def modes(
@@ -95,17 +95,17 @@ def modes(
     if output is not None:
         _check_picture(output, spec, overwrite=overwrite)
     prepared = PreparedMechanism.of(spec, assignments or ())
-    found = modes_of(prepared, at, count)
+    result = modes_of(prepared, at, count)
     if output is not None:
         from mbdkit_report import save
         from mbdkit_statics.mode_shapes import modes_figure
 
         mechanism = prepared.spec.mechanism()
-        save(modes_figure(found, mechanism, f"Modes: {prepared.spec.title or mechanism.name}"), output)
+        save(modes_figure(result, mechanism, f"Modes: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
-        show_json(mechanics_summary.modes_data(found) | {"warnings": [*_warnings(prepared), *found.warnings]})
+        show_json(mechanics_summary.modes_data(result) | {"warnings": [*_warnings(prepared), *result.warnings]})
     else:
-        _show(mechanics_summary.modes_text(found), prepared, found.warnings)
+        _show(mechanics_summary.modes_text(result), prepared, result.warnings)
 
 
 def kinematics(
@@ -128,18 +128,18 @@ def kinematics(
     if output is not None:
         check_output(output, overwrite=overwrite, source=spec)
     prepared = PreparedMechanism.of(spec, assignments or ())
-    found = kinematics_of(prepared)
+    result = kinematics_of(prepared)
     if output is not None:
         with replacing(output, overwrite=overwrite, source=spec) as temporary:
-            found.write_csv(temporary)
+            result.write_csv(temporary)
     if as_json:
-        show_json(mechanics_summary.kinematics_data(found) | {"warnings": _warnings(prepared)})
+        show_json(mechanics_summary.kinematics_data(result) | {"warnings": _warnings(prepared)})
     else:
-        _show(mechanics_summary.kinematics_text(found), prepared)
+        _show(mechanics_summary.kinematics_text(result), prepared)
 
 
-def _show(text: str, prepared: PreparedMechanism, found: Sequence[str] = (), notes: Sequence[str] = ()) -> None:
-    warnings = (f"warning      {warning}" for warning in (*_warnings(prepared), *found))
+def _show(text: str, prepared: PreparedMechanism, result: Sequence[str] = (), notes: Sequence[str] = ()) -> None:
+    warnings = (f"warning      {warning}" for warning in (*_warnings(prepared), *result))
     show("\n".join([text, *warnings, *(f"note         {note}" for note in notes)]))
 
 

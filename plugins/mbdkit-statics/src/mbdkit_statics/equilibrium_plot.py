@@ -13,14 +13,14 @@ FORCES = (("Bending moment", "N m", 3), ("Shear force", "N", 2), ("Axial force",
 """Title, unit and column of `Equilibrium.beams` for each chart."""
 
 
-def equilibrium_figure(found: Equilibrium, mechanism: Mechanism, title: str) -> Figure:
+def equilibrium_figure(rest: Equilibrium, mechanism: Mechanism, title: str) -> Figure:
     """Return a figure of the mechanism at rest and, if it has beams, of the internal forces along them."""
     drawing = draw_mechanism(mechanism)
-    points = drawing.world(found.position)
+    points = drawing.world(rest.position)
     (x0, x1), (y0, y1), _ = view_box(points[None], points)
-    charts = beam_charts(found)
-    stability = f"{found.stability} by flutter" if found.flutters else found.stability
-    figure = new_figure(Caption(title, f"{stability} · t = {found.time:g} s"), 6.4, 3.4 + 2.0 * len(charts))
+    charts = beam_charts(rest)
+    stability = f"{rest.stability} by flutter" if rest.flutters else rest.stability
+    figure = new_figure(Caption(title, f"{stability} · t = {rest.time:g} s"), 6.4, 3.4 + 2.0 * len(charts))
     grid = figure.add_gridspec(1 + len(charts), 1, height_ratios=[1.6, *[1.0] * len(charts)])
     axes = dress(figure.add_subplot(grid[0]))
     axes.set_aspect("equal", adjustable="box")
@@ -33,12 +33,12 @@ def equilibrium_figure(found: Equilibrium, mechanism: Mechanism, title: str) -> 
     return figure
 
 
-def beam_charts(found: Equilibrium) -> list[Chart]:
+def beam_charts(rest: Equilibrium) -> list[Chart]:
     """Return the charts of the internal forces along the beams; none if there are no beams."""
     along = Axis("distance from the end a", "m")
     return [
         Chart(title.lower().replace(" ", "-"), title, "", along, Axis(title.lower(), unit),
-              tuple(Line(name, values[:, 0], values[:, column]) for name, values in found.beams.items()))
+              tuple(Line(name, values[:, 0], values[:, column]) for name, values in rest.beams.items()))
         for title, unit, column in FORCES
-        if found.beams
+        if rest.beams
     ]  # fmt: skip

@@ -92,7 +92,7 @@ def rest(prepared: PreparedMechanism) -> Rest:
     A search can end on a saddle of the potential, because steps towards a saddle do positive work as well. The search
     is then continued from positions on both sides of the saddle, along the motion of lowest stiffness.
     """
-    search = _Search(prepared)
+    search = _RestSearch(prepared)
     found = search.run()
     for _ in range(MOST_SADDLES):
         if found is None or not search.has_moved or not search.leave(_descent(prepared, found)):
@@ -121,7 +121,7 @@ def _descent(prepared: PreparedMechanism, found: Rest) -> np.ndarray | None:
     return way if value < -SADDLE * stiffness_scale(prepared, at) else None
 
 
-class _Search:
+class _RestSearch:
     def __init__(self, prepared: PreparedMechanism):
         self.p: EquationsOfMotion = prepared.equations
         self.extent = prepared.extent

@@ -131,7 +131,7 @@ def kinematics_of(prepared: PreparedMechanism) -> Kinematics:
     if time.step is None or time.count is None:
         raise prepared.error("is missing: a kinematic analysis needs a step in seconds", key="time.step")
     times = np.array([*(time.start + time.step * np.arange(time.count)), time.final])
-    path = _Path(prepared)
+    path = _DrivenMotion(prepared)
     rows = np.empty((len(times), 3, prepared.equations.n))
     for i, t in enumerate(times.tolist()):
         path.go_to(t)
@@ -140,7 +140,7 @@ def kinematics_of(prepared: PreparedMechanism) -> Kinematics:
     return Kinematics(times, prepared.equations.bodies, position, velocity, acceleration)
 
 
-class _Path:
+class _DrivenMotion:
     def __init__(self, prepared: PreparedMechanism):
         self.placed, self.p = prepared, prepared.equations
         self.size = np.tile([prepared.extent, prepared.extent, 1.0], len(self.p.bodies))

@@ -74,10 +74,10 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
         raise SpecError(f"{what} have no symbolic form", key=f"model.{kind}")
     if name := joint_with_friction(mechanism.joints):
         raise SpecError("friction in joints has no symbolic form", key=f"model.joints.{quoted(name)}.friction")
-    return _Builder(mechanism, numbers).system()
+    return _SystemBuilder(mechanism, numbers).system()
 
 
-class _Builder:
+class _SystemBuilder:
     def __init__(self, mechanism: Mechanism, numbers: bool):
         self.mechanism, self.numbers = mechanism, numbers
         self.names: dict[sp.Symbol, str] = {TIME: "t"}

@@ -19,6 +19,7 @@ from mbdkit.plugin import (
     Positive,
     SpecError,
     StrictModel,
+    Target,
     did_you_mean,
     listed,
     of_models,
@@ -174,6 +175,7 @@ class Muscle(Element):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics")
+    equilibrium: ClassVar[Target[Any]] = Target("mbdkit_biomech.muscles.fiber_equilibrium:equilibrium_of")
 
     path: Annotated[list[PathItem], Field(min_length=2)]
     """Points and circles from origin to insertion; the first and the last item are points without `when`."""

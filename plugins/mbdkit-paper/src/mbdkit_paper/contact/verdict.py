@@ -119,16 +119,16 @@ class Touched:
 
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `contact`."""
-    found = [_of(study, point) for point in study.points if point.family != "painleve"]
-    own = [one for one in found if one.method not in study.spec.added]
+    touches = [_of(study, point) for point in study.points if point.family != "painleve"]
+    own = [touch for touch in touches if touch.method not in study.spec.added]
     claims = reported((_exact(own), _first_order(own), _closed(own), _softer(own), _painleve(study)))
     rows = [
         (
-            one.case, one.method, one.step or "adaptive", one.state or two(one.error),
-            one.state or two(one.penetration), one.state or two(one.creep), one.state or int(one.steps),
-            one.state or two(one.seconds),
+            touch.case, touch.method, touch.step or "adaptive", touch.state or two(touch.error),
+            touch.state or two(touch.penetration), touch.state or two(touch.creep), touch.state or int(touch.steps),
+            touch.state or two(touch.seconds),
         )
-        for one in found
+        for touch in touches
     ]  # fmt: skip
     columns = columns_of("case; method; step [s]; error [m]; penetration [m]; creep [m/s]; steps; time [s]")
     return Verdict(
@@ -137,7 +137,7 @@ def verdict(study: Study) -> Verdict:
         " ".join(claim.sentence for claim in claims),
         claims,
         (Table("contact", "Error, penetration, creep and work", columns, tuple(rows), NOTE, headline=True),),
-        (_figure(found),),
+        (_figure(touches),),
         (RESTITUTION,),
     )
 
@@ -177,22 +177,22 @@ def _error(run: Run, case: str) -> float:
 
 def _overlap(run: Run) -> tuple[float, float]:
     every = [run.contacts[name] for name in run.contacts]
-    depth = max(max(0.0, -float(np.min(one.gap))) for one in every)
-    creep = max(float(np.max(np.abs(one.slip[one.mode == STICK]), initial=0.0)) for one in every)
+    depth = max(max(0.0, -float(np.min(touch.gap))) for touch in every)
+    creep = max(float(np.max(np.abs(touch.slip[touch.mode == STICK]), initial=0.0)) for touch in every)
     return depth, creep
 
 
-def _worst(found: Sequence[Touched], of: Callable[[Touched], float]) -> tuple[float, str]:
-    values = [of(one) for one in found]
+def _worst(touches: Sequence[Touched], of: Callable[[Touched], float]) -> tuple[float, str]:
+    values = [of(touch) for touch in touches]
     if not values or not all(math.isfinite(each) for each in values):
         return math.nan, "a run that is not complete"
-    place = int(np.argmax(values))
-    return values[place], found[place].name
+    index = int(np.argmax(values))
+    return values[index], touches[index].name
 
 
-def _exact(found: Sequence[Touched]) -> Claim:
-    own = [one for one in found if one.method == FINEST]
-    worst, name = _worst(own, lambda one: one.error)
+def _exact(touches: Sequence[Touched]) -> Claim:
+    own = [touch for touch in touches if touch.method == FINEST]
+    worst, name = _worst(own, lambda touch: touch.error)
     return Claim(
         "exact",
         "Event-driven runs follow the closed forms at any step.",
@@ -205,9 +205,9 @@ def _exact(found: Sequence[Touched]) -> Claim:
     )
 
 
-def _first_order(found: Sequence[Touched]) -> Claim:
-    own = [one for one in found if one.method == "time-stepping" and one.case in CLOSED]
-    worst, name = _worst(own, lambda one: one.error / one.step)
+def _first_order(touches: Sequence[Touched]) -> Claim:
+    own = [touch for touch in touches if touch.method == "time-stepping" and touch.case in CLOSED]
+    worst, name = _worst(own, lambda touch: touch.error / touch.step)
     return Claim(
         "first-order",
         "The error of time-stepping is bounded by one constant times the step.",
@@ -218,10 +218,10 @@ def _first_order(found: Sequence[Touched]) -> Claim:
     )
 
 
-def _closed(found: Sequence[Touched]) -> Claim:
-    rigid = [one for one in found if one.step]
-    overlap, name = _worst(rigid, lambda one: one.penetration)
-    creep, creeping = _worst([one for one in rigid if one.method == FINEST], lambda one: one.creep)
+def _closed(touches: Sequence[Touched]) -> Claim:
+    rigid = [touch for touch in touches if touch.step]
+    overlap, name = _worst(rigid, lambda touch: touch.penetration)
+    creep, creeping = _worst([touch for touch in rigid if touch.method == FINEST], lambda touch: touch.creep)
     return Claim(
         "closed",
         "Rigid bodies do not overlap, and those of event-driven runs do not creep while they stick.",
@@ -233,11 +233,11 @@ def _closed(found: Sequence[Touched]) -> Claim:
     )
 
 
-def _softer(found: Sequence[Touched]) -> Claim:
+def _softer(touches: Sequence[Touched]) -> Claim:
     """Return the claim that the stiffest compliant runs with friction have less overlap and error than the softest."""
     answers, told_cases = [], []
     for case in FRICTION:
-        own = [one for one in found if one.case == case and not one.step]
+        own = [touch for touch in touches if touch.case == case and not touch.step]
         if not own:
             return Claim("softer", "", "", "", Answer.OPEN, "")
         soft, stiff = own[0], own[-1]
@@ -275,12 +275,12 @@ def _painleve(study: Study) -> Claim:
     )
 
 
-def _figure(found: Sequence[Touched]) -> Figure:
+def _figure(touches: Sequence[Touched]) -> Figure:
     lines = []
     for case in CLOSED:
-        own = [one for one in found if one.case == case and one.method == "time-stepping" and not one.state]
+        own = [touch for touch in touches if touch.case == case and touch.method == "time-stepping" and not touch.state]
         if own:
-            lines.append(Line(case, np.array([one.step for one in own]), np.array([one.error for one in own])))
+            lines.append(Line(case, np.array([touch.step for touch in own]), np.array([touch.error for touch in own])))
     caption = "Largest error of time-stepping on each case against the step."
     return Figure("steps", "Error of time-stepping", caption, Axis("step", "s", log=True), Axis("error", "m", log=True),
                   tuple(lines))  # fmt: skip

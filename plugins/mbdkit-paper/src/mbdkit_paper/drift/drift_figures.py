@@ -17,17 +17,19 @@ DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
 """Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible."""
 
 
-def errors(found: Sequence[Combination], added: Collection[str] = ()) -> tuple[Figure, ...]:
+def errors(results: Sequence[Combination], added: Collection[str] = ()) -> tuple[Figure, ...]:
     """Return one figure per mechanism of the errors of positions against the step, also of added methods."""
     figures = []
-    for mechanism in dict.fromkeys(one.mechanism for one in found):
+    for mechanism in dict.fromkeys(result.mechanism for result in results):
         lines = []
-        for one in found:
-            group = one.method.partition(",")[0]
-            if one.mechanism == mechanism and one.errors and (group in DRAWN or one.method in added):
-                steps = sorted(one.errors)
-                seen = np.array([one.errors[step] for step in steps])
-                lines.append(Line(one.method, np.array(steps), np.where(seen > 0, seen, np.nan), "both", one.method))
+        for result in results:
+            group = result.method.partition(",")[0]
+            if result.mechanism == mechanism and result.errors and (group in DRAWN or result.method in added):
+                steps = sorted(result.errors)
+                seen = np.array([result.errors[step] for step in steps])
+                lines.append(
+                    Line(result.method, np.array(steps), np.where(seen > 0, seen, np.nan), "both", result.method)
+                )
         figures.append(
             Figure(
                 f"error-{mechanism}",

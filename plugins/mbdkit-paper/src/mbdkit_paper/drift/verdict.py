@@ -59,9 +59,9 @@ def verdict(study: Study) -> Verdict:
     study
         The study; see `combinations` for the required families.
     """
-    found = combinations(study)
-    table = Table("drift", "Results by combination", COLUMNS, tuple(_rows(found)), NOTE, headline=True)
-    own = [one for one in found if one.method not in study.spec.added]
+    results = combinations(study)
+    table = Table("drift", "Results by combination", COLUMNS, tuple(_rows(results)), NOTE, headline=True)
+    own = [result for result in results if result.method not in study.spec.added]
     claims = [_orders(own, *expected) for expected in EXPECTED]
     claims += [_projection_keeps_the_order(own), _projection_cuts_the_error(own)]
     claims += [_reversibility(own), _energy(own)]
@@ -72,35 +72,35 @@ def verdict(study: Study) -> Verdict:
         " ".join(claim.sentence for claim in decided if claim.answer is not Answer.OPEN),
         decided,
         (table,),
-        errors(found, study.spec.added)
+        errors(results, study.spec.added)
         + energies(study, (PLAIN, ORDINARY, SYMMETRIC), "energy", "Energy with and without projection")
         + energies(study, study.spec.added, "energy-added", "Energy of added methods"),
-        _notes(found),
+        _notes(results),
     )
 
 
-def _rows(found: Sequence[Combination]) -> list[tuple[str | int | float | bool | None, ...]]:
-    return [(one.mechanism, one.method, *one.cells()) for one in found]
+def _rows(results: Sequence[Combination]) -> list[tuple[str | int | float | bool | None, ...]]:
+    return [(result.mechanism, result.method, *result.cells()) for result in results]
 
 
-def _notes(found: Sequence[Combination]) -> tuple[str, ...]:
-    absent = dict.fromkeys(one.method for one in found if one.position_order == "not installed")
+def _notes(results: Sequence[Combination]) -> tuple[str, ...]:
+    absent = dict.fromkeys(result.method for result in results if result.position_order == "not installed")
     return (f"Left out because they are not installed: {', '.join(absent)}.",) if absent else ()
 
 
-def _by(found: Sequence[Combination], method: str) -> dict[str, Combination]:
-    return {one.mechanism: one for one in found if one.method == method}
+def _by(results: Sequence[Combination], method: str) -> dict[str, Combination]:
+    return {result.mechanism: result for result in results if result.method == method}
 
 
-def order_meets(found: float | Undetermined, expected: float) -> Answer:
+def order_meets(results: float | Undetermined, expected: float) -> Answer:
     """Return whether an observed order is the expected one.
 
     The answer is yes if they differ by at most `NEAR`, and open if they differ by less than `APART` or the observed
     order is unknown. Otherwise, it is partly for a higher order, and no for a lower one.
     """
-    if isinstance(found, str):
+    if isinstance(results, str):
         return Answer.OPEN
-    away = found - expected
+    away = results - expected
     if abs(away) <= NEAR:
         return Answer.YES
     if abs(away) < APART:
@@ -133,11 +133,11 @@ def _figure(value: float | Undetermined, form: str = ".2f") -> str:
 
 
 def _orders(
-    found: Sequence[Combination], name: str, label: str, expected: tuple[float | None, ...], source: str
+    results: Sequence[Combination], name: str, label: str, expected: tuple[float | None, ...], source: str
 ) -> Claim:
     answers, computed = {}, []
-    for mechanism, one in _by(found, label).items():
-        seen = (one.position_order, one.velocity_order, one.multiplier_order)
+    for mechanism, result in _by(results, label).items():
+        seen = (result.position_order, result.velocity_order, result.multiplier_order)
         asked = [order_meets(order, wanted) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
         answers[mechanism] = all_of(asked)
         shown = [_figure(order) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
@@ -154,27 +154,30 @@ def _orders(
     )
 
 
-def _pairs(found: Sequence[Combination]) -> list[tuple[Combination, Combination]]:
+def _pairs(results: Sequence[Combination]) -> list[tuple[Combination, Combination]]:
     """Return pairs of results for the same method, without and with ordinary projection."""
-    plain = {(one.mechanism, one.method): one for one in found}
+    plain = {(result.mechanism, result.method): result for result in results}
     return [
-        (plain[key], one)
-        for one in found
-        if (key := (one.mechanism, one.method.removesuffix(PROJECTED))) in plain and one.method.endswith(PROJECTED)
+        (plain[key], result)
+        for result in results
+        if (key := (result.mechanism, result.method.removesuffix(PROJECTED))) in plain
+        and result.method.endswith(PROJECTED)
     ]
 
 
-def _projection_keeps_the_order(found: Sequence[Combination]) -> Claim:
+def _projection_keeps_the_order(results: Sequence[Combination]) -> Claim:
     answers, computed = {}, []
-    for one, projected in _pairs(found):
+    for result, projected in _pairs(results):
         for letter, before, after in (
-            ("q", one.position_order, projected.position_order),
-            ("v", one.velocity_order, projected.velocity_order),
+            ("q", result.position_order, projected.position_order),
+            ("v", result.velocity_order, projected.velocity_order),
         ):
             answer = Answer.OPEN if isinstance(before, str) else order_meets(after, before)
-            answers[f"{one.method}, {one.mechanism}, {letter}"] = answer
+            answers[f"{result.method}, {result.mechanism}, {letter}"] = answer
             if answer in (Answer.NO, Answer.PARTLY):
-                computed.append(f"{letter} from {_figure(before)} to {_figure(after)} ({one.method}, {one.mechanism})")
+                computed.append(
+                    f"{letter} from {_figure(before)} to {_figure(after)} ({result.method}, {result.mechanism})"
+                )
     decided = [answer for answer in answers.values() if answer is not Answer.OPEN]
     kept = sum(answer is Answer.YES for answer in decided)
     return Claim(
@@ -200,8 +203,8 @@ def gain(plain: Combination, projected: Combination) -> float:
     return math.exp(sum(ratios) / len(ratios)) if ratios else math.nan
 
 
-def _projection_cuts_the_error(found: Sequence[Combination]) -> Claim:
-    gains = {f"{one.method}, {one.mechanism}": gain(one, projected) for one, projected in _pairs(found)}
+def _projection_cuts_the_error(results: Sequence[Combination]) -> Claim:
+    gains = {f"{result.method}, {result.mechanism}": gain(result, projected) for result, projected in _pairs(results)}
     answers = {name: TENFOLD.holds(value) for name, value in gains.items()}
     known = sorted((value, name) for name, value in gains.items() if math.isfinite(value))
     between = f"{known[0][0]:.2g} ({known[0][1]}) to {known[-1][0]:.2g} ({known[-1][1]})" if known else "unknown"
@@ -216,12 +219,12 @@ def _projection_cuts_the_error(found: Sequence[Combination]) -> Claim:
     )
 
 
-def _reversibility(found: Sequence[Combination]) -> Claim:
+def _reversibility(results: Sequence[Combination]) -> Claim:
     labels = (PLAIN, ORDINARY, SYMMETRIC)
-    by = [_by(found, label) for label in labels]
+    by = [_by(results, label) for label in labels]
     answers, computed = {}, []
     for mechanism in by[0]:
-        defects = [one[mechanism].reversal if mechanism in one else "missing" for one in by]
+        defects = [result[mechanism].reversal if mechanism in result else "missing" for result in by]
         wanted: tuple[Callable[[float], Answer], ...] = (
             lambda defect: exceeds(REVERSIBLE, defect),
             lambda defect: exceeds(defect, REVERSIBLE),
@@ -245,19 +248,19 @@ def _reversibility(found: Sequence[Combination]) -> Claim:
     )
 
 
-def _energy(found: Sequence[Combination]) -> Claim:
-    ordinary, symmetric = _by(found, ORDINARY), _by(found, SYMMETRIC)
+def _energy(results: Sequence[Combination]) -> Claim:
+    ordinary, symmetric = _by(results, ORDINARY), _by(results, SYMMETRIC)
     answers, computed = {}, []
-    for mechanism, one in ordinary.items():
+    for mechanism, result in ordinary.items():
         other = symmetric.get(mechanism)
-        has = [one.has_trend, None if other is None else other.has_trend]
+        has = [result.has_trend, None if other is None else other.has_trend]
         answers[mechanism] = all_of(
             [
-                Answer.OPEN if found is None else Answer.YES if found is wanted else Answer.NO
-                for found, wanted in zip(has, (True, False), strict=True)
+                Answer.OPEN if results is None else Answer.YES if results is wanted else Answer.NO
+                for results, wanted in zip(has, (True, False), strict=True)
             ]
         )
-        shown = [_figure(which.trend, ".0e") if which is not None else "missing" for which in (one, other)]
+        shown = [_figure(which.trend, ".0e") if which is not None else "missing" for which in (result, other)]
         computed.append(f"{shown[0]}, {shown[1]} ({mechanism})")
     return Claim(
         "projection-energy",

@@ -65,16 +65,16 @@ class CrankRun:
 
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `flexible-slider-crank`."""
-    joints, found = _runs(study)
-    own = [one for one in found if one.method not in study.spec.added]
+    joints, cranks = _runs(study)
+    own = [crank for crank in cranks if crank.method not in study.spec.added]
     claims = reported((_held(own), _stable(own), _agree(own), _hidden(own)))
     return Verdict(
         "flexible-slider-crank",
         study.spec.title,
         " ".join(claim.sentence for claim in claims),
         claims,
-        (_table(joints, found),),
-        (_figure(found),),
+        (_table(joints, cranks),),
+        (_figure(cranks),),
         (
             (
                 "Errors of joint forces are root mean squares of the difference from Gauss 3 with a step of 2e-06 s, "
@@ -90,43 +90,47 @@ def verdict(study: Study) -> Verdict:
 
 def _runs(study: Study) -> tuple[list[str], list[CrankRun]]:
     joints: list[str] = []
-    found = []
+    cranks = []
     for point in study.points:
-        one = CrankRun(
+        crank = CrankRun(
             point.family, str(point.axes[METHOD]), float(point.axes[STEP]), value(point, "wall_s"), (),
             np.zeros((0, 0, 2)), (), state_of([point]),
         )  # fmt: skip
         run = study.run(point) if point.status == "complete" else None
         if run is not None:
             with run:
-                joints, one = _with_forces(run, one)
-        found.append(one)
-    exact = next((one.forces for one in found if (one.method, one.step) == REFERENCE and not one.state), None)
-    return joints, [one if one.state or exact is None else replace(one, errors=_errors(one, exact)) for one in found]
+                joints, crank = _with_forces(run, crank)
+        cranks.append(crank)
+    exact = next(
+        (crank.forces for crank in cranks if (crank.method, crank.step) == REFERENCE and not crank.state), None
+    )
+    return joints, [
+        crank if crank.state or exact is None else replace(crank, errors=_errors(crank, exact)) for crank in cranks
+    ]
 
 
-def _with_forces(run: Run, one: CrankRun) -> tuple[list[str], CrankRun]:
+def _with_forces(run: Run, crank: CrankRun) -> tuple[list[str], CrankRun]:
     # the motor has a torque, but no force
     joints = [name for name in run.joint_names if np.any(run.joints[name].reaction_force)]
     forces = np.stack([np.asarray(run.joints[name].reaction_force) for name in joints], axis=1)
     gaps = tuple(run.joints[name].misalignment_max for name in joints)
-    return joints, replace(one, misalignment=gaps, forces=forces)
+    return joints, replace(crank, misalignment=gaps, forces=forces)
 
 
-def _errors(one: CrankRun, exact: np.ndarray) -> tuple[float, ...]:
-    if one.forces.shape != exact.shape:
+def _errors(crank: CrankRun, exact: np.ndarray) -> tuple[float, ...]:
+    if crank.forces.shape != exact.shape:
         return ()
-    difference, size = (np.sqrt(np.mean(np.sum(x**2, axis=-1), axis=0)) for x in (one.forces - exact, exact))
+    difference, size = (np.sqrt(np.mean(np.sum(x**2, axis=-1), axis=0)) for x in (crank.forces - exact, exact))
     return tuple((difference / size).tolist())
 
 
-def _names(found: Sequence[CrankRun]) -> str:
-    return "; ".join(f"{one.method}, {one.step:g} s" for one in found) or "none"
+def _names(cranks: Sequence[CrankRun]) -> str:
+    return "; ".join(f"{crank.method}, {crank.step:g} s" for crank in cranks) or "none"
 
 
-def _held(found: Sequence[CrankRun]) -> Claim:
-    complete = [one for one in found if not one.state]
-    worst = max((max(one.misalignment) for one in complete), default=math.nan)
+def _held(cranks: Sequence[CrankRun]) -> Claim:
+    complete = [crank for crank in cranks if not crank.state]
+    worst = max((max(crank.misalignment) for crank in complete), default=math.nan)
     return Claim(
         "held",
         f"Every complete run holds all joints to {HELD:g} m without stabilization.",
@@ -137,14 +141,14 @@ def _held(found: Sequence[CrankRun]) -> Claim:
     )
 
 
-def _stable(found: Sequence[CrankRun]) -> Claim:
-    explicit = [one for one in found if one.family == "explicit"]
-    right = {method: [one.step for one in explicit if one.method == method and one.error < SMALL]
-             for method in dict.fromkeys(one.method for one in explicit)}  # fmt: skip
+def _stable(cranks: Sequence[CrankRun]) -> Claim:
+    explicit = [item for item in cranks if item.family == "explicit"]
+    right = {method: [item.step for item in explicit if item.method == method and item.error < SMALL]
+             for method in dict.fromkeys(item.method for item in explicit)}  # fmt: skip
     largest = {method: max(steps, default=math.nan) for method, steps in right.items()}
-    implicit = max((one.step for one in found if one.family == "implicit" and one.error < SMALL), default=math.nan)
+    implicit = max((item.step for item in cranks if item.family == "implicit" and item.error < SMALL), default=math.nan)
     told_steps = ", ".join(f"{method} {step:g} s" for method, step in largest.items())
-    unknown = not explicit or any(one.state in ("missing", "not installed") for one in explicit)
+    unknown = not explicit or any(item.state in ("missing", "not installed") for item in explicit)
     holds = all(step <= EXPLICIT for step in largest.values())  # also false for nan
     return Claim(
         "stable",
@@ -157,24 +161,26 @@ def _stable(found: Sequence[CrankRun]) -> Claim:
     )
 
 
-def _agree(found: Sequence[CrankRun]) -> Claim:
-    methods = dict.fromkeys(one.method for one in found)
-    finest = [min((one for one in found if one.method == method), key=lambda one: one.step) for method in methods]
-    worst = max((one.error for one in finest), default=math.nan)
+def _agree(cranks: Sequence[CrankRun]) -> Claim:
+    methods = dict.fromkeys(crank.method for crank in cranks)
+    finest = [
+        min((crank for crank in cranks if crank.method == method), key=lambda crank: crank.step) for method in methods
+    ]
+    worst = max((crank.error for crank in finest), default=math.nan)
     return Claim(
         "agree",
         f"With the smallest step of each method, all compute the same joint forces, within {100 * SMALL:g} %.",
         "",
         f"differences of at most {100 * worst:.2g} % between {len(finest)} methods",
-        exceeds(SMALL, worst) if all(math.isfinite(one.error) for one in finest) else Answer.OPEN,
+        exceeds(SMALL, worst) if all(math.isfinite(crank.error) for crank in finest) else Answer.OPEN,
         f"With small steps, joint forces of explicit and implicit methods differ by at most {100 * worst:.2g} %.",
     )
 
 
-def _hidden(found: Sequence[CrankRun]) -> Claim:
-    wrong = [one for one in found if one.error > LARGE]
-    gap = max((max(one.misalignment) for one in wrong), default=math.nan)
-    decided = any(one.error >= 0 for one in found)
+def _hidden(cranks: Sequence[CrankRun]) -> Claim:
+    wrong = [crank for crank in cranks if crank.error > LARGE]
+    gap = max((max(crank.misalignment) for crank in wrong), default=math.nan)
+    decided = any(crank.error >= 0 for crank in cranks)
     return Claim(
         "hidden",
         f"Joints that hold to {HELD:g} m do not mean that their forces are right: errors can exceed {100 * LARGE:g} %.",
@@ -187,23 +193,23 @@ def _hidden(found: Sequence[CrankRun]) -> Claim:
     )
 
 
-def _table(joints: Sequence[str], found: Sequence[CrankRun]) -> Table:
+def _table(joints: Sequence[str], cranks: Sequence[CrankRun]) -> Table:
     columns = [*columns_of("method; step [s]; time [s]")]
     columns += [Column(f"misalignment, {name}", "m") for name in joints]
     columns += [Column(f"error of the force, {name}", "%") for name in joints]
     rows = []
-    for one in found:
-        gaps = [two(gap) for gap in one.misalignment] or [one.state] * len(joints)
-        errors = [two(100 * error) for error in one.errors] or [one.state] * len(joints)
-        rows.append((one.method, f"{one.step:g}", one.state or two(one.seconds), *gaps, *errors))
+    for crank in cranks:
+        gaps = [two(gap) for gap in crank.misalignment] or [crank.state] * len(joints)
+        errors = [two(100 * error) for error in crank.errors] or [crank.state] * len(joints)
+        rows.append((crank.method, f"{crank.step:g}", crank.state or two(crank.seconds), *gaps, *errors))
     note = "Largest misalignment over all steps. Times are those of this machine."
     return Table("joints", "Joints of the flexible slider-crank", tuple(columns), tuple(rows), note, headline=True)
 
 
-def _figure(found: Sequence[CrankRun]) -> Figure:
+def _figure(cranks: Sequence[CrankRun]) -> Figure:
     lines = []
-    for method in dict.fromkeys(one.method for one in found):
-        curve = sorted((one.step, one.error) for one in found if one.method == method and one.error > 0)
+    for method in dict.fromkeys(crank.method for crank in cranks):
+        curve = sorted((crank.step, crank.error) for crank in cranks if crank.method == method and crank.error > 0)
         if curve:
             step, error = np.array(curve).T
             lines.append(Line(method, step, error, "both", method))

@@ -27,7 +27,7 @@ NOTE = (
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldJoints:
     """Misalignment of one long run.
 
     Attributes
@@ -65,24 +65,29 @@ def verdict(study: Study) -> Verdict:
     LookupError
         If the study has no such axis.
     """
-    found = [_held(point) for point in study.points]
+    results = [_held(point) for point in study.points]
     rows = [
         (
-            one.mechanism,
-            one.method,
-            one.state or int(value(point, "steps")),
-            one.state or two(one.position),
-            one.state or two(one.velocity),
-            one.state or two(value(point, "wall_s")),
-            one.state or int(value(point, "projections")),
+            result.mechanism,
+            result.method,
+            result.state or int(value(point, "steps")),
+            result.state or two(result.position),
+            result.state or two(result.velocity),
+            result.state or two(value(point, "wall_s")),
+            result.state or int(value(point, "projections")),
         )
-        for one, point in zip(found, study.points, strict=True)
+        for result, point in zip(results, study.points, strict=True)
     ]
-    own = [one for one in found if one.method not in study.spec.added]
+    own = [result for result in results if result.method not in study.spec.added]
     claims = reported(
         (
-            _holds(own, "positions", [one.position for one in own], "misalignment over all steps"),
-            _holds(own, "velocities", [one.velocity for one in own], "velocity misalignment per second over all steps"),
+            _holds(own, "positions", [result.position for result in own], "misalignment over all steps"),
+            _holds(
+                own,
+                "velocities",
+                [result.velocity for result in own],
+                "velocity misalignment per second over all steps",
+            ),
         )
     )
     return Verdict(
@@ -94,10 +99,10 @@ def verdict(study: Study) -> Verdict:
     )
 
 
-def _held(point: StudyPoint) -> Held:
+def _held(point: StudyPoint) -> HeldJoints:
     size = value(point, "mechanism_size")
     position, velocity = value(point, "misalignment_max"), value(point, "velocity_misalignment_every_step")
-    return Held(
+    return HeldJoints(
         point.family,
         str(point.axes[COMBINATION]),
         position / size if size > 0 else math.nan,
@@ -106,14 +111,14 @@ def _held(point: StudyPoint) -> Held:
     )
 
 
-def _holds(found: Sequence[Held], name: str, values: Sequence[float], what: str) -> Claim:
+def _holds(results: Sequence[HeldJoints], name: str, values: Sequence[float], what: str) -> Claim:
     """Return the claim that all values lie below the bound: no if any value does not, open if any is unknown."""
     answers = [exceeds(HELD, each) for each in values]
     worst = max(
-        ((each, one.name) for each, one in zip(values, found, strict=True) if math.isfinite(each)), default=None
+        ((each, result.name) for each, result in zip(values, results, strict=True) if math.isfinite(each)), default=None
     )
-    beyond = [one.name for one, answer in zip(found, answers, strict=True) if answer is Answer.NO]
-    unknown = [one.name for one, each in zip(found, values, strict=True) if not math.isfinite(each)]
+    beyond = [result.name for result, answer in zip(results, answers, strict=True) if answer is Answer.NO]
+    unknown = [result.name for result, each in zip(results, values, strict=True) if not math.isfinite(each)]
     answer = Answer.NO if beyond else Answer.OPEN if Answer.OPEN in answers or not answers else Answer.YES
     computed = "no run is complete" if worst is None else f"at most {worst[0]:.1e} ({worst[1]})"
     computed += f"; unknown for {'; '.join(unknown)}" if unknown else ""

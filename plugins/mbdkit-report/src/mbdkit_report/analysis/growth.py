@@ -30,7 +30,7 @@ STEADY = 1.5
 """A law counts as growth if it rises over the series by at least this factor; otherwise, it counts as bounded."""
 
 
-class Fit(NamedTuple):
+class LawFit(NamedTuple):
     """One law fitted to the logarithms of the block maxima of a time series.
 
     Attributes
@@ -177,12 +177,12 @@ _FITS: dict[Law, Callable[[np.ndarray, np.ndarray], _Found]] = {
 }
 
 
-def _fit(law: Law, found: _Found, count: float, maxima: int) -> Fit:
+def _fit(law: Law, found: _Found, count: float, maxima: int) -> LawFit:
     residual, rise, parameters = found
     variance = max(float(residual @ residual) / maxima, 1e-12)  # laws with a scatter below 1e-6 count as equal
     k = parameters + 1  # the variance is a parameter too
     correction = 2 * k * (k + 1) / max(count - k - 1, 0.5)
-    return Fit(law, rise, math.sqrt(variance), count * math.log(variance) + 2 * k + correction)
+    return LawFit(law, rise, math.sqrt(variance), count * math.log(variance) + 2 * k + correction)
 
 
 def edges(time: np.ndarray) -> np.ndarray:

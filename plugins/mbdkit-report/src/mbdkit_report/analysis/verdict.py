@@ -147,7 +147,7 @@ class Verdict:
         """Return the figure with this name; raise KeyError if there is none."""
         return _named(self.figures, name)
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the verdict as values for JSON: arrays become lists, numbers that are not finite become None."""
         return {key: _plain(value) for key, value in asdict(self).items()}
 

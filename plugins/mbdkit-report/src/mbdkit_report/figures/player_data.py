@@ -83,7 +83,7 @@ def _beam_data(shown: Scene) -> dict[str, Any]:
 
 def _gap_data(run: Run, shown: Scene) -> dict[str, Any]:
     """Return the gaps of the joints with the largest gaps [m], and the largest gap in any frame."""
-    found: Gaps = gaps(run, shown.drawing, shown.poses).largest(_JOINTS)
+    found: JointGaps = gaps(run, shown.drawing, shown.poses).largest(_JOINTS)
     size = np.hypot(found.vectors[..., 0], found.vectors[..., 1])
     return {
         "joints": list(found.joints),
@@ -98,7 +98,7 @@ def _short(values: Array, digits: int) -> list[float | None]:
 
 
 @dataclass(frozen=True)
-class Gaps:
+class JointGaps:
     """Gaps of the joints over F frames.
 
     `ends` has for each joint the indices in the drawing's table of its points on the first and the second body.
@@ -110,15 +110,15 @@ class Gaps:
     ends: tuple[tuple[int, int], ...]
     vectors: Array
 
-    def largest(self, count: int) -> Gaps:
+    def largest(self, count: int) -> JointGaps:
         """Return the `count` largest gaps, in the order of the joints."""
         size = np.nan_to_num(np.hypot(self.vectors[..., 0], self.vectors[..., 1]), nan=np.inf).max(axis=0, initial=0.0)
         kept = sorted(np.argsort(-size, kind="stable")[:count].tolist())
         joints, ends = tuple(self.joints[joint] for joint in kept), tuple(self.ends[joint] for joint in kept)
-        return Gaps(joints, ends, self.vectors[:, kept])
+        return JointGaps(joints, ends, self.vectors[:, kept])
 
 
-def gaps(run: Run, drawing: Drawing, poses: Array) -> Gaps:
+def gaps(run: Run, drawing: Drawing, poses: Array) -> JointGaps:
     """Return the gaps of the joints of a run; none if its mechanism is not known. Drivers, and joints that do not
     connect two points, are left out.
 
@@ -129,7 +129,7 @@ def gaps(run: Run, drawing: Drawing, poses: Array) -> Gaps:
     """
     mechanism = mechanism_of(run)
     if mechanism is None or tuple(mechanism.bodies) != drawing.bodies:
-        return Gaps((), (), np.zeros((len(poses), 0, 2)))
+        return JointGaps((), (), np.zeros((len(poses), 0, 2)))
     index = {"ground": -1} | {name: number for number, name in enumerate(mechanism.bodies)}
     names, ends, vectors = [], [], []
     for name, joint in mechanism.joints.items():
@@ -143,7 +143,7 @@ def gaps(run: Run, drawing: Drawing, poses: Array) -> Gaps:
         angles = [poses[:, body, 2] if body >= 0 else np.zeros(len(poses)) for body in (a, b)]
         vectors.append(joint.gap(gap, np.stack(angles, axis=-1)))
     stacked = np.stack(vectors, axis=1) if vectors else np.zeros((len(poses), 0, 2))
-    return Gaps(tuple(names), tuple(ends), stacked)
+    return JointGaps(tuple(names), tuple(ends), stacked)
 
 
 def _find(drawing: Drawing, body: int, local: tuple[float, float]) -> int:

@@ -39,7 +39,7 @@ _MARKS: dict[str, dict[str, Any]] = {
 """Matplotlib styles of the points of a drawing."""
 
 
-class Pose:
+class PoseArtists:
     """Artists of a mechanism.
 
     Parameters
@@ -178,4 +178,4 @@ def draw_pose(
 ) -> None:
     """Draw a mechanism on axes: its `points` (P, 2) and `size` in metres, in the colours of its bodies or in grey."""
     colors = [FAINT] * len(drawing.bodies) if is_faint else body_colors(drawing)
-    Pose(axes, drawing, colors, size, alpha=alpha).move(points)
+    PoseArtists(axes, drawing, colors, size, alpha=alpha).move(points)

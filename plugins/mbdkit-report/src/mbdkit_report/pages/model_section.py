@@ -17,7 +17,7 @@ from mbdkit_report.figures.curves import take
 from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration, names_shown, own_forces
 from mbdkit_report.figures.page_model import Cell, Illustration, Section, Table, columns_of
 from mbdkit_report.figures.quantity_text import count
-from mbdkit_report.key_words import described_unit
+from mbdkit_report.spec_words import described_unit
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Mechanism, Run

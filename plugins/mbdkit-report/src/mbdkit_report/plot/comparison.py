@@ -14,10 +14,10 @@ from matplotlib.axes import Axes
 from mbdkit.plugin import MbdkitError, RunSpec, SpecError, counted, did_you_mean, listed, path_text
 from mbdkit.plugin.files import Path as SpecPath
 from mbdkit_report.figures.curves import require_rows
-from mbdkit_report.key_words import key_unit, key_words
 from mbdkit_report.plot.caption import method, plain_name
 from mbdkit_report.plot.charts import draw_on
 from mbdkit_report.plot.plot_kinds import plot_module
+from mbdkit_report.spec_words import key_unit, key_words
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run

@@ -89,10 +89,13 @@ class ElementQuantity:
 
     def only(self, columns: list[int]) -> ElementQuantity:
         """Return the same quantity for some of the elements."""
-        arrays = {name: getattr(self, name) for name in ("errors", "peak_errors", "missed")}
-        parts = {name: None if values is None else values[..., columns] for name, values in arrays.items()}
-        elements, known = [self.elements[column] for column in columns], self.known and self.known.only(columns)
-        return replace(self, elements=elements, data=self.data.only(columns), known=known, **parts)
+        errors, peak_errors, missed = (
+            None if values is None else values[..., columns] for values in (self.errors, self.peak_errors, self.missed)
+        )
+        return replace(
+            self, elements=[self.elements[column] for column in columns], data=self.data.only(columns), errors=errors,
+            known=self.known and self.known.only(columns), peak_errors=peak_errors, missed=missed,
+        )  # fmt: skip
 
     def text(self, column: int) -> str:
         """Return the largest value of an element with its error and time or, if the value between rows is clearly
@@ -166,12 +169,13 @@ def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Arra
     quantity = ElementQuantity(f"reaction {word}", unit, run.joint_names, curves, missed=missed)
     if accuracy is None:
         return quantity
-    count, known, errors = accuracy.rows_known, None, np.full(len(curves.peaks), np.nan)
-    if count:
-        rows = np.asarray(data[:count], dtype=np.float64)
-        known = curves if accuracy.is_complete else bands(time[:count], rows, values)
-        errors = peak_errors(run, error, np.abs(values(rows)), count)
-    return replace(with_errors(run, quantity, error), known=known, peak_errors=errors)
+    count = accuracy.rows_known
+    if not count:
+        return replace(with_errors(run, quantity, error), peak_errors=np.full(len(curves.peaks), np.nan))
+    rows = np.asarray(data[:count], dtype=np.float64)
+    known = curves if accuracy.is_complete else bands(time[:count], rows, values)
+    peaks = peak_errors(run, error, np.abs(values(rows)), count)
+    return replace(with_errors(run, quantity, error), known=known, peak_errors=peaks)
 
 
 GAPS: dict[Gap, tuple[str, str]] = {

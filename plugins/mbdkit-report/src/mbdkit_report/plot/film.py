@@ -17,7 +17,7 @@ from mbdkit.plugin import SpecError
 from mbdkit_report.figures.beam_curves import largest_moment
 from mbdkit_report.figures.curves import evenly
 from mbdkit_report.figures.palette import ALARM, INK, PALETTE, PAPER, SPRING, body_colors, trace_colors
-from mbdkit_report.figures.pose import BENDING_SHADES, Pose
+from mbdkit_report.figures.pose import BENDING_SHADES, PoseArtists
 from mbdkit_report.figures.scene import Scene, scene
 from mbdkit_report.plot.caption import caption
 from mbdkit_report.plot.style import dress, new_figure, quietly
@@ -62,7 +62,7 @@ class Film:
             for color in trace_colors(shown.drawing, shown.traces)
         ]
         size, most = max(x1 - x0, y1 - y0), largest_moment(shown.moments)
-        self._pose = Pose(axes, shown.drawing, body_colors(shown.drawing), size, largest_moment=most)
+        self._pose = PoseArtists(axes, shown.drawing, body_colors(shown.drawing), size, largest_moment=most)
         self._pose.show_scale(axes)
         self._moving = [*self._tails, *self._pose.artists, self._clock]
         for artist in self._moving:

@@ -32,7 +32,7 @@ _WIDTH = 7.2  # inches
 _HEADING_AND_LABELS = 2.1  # inches
 
 
-def figure(run: Run, kind: str = "trajectory", **options: object) -> Figure:
+def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
     """Return a plot of a run as a Matplotlib figure.
 
     Parameters
@@ -79,7 +79,7 @@ def plot(
     size: tuple[float, float] | None = None,
     x_limits: tuple[float, float] | None = None,
     y_limits: tuple[float, float] | None = None,
-    **options: object,
+    **options: Any,
 ) -> Path:
     """Write a plot of one or several runs to a file, and return its path. An existing file is replaced.
 
@@ -186,7 +186,7 @@ def size_in_mm(text: str) -> tuple[float, float]:
     return width, height
 
 
-def paper_figure(runs: Sequence[Run], kind: str, size: tuple[float, float] | None = None, **options: object) -> Figure:
+def paper_figure(runs: Sequence[Run], kind: str, size: tuple[float, float] | None = None, **options: Any) -> Figure:
     """Return a chart of one or several runs as a figure for a paper, with the legend above the axes.
 
     Parameters

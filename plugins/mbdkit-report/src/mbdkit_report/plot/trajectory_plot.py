@@ -16,7 +16,7 @@ from mbdkit_report.figures.drawing_geometry import Drawing, Trace, choose_traces
 from mbdkit_report.figures.page_model import Axis, Figure, Line
 from mbdkit_report.figures.palette import FAINT, INK, body_colors, trace_colors
 from mbdkit_report.figures.plane_geometry import view_box
-from mbdkit_report.figures.pose import Pose
+from mbdkit_report.figures.pose import PoseArtists
 from mbdkit_report.plot.charts import Panel, named
 from mbdkit_report.plot.style import dress, legend
 
@@ -45,8 +45,8 @@ def panels(run: Run) -> list[Panel]:
         axes.set(xlim=(x0, x1), ylim=(y0, y1))
         size = max(x1 - x0, y1 - y0)
         grey = [FAINT] * len(drawing.bodies)
-        Pose(axes, drawing, grey, size, alpha=0.35).move(ends[0])
-        at_end = Pose(axes, drawing, body_colors(drawing), size, alpha=0.55, largest_moment=largest_moment(last))
+        PoseArtists(axes, drawing, grey, size, alpha=0.35).move(ends[0])
+        at_end = PoseArtists(axes, drawing, body_colors(drawing), size, alpha=0.55, largest_moment=largest_moment(last))
         at_end.move(ends[-1], last)
         at_end.show_scale(axes, "at the end")
         handles = []
