@@ -105,7 +105,7 @@ def bundle_search(
     bundle, count = [best], 1
     message, is_least = "the bundle method reached its limit of iterations", False
     while count < most:
-        near = [one for one in bundle if np.max(np.abs(one.point - best.point)) <= 4 * radius]
+        near = [element for element in bundle if np.max(np.abs(element.point - best.point)) <= 4 * radius]
         step, decrease = _model_step(best, near, radius)
         if decrease <= tolerance * abs(best.cost):
             if radius <= NEGLIGIBLE:
@@ -135,7 +135,7 @@ def bundle_search(
 
 def _is_least(best: Linearization, bundle: list[Linearization]) -> bool:
     """Return whether the model does not decrease near the best point, however small the trust region has become."""
-    near = [one for one in bundle if np.max(np.abs(one.point - best.point)) <= 4 * NEGLIGIBLE]
+    near = [element for element in bundle if np.max(np.abs(element.point - best.point)) <= 4 * NEGLIGIBLE]
     _, decrease = _model_step(best, near, NEGLIGIBLE)
     return decrease <= FLAT * NEGLIGIBLE * max(abs(best.cost), 0.1)
 
@@ -156,7 +156,7 @@ def beyond_kink(problem: Problem, ended: OptimizeResult, tolerance: float, most:
     if at_end.cost >= FAILED or decrease <= FLAT * NEAR * max(abs(at_end.cost), 0.1):
         return ended
     found = bundle_search(problem, end, radius=NEAR, tolerance=tolerance, most=most)
-    if not any(_slopes_jump(at_end, one) for one in found.linearizations):
+    if not any(_slopes_jump(at_end, linearization) for linearization in found.linearizations):
         return ended  # no kink; the model may decrease for another reason, such as a limit without a slope
     found.message = f"{str(ended.message).rstrip('.')} at a kink; from there, {found.message}"
     return found
@@ -179,7 +179,7 @@ def _model_step(center: Linearization, bundle: list[Linearization], radius: floa
     relative to the largest change of the cost in the box, because its solver has absolute tolerances.
     """
     n = len(center.point)
-    size = radius * max(float(np.max(np.abs(one.slope))) for one in bundle)
+    size = radius * max(float(np.max(np.abs(element.slope))) for element in bundle)
     if not size:
         return np.zeros(n), 0.0
     rows, limits = [], []

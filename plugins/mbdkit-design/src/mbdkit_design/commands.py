@@ -102,7 +102,7 @@ def design(
     if printing.as_json:
         show_json(
             {"path": str(folder), **result.to_dict(), "warnings": result.warnings}
-            | {"robustness": [one.to_dict() for one in deviations]}
+            | {"robustness": [deviation.to_dict() for deviation in deviations]}
             | ({} if page is None else {"report": str(page)})
         )
     elif not printing.quiet:

@@ -112,10 +112,10 @@ def comparison_table(spec: DesignSpec, best: DesignPoint, compared: Sequence[Com
     rows.append(
         ("this design", *(f"{value:.6g}" for value in best.variables.values()), f"{best.goals[goal]:.6g}", "", "")
     )
-    for one in compared:
-        if one.believed is not None and one.actual is not None:
-            values = (f"{value:.6g}" for value in one.believed.variables.values())
-            actual = "unknown" if one.fails else f"{one.actual.goals[goal]:.6g}"
-            note = "a run fails" if one.fails else "" if one.is_feasible else "violates limits"
-            rows.append((one.name, *values, f"{one.believed.goals[goal]:.6g}", actual, note))
+    for comparison in compared:
+        if comparison.believed is not None and comparison.actual is not None:
+            values = (f"{value:.6g}" for value in comparison.believed.variables.values())
+            actual = "unknown" if comparison.fails else f"{comparison.actual.goals[goal]:.6g}"
+            note = "a run fails" if comparison.fails else "" if comparison.is_feasible else "violates limits"
+            rows.append((comparison.name, *values, f"{comparison.believed.goals[goal]:.6g}", actual, note))
     return table(rows)

@@ -88,7 +88,7 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; unknown numbers are None."""
-        plain = {one.name: _plain(getattr(self, one.name)) for one in fields(self) if one.name != "spec"}
+        plain = {field.name: _plain(getattr(self, field.name)) for field in fields(self) if field.name != "spec"}
         return plain | {"searches": dict(zip(("at_best", "all"), self.searches, strict=True))}
 
     @classmethod
@@ -124,7 +124,7 @@ class Design:
                              measured[scenario, name]))  # fmt: skip
         at_best, every = self.searches
         lines = [*filter(None, [self.doubt]), self.trust.judgement]
-        lines += [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]
+        lines += [*(f"{goal_words(gain.name)}: {gain.text()}" for gain in self.gains), table(rows)]
         lines += [f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
         if self.derivatives:
             lines.append(self.derivatives)
@@ -132,7 +132,10 @@ class Design:
             lines.append(front_table(self.spec, self.front, self.best))
         if self.compared:
             remarks = (
-                text for one in self.compared for text in (one.confirmation(*goals.values()), one.reason) if text
+                text
+                for comparison in self.compared
+                for text in (comparison.confirmation(*goals.values()), comparison.reason)
+                if text
             )
             lines += [comparison_table(self.spec, self.best, self.compared), *remarks]
         return "\n".join([*lines, *self.warnings])
@@ -240,7 +243,7 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
         spec=spec,
         start=point_of(evaluator, first),
         best=point_of(evaluator, best.end),
-        front=tuple(point_of(evaluator, one.end) for one in front),
+        front=tuple(point_of(evaluator, search.end) for search in front),
         trust=trust,
         is_feasible=best.feasible,
         runs=evaluator.runs,
@@ -292,7 +295,7 @@ def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> De
 
 def _knee(evaluator: Evaluator, front: list[Search]) -> Search:
     """Return the point that is closest to the smallest values of all goals, each relative to its range on the front."""
-    goals = np.array([evaluator.totals(one.end) for one in front])
+    goals = np.array([evaluator.totals(search.end) for search in front])
     range_ = np.ptp(goals, axis=0)
     away = np.linalg.norm((goals - goals.min(axis=0)) / np.where(range_ > 0, range_, 1.0), axis=1)
     return front[int(np.argmin(away))]

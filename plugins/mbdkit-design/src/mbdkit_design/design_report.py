@@ -74,7 +74,9 @@ def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
             best = evaluator.point(design.best.variables)
             around = {"": cuts(evaluator, best)}
             around |= {
-                one.name: cuts(compared_with(evaluator, one.name), best) for one in design.compared if one.believed
+                comparison.name: cuts(compared_with(evaluator, comparison.name), best)
+                for comparison in design.compared
+                if comparison.believed
             }
             changes = sensitivities(evaluator, best)
             elsewhere = costs(pairs)
@@ -103,12 +105,12 @@ def _page(
         settings=f"{design.counted_runs} \u00b7 {design.spec.optimizer.name} \u00b7 {design.message}",
         headline=(
             ("verdict", design.trust.level),
-            *((goal_words(one.name), one.text()) for one in design.gains),
+            *((goal_words(gain.name), gain.text()) for gain in design.gains),
             *((key_words(name), _value(design, design.best, name)) for name in design.best.variables),
-            *(("it costs elsewhere", one.text()) for one in elsewhere[:COSTS] if one.share > 0),
+            *(("it costs elsewhere", cost.text()) for cost in elsewhere[:COSTS] if cost.share > 0),
         ),
         tone=TONES.get(design.trust.level, ""),
-        verdict=replace(verdict, figures=figures, tables=(*verdict.tables, *(one for one in tables if one.rows))),
+        verdict=replace(verdict, figures=figures, tables=(*verdict.tables, *(table for table in tables if table.rows))),
         films=tuple(_films(pairs)),
         methods=methods([pair["best"].spec for pair in pairs.values()]),
         environment=environment(first.provenance, {"created (UTC)": first.created_utc}),

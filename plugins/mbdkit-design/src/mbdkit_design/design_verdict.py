@@ -30,7 +30,7 @@ def design_verdict(design: Design) -> Verdict:
         _certified(design),
         *_gains(design),
         *_limits(design),
-        *(_compared(design, one) for one in design.compared),
+        *(_compared(design, comparison) for comparison in design.compared),
     ]
     at_best, every = design.searches
     note = f"{at_best} of {every} searches ended at this point to 0.1 % of the goal."
@@ -47,14 +47,14 @@ def design_verdict(design: Design) -> Verdict:
 
 def _gains(design: Design) -> Iterator[Claim]:
     """Yield for each goal the claim that its gain exceeds the estimated errors."""
-    for one in design.gains:
-        unit = f" {one.unit}" if one.unit else ""
-        known = "of unknown error" if np.isnan(one.error) else f"with an estimated error of {one.error:.1g}{unit}"
-        answer = Answer.OPEN if one.is_real is None else Answer.YES if one.is_real else Answer.NO
-        statement = f"The gain of the {goal_words(one.name)} exceeds the errors of both points."
-        sentence = f"The {goal_words(one.name)} changes {one.text()}."
-        found = f"{one.start:.6g} to {one.best:.6g}{unit}, {known}"
-        yield Claim(f"gain-{one.name}", statement, "", found, answer, sentence)
+    for gain in design.gains:
+        unit = f" {gain.unit}" if gain.unit else ""
+        known = "of unknown error" if np.isnan(gain.error) else f"with an estimated error of {gain.error:.1g}{unit}"
+        answer = Answer.OPEN if gain.is_real is None else Answer.YES if gain.is_real else Answer.NO
+        statement = f"The gain of the {goal_words(gain.name)} exceeds the errors of both points."
+        sentence = f"The {goal_words(gain.name)} changes {gain.text()}."
+        found = f"{gain.start:.6g} to {gain.best:.6g}{unit}, {known}"
+        yield Claim(f"gain-{gain.name}", statement, "", found, answer, sentence)
 
 
 def _certified(design: Design) -> Claim:
@@ -144,11 +144,18 @@ def _goal_table(design: Design) -> Table:
 def costs_table(costs: Sequence[Cost]) -> Table:
     """Return the table of the loads that differ between the start and the best point."""
     rows: list[tuple[Cell, ...]] = [
-        (one.scenario, one.label, one.unit, one.start, one.best, None if np.isinf(one.share) else 100 * one.share)
-        for one in costs
+        (
+            cost.scenario,
+            cost.label,
+            cost.unit,
+            cost.start,
+            cost.best,
+            None if np.isinf(cost.share) else 100 * cost.share,
+        )
+        for cost in costs
     ]
     columns = tuple(map(Column, ("scenario", "load", "unit", "start", "best", "change in %")))
-    if not any(one.scenario for one in costs):
+    if not any(cost.scenario for cost in costs):
         rows, columns = [row[1:] for row in rows], columns[1:]
     return Table(
         "costs", "Loads elsewhere", columns, tuple(rows), "Largest forces and torques that change by 1 % or more."
@@ -163,9 +170,9 @@ def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
         columns += [Column(f"{goal_words(name)} if {word}", units[name]) for word in ("smaller", "larger")]
     limits = bool(design.spec.subject_to)
     rows: list[tuple[Cell, ...]] = [
-        (one.words, one.size, *(float(value) for value in one.goals.T.ravel()),
-         *((", ".join(one.exceeds),) if limits else ()))
-        for one in deviations
+        (deviation.words, deviation.size, *(float(value) for value in deviation.goals.T.ravel()),
+         *((", ".join(deviation.exceeds),) if limits else ()))
+        for deviation in deviations
     ]  # fmt: skip
     best = ", ".join(
         f"{goal_words(name)} {with_unit(value, units[name], 4)}" for name, value in design.best.goals.items()
@@ -181,13 +188,21 @@ def _comparison_table(design: Design) -> Table:
     best = design.best
     rows: list[tuple[Cell, ...]] = [("this design", *best.variables.values(), best.goals[goal], best.goals[goal],
                                      "yes" if design.is_feasible else "no")]  # fmt: skip
-    for one in design.compared:
-        if one.believed is None or one.actual is None:
-            rows.append((one.name, *(None for _ in best.variables), None, None, "no best point"))
+    for comparison in design.compared:
+        if comparison.believed is None or comparison.actual is None:
+            rows.append((comparison.name, *(None for _ in best.variables), None, None, "no best point"))
         else:
-            actual = None if one.fails else one.actual.goals[goal]
-            limits = "a run fails" if one.fails else "yes" if one.is_feasible else "no"
-            rows.append((one.name, *one.believed.variables.values(), one.believed.goals[goal], actual, limits))
+            actual = None if comparison.fails else comparison.actual.goals[goal]
+            limits = "a run fails" if comparison.fails else "yes" if comparison.is_feasible else "no"
+            rows.append(
+                (
+                    comparison.name,
+                    *comparison.believed.variables.values(),
+                    comparison.believed.goals[goal],
+                    actual,
+                    limits,
+                )
+            )
     unit = goal_units(design.spec)[goal]
     columns = (
         Column("best point with"),
@@ -210,5 +225,5 @@ def _front_table(design: Design) -> Table:
         *(Column(name, units[name]) for name in design.best.goals),
         *(Column(key_words(name), variable_unit(design.spec, name)) for name in design.best.variables),
     )
-    rows = tuple((*one.goals.values(), *one.variables.values()) for one in design.front)
+    rows = tuple((*point.goals.values(), *point.variables.values()) for point in design.front)
     return Table("front-points", "Points of the Pareto front", columns, rows)

@@ -233,7 +233,7 @@ class Evaluator:
     def __init__(self, spec: DesignSpec, source: Source | None = None, compared: str = ""):
         self.spec, self.runs, self.failures, self.gradients, self.why_differences = spec, 0, 0, 0, ""
         self.least = np.nan
-        self.names = tuple(defined_measure.name for defined_measure in spec.defined_measures())
+        self.names = tuple(measure.name for measure in spec.defined_measures())
         specs = spec.compared_specs[compared] if compared else spec.specs
         self.scenarios = tuple(ScenarioRuns(one) for one in specs.values())
         changes = spec.compare[compared] if compared else {}

@@ -130,7 +130,7 @@ def violations(spec: DesignSpec, point: DesignPoint, start: DesignPoint) -> list
         for name, limit in spec.subject_to.items():
             value, unit = measures[name], units[scenario, name]
             sizes = [abs(one) for one in (limit.min, limit.max, start.measures[scenario][name]) if one is not None]
-            slack = FEASIBLE * max(one for one in sizes if np.isfinite(one))
+            slack = FEASIBLE * max(size for size in sizes if np.isfinite(size))
             label = f"{name} in {scenario}" if scenario else name
             shown = with_unit(value, unit, 4)
             for side, end, word in ((1.0, limit.max, "above"), (-1.0, limit.min, "below")):
@@ -152,7 +152,7 @@ def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
     """
     found = []
     for scenario, pair in pairs.items():
-        before = {one.label: one for one in largest_loads(pair["start"])}
+        before = {load.label: load for load in largest_loads(pair["start"])}
         for one in largest_loads(pair["best"]):
             start = before[one.label].largest if one.label in before else 0.0
             cost = Cost(scenario, one.label, one.unit, start, one.largest)

@@ -82,7 +82,7 @@ def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
         for side in (0, 1)
         for scenario, both in zip(evaluator.spec.specs, by_scenario, strict=True)
     ]
-    values = np.array([one.values for one in evaluator.run(jobs)])
+    values = np.array([outcome.values for outcome in evaluator.run(jobs)])
     values = values.reshape(len(cases), 2, len(specs), len(evaluator.names))
     return [
         Deviation(words, size, np.array([evaluator.sums(one) for one in of_case]), evaluator.exceeded(of_case))
@@ -149,7 +149,7 @@ def _replaced(holder: Any, path: Path, value: float) -> Any:
 
 def robustness_text(spec: DesignSpec, deviations: Sequence[Deviation]) -> str:
     """Return the deviations with the largest first goal as a table for a terminal, in descending order of this goal."""
-    ranked = sorted(deviations, key=lambda one: -np.max(np.nan_to_num(one.goals[:, 0], nan=np.inf)))
+    ranked = sorted(deviations, key=lambda deviation: -np.max(np.nan_to_num(deviation.goals[:, 0], nan=np.inf)))
     sides = [f"{goal_words(name)} {sign}".upper() for name in spec.totals for sign in "-+"]
     rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if spec.subject_to else ()))]
     for one in ranked[:MOST]:

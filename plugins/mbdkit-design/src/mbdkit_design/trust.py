@@ -208,7 +208,7 @@ def _errors(
                 f"The errors of {', '.join(names)} at the {point}{where} are unknown: the values in runs with smaller "
                 "steps or tolerances do not converge, or such a run fails."
             )
-    table = np.array([one.errors or (np.nan,) * len(one.values) for one in checked])
+    table = np.array([outcome.errors or (np.nan,) * len(outcome.values) for outcome in checked])
     weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
     of_goals = table[:, :count]
     if evaluator.spec.sums_squares:  # the error of r^2 is (r + e)^2 - r^2

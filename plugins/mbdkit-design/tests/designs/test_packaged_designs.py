@@ -53,9 +53,3 @@ def test_every_packaged_design_is_valid_and_listed_and_others_are_named() -> Non
     assert "did you mean 'gravity-balance'?" in command("design", "gravity-balanse").stderr
     assert "which `mbdkit design` solves" in command("run", "gravity-balance").stderr
     assert "this study is valid" not in command("validate", "exotendon").stdout
-
-
-def test_the_folder_of_a_design_is_not_that_of_another_one(balance: Path) -> None:
-    again = command("design", "gravity-balance", "-o", str(balance), "--set", "optimizer.starts=2")
-    assert again.exit_code == 2
-    assert "belongs to another design" in again.stderr

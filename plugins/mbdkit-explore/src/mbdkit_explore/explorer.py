@@ -43,7 +43,7 @@ class Explorer:
 
     def __init__(self, spec: RunSpec | InverseSpec, names: Sequence[str] | None = None):
         self.spec, self.sliders = spec, sliders(spec, names)
-        self._by_key = {one.key: one for one in self.sliders}
+        self._by_key = {slider.key: slider for slider in self.sliders}
         self._data = plain(read_source(spec).data)
         self._prepared = PreparedRun(spec) if isinstance(spec, RunSpec) else None
         self.title = str(spec.title or self._data["model"]["name"])
@@ -78,7 +78,7 @@ class Explorer:
         return {
             "film": film_of(made, NUMBERS),
             "verdict": made.verdict if made.status == "complete" else f"{made.status}: {made.status_reason}",
-            "reasons": [shown(one) for one in made.verdict_reasons],
+            "reasons": [shown(reason) for reason in made.verdict_reasons],
             "tone": TONES.get(made.verdict, "") if made.status == "complete" else "alarm",
             "headlines": [[shown(label), text] for label, text in every],
             "curves": _curves(made),

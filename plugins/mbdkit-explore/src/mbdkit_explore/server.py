@@ -155,8 +155,8 @@ def application(explorer: Explorer, token: str) -> Starlette:
             if reference is None:
                 return PlainTextResponse("", 503)
             sliders = [
-                {"key": one.key, "words": one.words, "unit": one.unit, "low": one.low, "high": one.high,
-                 "value": one.value} for one in explorer.sliders
+                {"key": slider.key, "words": slider.words, "unit": slider.unit, "low": slider.low, "high": slider.high,
+                 "value": slider.value} for slider in explorer.sliders
             ]  # fmt: skip
             data = {"sliders": sliders, "reference": reference}
             page[:] = [render("explore.html", {"title": explorer.title, "sliders": sliders, "data": data})]
@@ -190,7 +190,7 @@ def values_in(body: bytes) -> dict[str, float] | None:
     except (ValueError, RecursionError):
         return None
     are_numbers = isinstance(values, dict) and all(
-        isinstance(one, float) and math.isfinite(one) for one in values.values()
+        isinstance(value, float) and math.isfinite(value) for value in values.values()
     )
     return values if are_numbers else None
 

@@ -81,7 +81,8 @@ class Cluster:
         from mbdkit_studies.compute.executor_pool import Engine
         from mbdkit_studies.compute.executors import opened
 
-        with opened(self, workers, folder, notify) as executor:
+        scheduler, slurm = self.scheduler, self.slurm or ()
+        with opened(self.executor, workers, folder, notify, scheduler=scheduler, slurm=slurm) as executor:
             yield Engine(workers or _cores(), executor, **program)
 
 

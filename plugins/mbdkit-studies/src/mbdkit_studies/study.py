@@ -109,8 +109,8 @@ class Study(StudyRuns, HtmlView):
     @property
     def failures(self) -> Sequence[StudyPoint]:
         """The points whose runs failed, and the reference runs that failed."""
-        places = np.flatnonzero(self._index.runs["status"] == "failed").tolist()
-        failed, references = self.points.at(places), [one for one in self.references if one.status == "failed"]
+        failed = self.points.at(np.flatnonzero(self._index.runs["status"] == "failed").tolist())
+        references = [reference for reference in self.references if reference.status == "failed"]
         return (*failed, *references) if references else failed
 
     def axes(self, family: str | None = None) -> dict[str, list[Label]]:

@@ -21,7 +21,6 @@ import mbdkit
 from mbdkit.base.command_words import command_line, executing
 from mbdkit.base.errors import SpecError
 from mbdkit.cli import app
-from mbdkit_studies.command_options import Cluster
 from mbdkit_studies.compute import executor_pool, executors, worker
 from mbdkit_studies.compute.executor_pool import ExecutorPool
 from mbdkit_studies.compute.executors import SubmititExecutor
@@ -308,9 +307,8 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_job_that_slurm_without_accounting_no_longer_lists_is_lost(slurm, tmp_path):
-    cluster = Cluster("submitit", "slurm", None)
     notes: list[str] = []
-    with executors.opened(cluster, 2, tmp_path, notes.append) as executor:
+    with executors.opened("submitit", 2, tmp_path, notes.append, scheduler="slurm") as executor:
         killed, running = executor.submit_all(abs, [-1, -2])
         with pytest.raises(TimeoutError):
             killed.result(0.5)

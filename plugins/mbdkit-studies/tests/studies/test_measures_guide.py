@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
-
-import pytest
 
 import mbdkit
 from mbdkit.measures.measured_quantities import ATTRIBUTES
@@ -39,20 +36,6 @@ def test_the_measures_of_beams_are_valid() -> None:
         "moment_near_a": "N m",
         "moment_at_a": "N m",
     }
-
-
-def test_the_python_blocks_run(capsys: pytest.CaptureFixture[str]) -> None:
-    of_run, of_study, plugin = (text for language, text in BLOCKS if language == "python")
-    exec(compile(of_run, "guide", "exec"), {})
-    assert re.fullmatch(r"\d+\.\d+ N\n", capsys.readouterr().out)
-    exec(compile(of_study, "guide", "exec"), {})
-    assert "{'pull': 'N', 'turn': 'deg'}" in capsys.readouterr().out
-    found: dict[str, Any] = {}
-    exec(compile(plugin, "guide", "exec"), found)
-    (item,) = found["mbdkit_measures"]()
-    item.check()
-    with mbdkit.run("slider-crank", time={"steps": 10, "step": 0.01}) as run:
-        assert item.take(run, item.options(body="crank")) >= 0.0
 
 
 def test_every_quantity_is_listed() -> None:

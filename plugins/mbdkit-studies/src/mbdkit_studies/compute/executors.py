@@ -16,13 +16,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbdkit.plugin import SpecError, counted, one_line, shown
 from mbdkit_studies.folder.owned_folder import JOBS
-
-if TYPE_CHECKING:
-    from mbdkit_studies.command_options import Cluster
 
 MOST_JOBS = 100
 """Default of the largest number of jobs into which the tasks of a study are divided."""
@@ -170,34 +167,44 @@ _LISTS = ("setup", "teardown", "srun_args")
 _FLAGS = {"true": True, "false": False}
 
 
-def _check(cluster: Cluster, workers: int | None) -> None:
+def _check(executor: str, workers: int | None, scheduler: str | None, slurm: Sequence[str]) -> None:
     """Raise SpecError if options are inconsistent."""
-    if cluster.slurm and cluster.executor != "submitit":
+    if slurm and executor != "submitit":
         raise SpecError("--slurm is for --executor submitit")
-    if cluster.scheduler is not None and cluster.executor == "local":
+    if scheduler is not None and executor == "local":
         raise SpecError("--scheduler is for --executor dask or submitit")
-    if cluster.executor == "dask" and cluster.scheduler and workers is not None:
+    if executor == "dask" and scheduler and workers is not None:
         raise SpecError(
             "--workers cannot be combined with --scheduler and --executor dask: start the workers by `dask worker`"
         )
-    if cluster.executor == "submitit" and cluster.scheduler not in (None, "slurm", "local"):
-        raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(cluster.scheduler)}")
+    if executor == "submitit" and scheduler not in (None, "slurm", "local"):
+        raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(scheduler)}")
 
 
 @contextlib.contextmanager
 def opened(
-    cluster: Cluster, workers: int | None, folder: Path, notify: Callable[[str], None]
+    name: str,
+    workers: int | None,
+    folder: Path,
+    notify: Callable[[str], None],
+    *,
+    scheduler: str | None = None,
+    slurm: Sequence[str] = (),
 ) -> Iterator[Executor | None]:
     """Yield the requested executor, or None for processes on this machine, and close the executor at the end.
 
     Parameters
     ----------
+    name
+        ``local``, ``dask`` or ``submitit``.
     workers
         Number of processes, or of jobs; None for the default.
     folder
         Folder of the study.
     notify
         Called with messages, such as one before the study waits for workers, and the location of the logs of lost jobs.
+    scheduler, slurm
+        See the options of `mbdkit study`.
 
     Raises
     ------
@@ -205,15 +212,15 @@ def opened(
         If options are inconsistent, a package is not installed, no Dask scheduler answers, or there is no Slurm on this
         machine.
     """
-    _check(cluster, workers)
-    match cluster.executor:
+    _check(name, workers, scheduler, slurm)
+    match name:
         case "local":
             yield None
         case "dask":
-            with _dask(cluster.scheduler, workers, notify) as executor:
+            with _dask(scheduler, workers, notify) as executor:
                 yield executor
         case "submitit":
-            with _submitit(cluster, workers, folder, notify) as executor:
+            with _submitit(scheduler or "slurm", slurm, workers, folder, notify) as executor:
                 yield executor
 
 
@@ -269,11 +276,10 @@ def _without_logs(*packages: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _submitit(
-    given: Cluster, workers: int | None, folder: Path, notify: Callable[[str], None]
+    cluster: str, slurm: Sequence[str], workers: int | None, folder: Path, notify: Callable[[str], None]
 ) -> Iterator[SubmititExecutor]:
     submitit = _package("submitit", "submitit")
-    cluster = given.scheduler or "slurm"
-    options = _sbatch_options(given.slurm or ())
+    options = _sbatch_options(slurm)
     if cluster == "slurm" and shutil.which("sbatch") is None:
         raise SpecError(
             "there is no Slurm on this machine: the command sbatch is not found; "

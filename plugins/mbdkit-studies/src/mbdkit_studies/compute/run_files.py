@@ -45,8 +45,6 @@ class RunFiles(RunStore[str]):
         #: Names of the numeric columns that are computed from every archive; checked runs have further columns.
         self._columns = (*self.plan.built_in, *(measure.name for measure in self._defined), *COUNTERS, *TIMINGS)
         self._hashes: dict[str, str] = {}
-        self._timings: dict[str, tuple[float, ...]] = {}
-        self._second: dict[str, Outcome] = {}
 
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
         """See `RunStore.begin`."""
@@ -56,6 +54,13 @@ class RunFiles(RunStore[str]):
         rows = [] if before is None else before.rows()
         self._by_run = {row.run_id: row for row in rows}
         self._measured = {(row.run_id, row.reference_id): row for row in rows}
+        self._timings = {row.run_id: row.repeats for row in rows}
+        #: Results of second runs, of this call or for archives that have not changed since an earlier one.
+        self._second = {
+            row.run_id: Outcome("complete", row.second_run, values=row.values)
+            for row in rows
+            if row.second_run and self._is_unchanged(row.run_id)
+        }
         missing = set(self.missing(self._runs))
         own = [run_id for index, run_id in enumerate(self._runs) if shard is None or shard.has(index)]
         self._missing = [run_id for run_id in own if run_id in missing]
@@ -68,14 +73,14 @@ class RunFiles(RunStore[str]):
         if not self.spec.second_run_measures:
             return []
         wanted = dict.fromkeys(point.run_id for point in self.plan.points if not point.lacking)
-        return [run_id for run_id in wanted if self._run_twice(run_id) is None]
+        return [run_id for run_id in wanted if run_id not in self._second]
 
     def _missing_repeats(self) -> dict[str, int]:
         """Return the number of timings to make, by run, for the runs that lack timings."""
         wanted: dict[str, int] = {}
         for point in self.plan.points:
             count = point.grid.repeats
-            if not point.lacking and count > max(1, len(self._repeats_before(point.run_id))):
+            if not point.lacking and count > max(1, len(self._timings.get(point.run_id, ()))):
                 wanted[point.run_id] = max(count, wanted.get(point.run_id, 0))
         return wanted
 
@@ -102,10 +107,11 @@ class RunFiles(RunStore[str]):
         """See `RunStore.note`."""
         self.unfinished += [outcome.reason] if outcome.is_passing else []
         if "second" in task.content:
-            self._second[task.key] = outcome
+            self._second |= {} if outcome.is_passing else {task.key: outcome}
         elif "repeats" in task.content:
-            self._timings[task.key] = outcome.seconds
+            self._timings |= {task.key: outcome.seconds} if outcome.seconds else {}
         else:
+            self._second.pop(task.key, None)
             self.note_file(task.key, outcome)
             self.computed += 1
             self.failed += int(outcome.status == "failed" or outcome.is_passing)
@@ -145,10 +151,11 @@ class RunFiles(RunStore[str]):
             except (SpecError, ArchiveError, ResourceError) as error:  # the archive was damaged after it was computed
                 outcome = Outcome("missing", f"error: {error}")
         row = row or Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(self._columns, math.nan))
-        row = self._with_second_run(row, self._second.get(run_id), self._run_twice(run_id))
-        seconds = tuple(self._timings.get(run_id) or self._repeats_before(run_id))
-        values = {**row.values, **quartiles(seconds)} if self._is_timed else row.values
-        return replace(row, values=values, repeats=seconds, reference_id=reference_id)
+        second, seconds = self._second.get(run_id, Outcome("", "")), self._timings.get(run_id, ())
+        values = {**row.values, **{name: second.values.get(name, math.nan) for name in self._of_second_runs}}
+        values |= quartiles(seconds) if self._is_timed else {}
+        note = second.reason or second.status
+        return replace(row, values=values, repeats=seconds, reference_id=reference_id, second_run=note)
 
     def _row_of(self, archive: Path, reference: Path | None, spec: RunSpec) -> Row:
         """Return the row of a run, with values computed from its archive and from that of its reference run, if any.
@@ -176,22 +183,6 @@ class RunFiles(RunStore[str]):
         taken |= other_values(run, spec, self._defined)
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
 
-    def _with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
-        """Return a row to which the measures that need a second run are added.
-
-        The measures are taken from `made`, the outcome of the second run in this call. If this call has made no second
-        run, or if the second run failed for an external reason, they are taken from `before`, the row of the run in the
-        previous index.
-        """
-        if made is not None and not made.is_passing:
-            values, note = made.values, made.reason or made.status
-        elif before is not None and self._of_second_runs:
-            values, note = before.values, before.second_run
-        else:
-            values, note = {}, ""
-        second = {name: values.get(name, math.nan) for name in self._of_second_runs}
-        return replace(row, values={**row.values, **second}, second_run=note)
-
     def _is_unchanged(self, run_id: str) -> bool:
         """Return whether the archive of a run has the same bytes as when it was indexed."""
         row = self._by_run.get(run_id)
@@ -209,14 +200,6 @@ class RunFiles(RunStore[str]):
             except OSError:
                 return ""
         return self._hashes[run_id]
-
-    def _repeats_before(self, run_id: str) -> tuple[float, ...]:
-        """Return the serial timings of a run from earlier calls [s]."""
-        return self._by_run[run_id].repeats if run_id in self._by_run else ()
-
-    def _run_twice(self, run_id: str) -> Row | None:
-        """Return the indexed row of a run that was computed twice, if its archive has not changed since; else None."""
-        return self._by_run[run_id] if self._is_unchanged(run_id) and self._by_run[run_id].second_run else None
 
     def _measured_before(self, run_id: str, reference_id: str) -> Row | None:
         """Return the indexed row of a run if its archive and that of its reference have not changed; else None."""

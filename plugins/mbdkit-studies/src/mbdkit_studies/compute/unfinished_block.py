@@ -85,7 +85,9 @@ class UnfinishedBlock:
     def add(self, runs: Sequence[BlockRun]) -> None:
         """Add runs, and save all that have not been saved if this is due."""
         self._unsaved += runs
-        self._bytes += sum(one.nbytes for run in runs if run.result is not None for one in run.result.arrays.values())
+        self._bytes += sum(
+            array.nbytes for run in runs if run.result is not None for array in run.result.arrays.values()
+        )
         if not self.is_due:
             return
         path = self._block.with_name(f".{self._block.stem}{PIECE}{time.time_ns()}")

@@ -107,7 +107,9 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     if found := next((clause for holds, clause in reasons if holds), ""):
         return found
     functionals = functionals_of(spec, measures)
-    if not all((one.is_extremum or one.is_value) and not one.is_nested for one in functionals):
+    if not all(
+        (functional.is_extremum or functional.is_value) and not functional.is_nested for functional in functionals
+    ):
         return "their measures contain integrals over time"
     if has_ranges(spec.mechanism()) and not steps_are_rows(spec):
         return "the ranges of their force laws are watched between the recorded states"

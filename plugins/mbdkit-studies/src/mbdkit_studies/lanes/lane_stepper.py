@@ -129,8 +129,8 @@ class LaneStepper:
         self._pinned = PinnedBundle(self.run)
         self._topologies: list[Topology | None] = [None] * WIDTH
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
-        self._pinned_guards = [PinnedBundle(one) for one in self._guards]
-        self.run.watch.guards[:] = [one.address for one in self._pinned_guards]
+        self._pinned_guards = [PinnedBundle(guard) for guard in self._guards]
+        self.run.watch.guards[:] = [pinned_guard.address for pinned_guard in self._pinned_guards]
 
     def advance(
         self, starts: Sequence[AtStart], tables: Sequence[Timetable], pivots: Sequence[StagePivots | None] = ()
@@ -157,16 +157,16 @@ class LaneStepper:
     def load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
         """Copy the mechanisms, states and limits of `WIDTH` runs into the lanes."""
         c = self.run
-        mechanisms = [one.mechanism for one in starts]
+        mechanisms = [start.mechanism for start in starts]
         topologies = [one.topology for one in mechanisms]
         if any(new is not loaded for new, loaded in zip(topologies, self._topologies, strict=True)):
             _fill(c.top, topologies)
             self._topologies = [*topologies]
-        _put(c.q, [one.q0 for one in starts])
-        _put(c.v, [one.v0 for one in starts])
+        _put(c.q, [start.q0 for start in starts])
+        _put(c.v, [start.v0 for start in starts])
         limits = [guard_limits(one, table.guards) for one, table in zip(mechanisms, tables, strict=True)]
-        _put(c.squared_misalignment, [one.squared_misalignment for one in limits])
-        _put(c.energy_share, [one.energy_jump for one in limits])
+        _put(c.squared_misalignment, [limit.squared_misalignment for limit in limits])
+        _put(c.energy_share, [limit.energy_jump for limit in limits])
         for name in ("start", "end"):
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
         c.every[0] = tables[0].every
@@ -185,7 +185,7 @@ class LaneStepper:
 
     def _load_pivots(self, pivots: Sequence[StagePivots | None], lanes: list[int]) -> list[StagePivots]:
         """Copy the pivots of the run of each lane; return them, or an empty list if the method is explicit."""
-        chosen = [one for one in pivots if one is not None]
+        chosen = [pivot for pivot in pivots if pivot is not None]
         by_lane = [chosen[lane] for lane in lanes if chosen]
         if by_lane:
             load_stage_pivots(self.run.method, by_lane)
@@ -283,7 +283,7 @@ def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
 def _fill(top: Topology, topologies: Sequence[Topology]) -> None:
     """Copy the numbers of one mechanism into each lane; integers are the same for all lanes."""
     for name, lanes in zip(Topology._fields, top, strict=True):
-        arrays = [getattr(one, name) for one in topologies]
+        arrays = [getattr(topology, name) for topology in topologies]
         if name in BY_LANE:
             lanes[...] = arrays
         elif isinstance(lanes, Lanes):
@@ -321,7 +321,7 @@ class ControlledLaneStepper(LaneStepper):
         while max(map(_rows_by_interval, planned)) > len(self.runs.row_work):
             self._grow()
         self.load(chosen, planned)
-        sizes = [one.size for one in self._load_pivots(pivots, lanes)]
+        sizes = [pivot.size for pivot in self._load_pivots(pivots, lanes)]
         self._load_control([one.mechanism for one in chosen], planned, sizes)
         while self._in_lanes.drive_controlled(self._pinned.address) != ENDED:
             self._grow()
@@ -342,7 +342,7 @@ class ControlledLaneStepper(LaneStepper):
     ) -> None:
         """Initialize the step-size control of all runs; `sizes` are those of the first steps, if they are known [s]."""
         runs, c = self.runs, self.run
-        controls = [self._control(one) for one in mechanisms]
+        controls = [self._control(mechanism) for mechanism in mechanisms]
         for lane, (control, table) in enumerate(zip(controls, tables, strict=True)):
             data = control_data(control, smallest_step(table))
             for name in ("rtol", "atol", "min_size", "max_size"):

@@ -107,7 +107,7 @@ class PreparedRun:
 
     def _path_of(self, name: str) -> Path:
         path = variable_path(name)
-        if path[:1] == ("parameters",) and path[1:] not in [(one,) for one in self.spec.parameters]:
+        if path[:1] == ("parameters",) and path[1:] not in [(parameter,) for parameter in self.spec.parameters]:
             known = list(self.spec.parameters)
             keys = list(keys_ending_in(name, json.loads(self.spec.canonical_json())["model"]))
             hint = did_you_mean(name, known) or (f"; parameters: {listed(known)}" if known else "")

@@ -105,7 +105,7 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
         assert found is not None  # `_measures` yields only measures with enough values
         numbers = (found.mean, found.std, *found.quantiles.values())
         least, most = float(np.nanmin(measure.values)), float(np.nanmax(measure.values))
-        cells: tuple[Cell, ...] = (found.runs, *(one.text() for one in numbers), least, most)
+        cells: tuple[Cell, ...] = (found.runs, *(number.text() for number in numbers), least, most)
         spreads.append((*runs, measure.quantity.axis.label, measure.quantity.axis.unit, *cells))
         if (sobol := measure.sensitivity()) is not None:
             ends = sobol.indices
@@ -143,7 +143,7 @@ def _measures(study: Study) -> Iterator[_Measured]:
     Measures that the study defines come first.
     """
     defined = {measure.name for measure in study.spec.defined_measures()}
-    quantities = sorted(asked_measures(study), key=lambda one: one.columns[0] not in defined)
+    quantities = sorted(asked_measures(study), key=lambda quantity: quantity.columns[0] not in defined)
     for group in sample_groups(study)[:_MOST_GROUPS]:
         for quantity in quantities:
             try:

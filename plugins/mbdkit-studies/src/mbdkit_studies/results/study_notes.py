@@ -39,7 +39,7 @@ def notes(study: Study) -> list[tuple[str, str]]:
 
 def _use(study: Study) -> Iterator[tuple[str, str]]:
     """Yield notes on the runs that the answers are based on, on intervals, and on errors of the runs."""
-    defined = [one.name for one in study.spec.defined_measures()]
+    defined = [measure.name for measure in study.spec.defined_measures()]
     if not defined:
         return
     is_bad = _rated(study, "bad")
@@ -91,7 +91,7 @@ def _failures(study: Study) -> Iterator[tuple[str, str]]:
     """Yield the reasons why runs and reference runs failed, and how many runs have each reason."""
     columns = study.columns()
     status, reasons = (np.asarray(columns[name], object) for name in ("status", "status_reason"))
-    references = [one for one in study.references if one.status == "failed"]
+    references = [reference for reference in study.references if reference.status == "failed"]
     for points, found in (
         (study.points, [(place, str(reasons[place])) for place in np.flatnonzero(status == "failed").tolist()]),
         (references, [(place, one.reason) for place, one in enumerate(references)]),

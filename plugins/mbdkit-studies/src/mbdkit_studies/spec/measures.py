@@ -260,7 +260,7 @@ def _trend(value: Callable[[Trend], float]) -> Callable[[RunGroup], np.ndarray]:
         if not group.complete.any() or not group.records("energy/balance"):
             return group.everywhere(math.nan)
         try:
-            return np.where(group.complete, [value(one) for one in group.trends], math.nan)
+            return np.where(group.complete, [value(trend) for trend in group.trends], math.nan)
         except ValueError:
             return group.everywhere(math.nan)
 

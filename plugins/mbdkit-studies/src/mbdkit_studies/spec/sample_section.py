@@ -156,7 +156,7 @@ def unit_of(given: Any) -> Unit | None:
     (parameters,) = given.values()
     if isinstance(parameters, Mapping):
         return _in_si(parameters)[1]
-    return next((quantity[1] for one in parameters if (quantity := read_quantity(one))), None)
+    return next((quantity[1] for parameter in parameters if (quantity := read_quantity(parameter))), None)
 
 
 def _distribution(name: str) -> Any:

@@ -23,7 +23,7 @@ from mbdkit.plugin.specs import (
     set_value,
 )
 from mbdkit.spec.loading import exists
-from mbdkit.spec.reading import read_assignment, read_stdin
+from mbdkit.spec.reading import read_assignment
 from mbdkit_studies.spec.sample_section import comparable
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.spec.value_sets import sets_together
@@ -175,7 +175,7 @@ def document_of(
         kinds = f"a file, the name of a packaged {word}, a dict or a {word.title()}Spec"
         raise SpecError(f"a {word} is {kinds}, not {type(source).__name__}")
     if source == "-":
-        return read_stdin(), FilePath()
+        return read_source("-"), FilePath()
     path = FilePath(source)
     if not os.path.isfile(path) and (document := packaged(str(source))) is not None:
         return document

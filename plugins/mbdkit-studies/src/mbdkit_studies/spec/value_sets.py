@@ -143,7 +143,7 @@ def _check_limits(kind: str, limits: Any) -> None:
 def _in_si(kind: str, limits: list[Any]) -> list[Any]:
     """Return the limits of a set in SI units; raise SpecError unless both have units of one kind, or none."""
     quantities = [_quantity(limit, f"{kind}[{place}]") for place, limit in enumerate(limits[:2])]
-    if len({None if one is None else one[1].si for one in quantities}) > 1:
+    if len({None if quantity is None else quantity[1].si for quantity in quantities}) > 1:
         raise SpecError("both limits should have units of the same kind, or none", key=kind)
     return [limit if one is None else one[0] for one, limit in zip(quantities, limits, strict=False)] + limits[2:]
 

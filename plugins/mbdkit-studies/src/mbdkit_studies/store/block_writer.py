@@ -307,7 +307,7 @@ class _Writer:
         if self.has_summary:
             stats: list[Mapping[str, float]] = [result.stats if result else {} for result in results]
             for name in (*COUNTERS, *TIMINGS):
-                numbers = [one.get(name, np.nan) for one in stats]
+                numbers = [stat.get(name, np.nan) for stat in stats]
                 self.add(f"stats/{name}", numbers, FLOAT, "s" if name in TIMINGS else "1", name.replace("_", " "))
 
     def values(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -27,107 +26,80 @@ JoinedRuns = Iterator[tuple[Run, Sequence[int], np.ndarray]]
 number of rows of each of them."""
 
 
-class Storage(ABC):
-    """The stored runs of a study.
+class Storage:
+    """The stored runs of a study, in an archive for each.
 
     Attributes
     ----------
-    HOW_TO_READ
-        Sentences that say how to read or repeat a run, given its number.
     CONTENT
         What a file contains, as a word.
+    HOW_TO_READ
+        Sentences that say how to read or repeat a run, given its number.
     """
 
-    HOW_TO_READ: str
-    CONTENT: str
-    _NAME: re.Pattern[str]
+    CONTENT = "run"
+    HOW_TO_READ = (
+        'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
+        "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
+    )
+    _NAME = re.compile(r"[0-9a-f]{16}\.h5")
 
     def __init__(self, spec: StudySpec, folder: StudyFolder, planned: PlannedPoints):
         self.spec, self.folder, self.planned = spec, folder, planned
 
     @property
-    @abstractmethod
     def count(self) -> int:
-        """Number of files of the complete study; for archives, number of points."""
+        """Number of files of the complete study; equal runs are counted as if each had a file."""
+        return len(self.planned)
 
     @property
     def done(self) -> int:
         """Number of files that exist."""
-        names = [path.name for path in self.folder.runs.iterdir()] if self.folder.runs.is_dir() else []
-        return sum(bool(self._NAME.fullmatch(name)) for name in names)
+        paths = self.folder.runs.iterdir() if self.folder.runs.is_dir() else ()
+        return sum(bool(self._NAME.fullmatch(path.name)) for path in paths)
 
-    @abstractmethod
     def path(self, point: StudyPoint) -> Path | None:
         """Return the file that contains the run of a point; None if there is none."""
-
-    @abstractmethod
-    def open(self, point: StudyPoint) -> Run | None:
-        """Return the run of a point with the arrays that the study stores; None if it has no results."""
-
-    @abstractmethod
-    def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:
-        """Yield joined runs; `runs` are the points of the study with their runs, which are opened when needed."""
-
-
-class Archives(Storage):
-    """An archive for each run."""
-
-    HOW_TO_READ = (
-        'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
-        "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
-    )
-    CONTENT = "run"
-    _NAME = re.compile(r"[0-9a-f]{16}\.h5")
-
-    @property
-    def count(self) -> int:
-        """See `Storage.count`."""
-        return len(self.planned)
-
-    def path(self, point: StudyPoint) -> Path | None:
-        """See `Storage.path`."""
         return point.path
 
     def open(self, point: StudyPoint) -> Run | None:
-        """See `Storage.open`."""
+        """Return the run of a point with the arrays that the study stores; None if it has no results."""
         return None if point.path is None else load(point.path)
 
     def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:
-        """See `Storage.joined_runs`; each run is yielded by itself."""
+        """Yield joined runs, here single ones; `runs` are the points of the study, with runs that are opened when
+        needed.
+        """
         for point, run in runs:
             if run is not None:
                 with run:
                     yield run, [point.number], np.array([len(run.time)])
 
 
-class Blocks(Storage):
-    """Blocks of many runs."""
+class BlockStorage(Storage):
+    """The stored runs of a study, in blocks of many; the runs of each structure of a block are joined."""
 
+    CONTENT = "block"
     HOW_TO_READ = (
         "The study's folder contains the runs in blocks. In Python, mbdkit.load_study(folder).run(number=1) returns "
         "what is stored of run 1, and remake(number=1) integrates it again with all arrays."
     )
-    CONTENT = "block"
     _NAME = re.compile(r"block-[0-9]{6,}\.h5")
 
     @property
-    def count(self) -> int:
-        """See `Storage.count`."""
+    def count(self) -> int:  # noqa: D102
         return self._blocks.count
 
-    def path(self, point: StudyPoint) -> Path | None:
-        """See `Storage.path`."""
+    def path(self, point: StudyPoint) -> Path:  # noqa: D102
         return self.folder.block(self._blocks.block_of(point.number - 1))
 
-    def open(self, point: StudyPoint) -> Run | None:
-        """See `Storage.open`."""
+    def open(self, point: StudyPoint) -> Run | None:  # noqa: D102
         if not point.row.data_sha256:
             return None
-        with Block(self.folder.block(self._blocks.block_of(point.number - 1)), self._sha256) as block:
+        with Block(self.path(point), self._sha256) as block:
             return block.run(point.number)
 
-    def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:
-        """See `Storage.joined_runs`; the runs of each structure of a block are joined."""
+    def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:  # noqa: D102
         if self.spec.store not in KEEPING_TIMES:
             raise NotStoredError("values over time", str(self.spec.store))
         for path in filter(Path.exists, map(self.folder.block, range(self._blocks.count))):
@@ -151,7 +123,7 @@ class Blocks(Storage):
 
 def storage_of(spec: StudySpec, folder: StudyFolder, planned: PlannedPoints) -> Storage:
     """Return how the runs of a study are stored."""
-    return (Blocks if spec.in_blocks else Archives)(spec, folder, planned)
+    return (BlockStorage if spec.in_blocks else Storage)(spec, folder, planned)
 
 
 def storage_in(folder: Path) -> Storage:

@@ -99,7 +99,9 @@ class StudyRuns:
     def _add_measures(self, run: Run, point: StudyPoint) -> None:
         """Add to a run the measures that the study defines and that the spec of the run does not define."""
         known, values = run.measures, point.values
-        own = [one.name for one in self.spec.defined_measures() if not one.of_base and one.name in values]
+        own = [
+            measure.name for measure in self.spec.defined_measures() if not measure.of_base and measure.name in values
+        ]
         if own:
             run.measures = MeasuredValues(
                 {**known, **{name: values[name] for name in own}},
