@@ -114,12 +114,28 @@ def pytest_runtest_call() -> Generator[None, object, object]:
         raise
 
 
+QUICK = tuple(line for line in (ROOT / "tests" / "quick.txt").read_text("utf-8").splitlines() if line[0] != "#")
+"""Files and folders of quick tests, by paths from the root, and ids of single ones."""
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not import files without quick tests if only those are wanted."""
+    if config.option.markexpr != "quick" or collection_path.suffix != ".py":
+        return None
+    path = collection_path.relative_to(ROOT).as_posix() if collection_path.is_relative_to(ROOT) else ""
+    return None if any(path.startswith(listed.partition("::")[0]) for listed in QUICK) else True
+
+
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that open a page in a browser."""
+    """Mark the tests that open a page in a browser, and those of the list of quick ones."""
     for item in items:
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker("end_to_end")
+        elif item.nodeid.startswith(QUICK) and not {"slow", "end_to_end", "benchmark"} & {
+            m.name for m in item.iter_markers()
+        }:
+            item.add_marker("quick")
 
 
 @pytest.hookimpl(optionalhook=True)

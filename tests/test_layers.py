@@ -10,6 +10,7 @@ from pathlib import Path
 from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.cli import QUIET
 from tests.first_party import PACKAGES, PARTS, ROOT, modules
+from tests.imports import imported_names
 
 FACES = ("mbdkit", "mbdkit.plugin", "mbdkit.spec", "mbdkit.testing")
 """Modules that name what the parts offer."""
@@ -42,27 +43,13 @@ def test_commands_show_no_warnings_about_lines_of_our_own_code_and_those_of_othe
     assert not any(re.match(QUIET, other) for other in ("mbdkit_rocket", "mbdkit_reports", "numpydoc"))
 
 
-def imported_by_tests(path: Path) -> list[str]:
-    """Return the modules that a file of tests imports, by their whole names."""
-    folders = path.relative_to(ROOT).parts[:-1]
-    package = folders[folders.index("tests") :]
-    named = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            named += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            above = package[: len(package) + 1 - node.level] if node.level else ()
-            named.append(".".join((*above, *filter(None, [node.module]))))
-    return named
-
-
 def test_no_test_imports_a_module_of_tests() -> None:
     """Helpers stand in modules of their own, so that tests can be deleted and moved."""
     files = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "plugins").glob("*/tests/**/*.py")]
     wrong = [
         f"{path.relative_to(ROOT)}: {name}"
         for path in files
-        for name in imported_by_tests(path)
+        for name in imported_names(path)
         if name.startswith("tests.") and name.rpartition(".")[2].startswith("test_")
     ]
     assert wrong == []
@@ -78,7 +65,7 @@ def test_tests_of_the_core_import_no_part() -> None:
     wrong = [
         f"{path.relative_to(ROOT)}: {name}"
         for path in files
-        for name in imported_by_tests(path)
+        for name in imported_names(path)
         if name.partition(".")[0] in PARTS
     ]
     assert wrong == []

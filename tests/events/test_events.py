@@ -14,7 +14,7 @@ import xarray
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.base.errors import SpecError, UnknownNameError
+from mbdkit.base.errors import UnknownNameError
 from mbdkit.events import watch
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
@@ -306,29 +306,6 @@ def test_a_spec_without_events_has_the_hash_that_it_had_before_there_were_any() 
     with run({}) as plain:
         assert "events" not in plain.file
         assert len(plain.events) == 0
-
-
-@pytest.mark.parametrize(
-    ("events", "key", "why"),
-    [
-        ({"a": {"when": "rod3.angle"}}, "events.a.when", "did you mean 'rod"),
-        ({"a": {"when": "t", "direction": "up"}}, "events.a.direction", "'any', 'rising' or 'falling'"),
-        ({"a": {"when": "t", "action": "halt"}}, "events.a.action", "'note' or 'stop'"),
-        ({"a": {"when": "t", "until": 3}}, "events.a.until", "unknown key"),
-        ({"a": {}}, "events.a.when", "is missing"),
-        ({"a": "t - 1"}, "events.a", "should be a mapping"),
-        ({"a": {"when": 3}}, "events.a.when", "should be text"),
-        ({"a/b": {"when": "t"}}, "events.a/b", "should be non-empty printable text"),
-        (["t"], "events", "should be a mapping"),
-    ],
-)
-def test_wrong_events_are_refused_by_their_key(events: Any, key: str, why: str) -> None:
-    with pytest.raises(SpecError) as error:
-        load_spec(
-            {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 1.0, "step": 0.01}, "events": events}
-        )
-    assert error.value.key == key
-    assert why in error.value.message
 
 
 THROWN = {

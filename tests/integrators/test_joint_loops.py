@@ -128,27 +128,6 @@ def sections(**others: Any) -> dict[str, Any]:
     return {"mbdkit": 1, "model": model, "integrator": RADAU, "time": time, "formulation": joint("ggl")} | others
 
 
-WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
-    "explicit": ({"integrator": {"name": "dop853"}}, "formulation", "integrators that support it: radau-iia"),
-    "gauss": ({"integrator": {"name": "gauss"}}, "formulation", "only index-1 and joint-coordinates; integrators"),
-    "Baumgarte": ({"stabilization": "baumgarte"}, "stabilization", "which the formulation 'joint-coordinates .loops"),
-    "symmetric": (
-        {"stabilization": {"name": "projection", "symmetric": True}}, "stabilization.symmetric", "joint coordinates"
-    ),
-    "absolute": ({"formulation": {"name": "ggl", "loops": "ggl"}}, "formulation.loops", "of joint-coordinates only"),
-    "unknown": ({"formulation": joint("index-0")}, "formulation.loops", "'index-1', 'index-2', 'index-3' or 'ggl'"),
-    "nameless": ({"formulation": {"loops": "ggl"}}, "formulation.name", "the name of a formulation"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_what_loops_cannot_be_is_refused_in_a_sentence(case: str) -> None:
-    others, key, text = WRONG[case]
-    with pytest.raises(SpecError, match=text) as error:
-        load_spec(sections(**others))
-    assert error.value.key == key
-
-
 def test_the_formulation_is_stored_and_named() -> None:
     spec = load_spec(sections())
     assert json.loads(spec.canonical_json())["formulation"] == joint("ggl")

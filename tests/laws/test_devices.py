@@ -144,28 +144,6 @@ def test_parameters_and_keys_of_a_cable_can_be_set(tmp_path: Path) -> None:
     assert tendon.units == "N"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "key", "words"),
-    [
-        ("{hip: radius,", "{hop: radius,", 23, "angles.hop", "there is no joint 'hop' (did you mean 'hip'?)"),
-        ("{hip: radius,", "{guide: radius,", 23, "angles.guide", "is of type point-on-line, which has no angle"),
-        ("{hip: radius,", "{ankle: radius,", 23, "angles.ankle", "joint 'ankle' holds 'mass', a point mass"),
-        ("{hip: radius, knee: -radius/2}", "{}", 23, "angles", "needs at least one joint"),
-        ("{hip: radius,", "{hip: wide,", 23, "angles.hip", "wide"),
-        ("angles: {hip", "angels: {hip", 23, "angels", "did you mean 'angles'?"),
-    ],
-)
-def test_a_wrong_cable_is_refused_with_line_and_key(
-    tmp_path: Path, old: str, new: str, line: int, key: str, words: str
-) -> None:
-    file = tmp_path / "leg.yaml"
-    file.write_text(LEG.replace(old, new))
-    with pytest.raises(SpecError) as caught:
-        load_spec(str(file))
-    assert f"leg.yaml:{line}: model.forces.tendon.pathway.{key}" in str(caught.value)
-    assert words in str(caught.value)
-
-
 def test_a_cable_in_a_spec_is_the_cable_of_the_builder() -> None:
     m = walker()
     m.cable("tendon", {"hip": 0.05, "knee": -0.03}, stiffness=1e4, free_length=0.08, acts="tension", length=0.01)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,8 +11,7 @@ import mbdkit
 from mbdkit import ExpressionLaw, ForceLawPlugin, FunctionLaw, Mechanism, PluginError, SpecError
 from mbdkit.engine.force_laws import bind_law
 from mbdkit.registry.manager import registry
-from mbdkit.spec import load_spec
-from tests.spec_texts import changed, mechanism, place
+from tests.spec_texts import changed, mechanism
 
 from .plugin import Nothing, length
 
@@ -44,53 +42,6 @@ angle = functools.partial(
     changed, spec("two-points", "relative-angle").replace("        points: [[0, 0], [0.5, 0]]\n", "")
 )
 coordinate = functools.partial(changed, spec("two-points", "coordinate\n        coordinate: x"))
-
-WRONG = {
-    "unknown law": (spec("one-sided", "one-sidde"), 12, "law", "there is no force law 'one-sidde' (did you mean"),
-    "no law": (spec("      law: one-sided\n", ""), 10, "law", "is missing: name of the force law"),
-    "law as a number": (spec("one-sided", "5"), 12, "law", "should be text, not 5"),
-    "unknown option": (spec("stiffness", "stifness"), 17, "stifness", "did you mean 'stiffness'?"),
-    "option of another law": (SPEC + "      table: [[0, 1], [0, 1]]\n", 19, "table", "belongs to 'table', not to the"),
-    "option of the wrong type": (spec("stiffness: 10", "stiffness: hard"), 17, "stiffness", "a number, not the text"),
-    "option out of range": (spec("stiffness: 10", "stiffness: -1"), 17, "stiffness", "at least 0, not -1"),
-    "unknown word": (spec("acts: tension", "acts: pull"), 18, "acts", "'tension' or 'compression'"),
-    "option missing": (spec("      acts: tension\n", ""), 10, "acts", "is missing: `tension` pulls"),
-    "no pathway": (spec("pathway:", "path:"), 13, "path", "did you mean 'pathway'?"),
-    "unknown pathway": (spec("two-points", "two-point"), 14, "pathway.type", "did you mean 'two-points'?"),
-    "pathway without type": (spec("        type: two-points\n", ""), 13, "pathway.type", "is missing"),
-    "unknown body": (spec("[ground, arm]", "[ground, amr]"), 15, "pathway.bodies[1]", "(did you mean 'arm'?)"),
-    "one body": (spec("[ground, arm]", "[arm, arm]"), 15, "pathway.bodies[1]", "differ"),
-    "point off a point mass": (spec("[ground, arm]", "[ground, ball]"), 16, "pathway.points[1]", "only point is [0"),
-    "a point of three": (spec("[[0, 0], [0.5, 0]]", "[[0, 0, 0], [0.5, 0]]"), 16, "pathway.points[0]", "x, y"),
-    "angle of a point mass": (angle("[ground, arm]", "[arm, ball]"), 15, "pathway.bodies[1]", "no angle for a pathway"),
-    "points on an angle": (spec("two-points", "relative-angle"), 16, "pathway.points", "unknown key"),
-    "coordinate in a point mass": (coordinate("[ground, arm]", "[ball, arm]"), 16, "pathway.bodies[0]", "no angle for"),
-    "coordinate from another point": (
-        coordinate("[[0, 0], [0.5, 0]]", "[[0, 1], [0.5, 0]]"),
-        17,
-        "pathway.points[0]",
-        "from the origin of the first body",
-    ),
-    "coordinate angle": (coordinate("coordinate: x", "coordinate: angle"), 15, "pathway.coordinate", "relative-angle"),
-    "unknown coordinate": (coordinate("coordinate: x", "coordinate: z"), 15, "pathway.coordinate", "'x' or 'y'"),
-    "table not increasing": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "table[0][2]", "lengths must increase: 1.0 comes"),
-    "table falling": (table("[[2, 1, 0], [0, 1, 2]]"), 13, "table[0][1]", "reverse the order of both the lengths and"),
-    "table with a hole": (table("[[0, 1], [0, .nan]]"), 13, "table[1][1]", "finite"),
-    "table of one point": (table("[[0], [0]]"), 13, "table", "two points or more"),
-    "table with a force too few": (table("[[0, 1], [0]]"), 13, "table", "as many forces as lengths"),
-    "table of one column": (table("[0, 1, 2]"), 13, "table", "a column of lengths and a column of forces"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_law_element_is_refused_with_line_and_key(case: str, tmp_path: Path) -> None:
-    text, line, key, words = WRONG[case]
-    file = tmp_path / "spec.yaml"
-    file.write_text(text)
-    with pytest.raises(SpecError) as caught:
-        load_spec(str(file))
-    assert str(caught.value).startswith(place(file, line, f"model.forces.p.{key}"))
-    assert words in str(caught.value)
 
 
 def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -131,32 +130,6 @@ def test_a_mechanism_may_be_a_beam_alone() -> None:
 
 
 ENDS = {"a": [0, 0], "b": [1, 0]}
-REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
-    "no end": ({"a": [0, 0], **DIRECT}, "b", "a beam needs its ends `a` and `b`"),
-    "no length": ({"a": [1, 0], "b": [1, 0], **DIRECT}, "b", "needs a length"),
-    "two shapes": ({**ENDS, "points": [[0, 0], [1, 1], [2, 0]], **DIRECT}, "a", "not both"),
-    "a point twice": ({"points": [[0, 0], [1, 1], [1, 1]], **DIRECT}, "points[2]", "the same point"),
-    "two points": ({"points": [[0, 0], [1, 1]], **DIRECT}, "points", "3"),
-    "no stiffness": ({**ENDS, "mass_per_length": 1.0}, "E", "is missing; or give `stiffness.axial`"),
-    "no area": ({**ENDS, **STEEL, "I": 1.0}, "A", "is missing"),
-    "no mass": ({**ENDS, "stiffness": DIRECT["stiffness"]}, "density", "is missing; or give `mass_per_length`"),
-    "no shear": ({**ENDS, **STRIP, "E": 1.0, "density": 1.0}, "nu", "`stiffness: {shear: none}`"),
-    "two shear moduli": ({**ENDS, **STRIP, **STEEL, "G": 1.0}, "nu", "either as `G` or by `nu`"),
-    "a misspelt key": ({**ENDS, **DIRECT, "element": 3}, "element", "did you mean 'elements'"),
-    "four nodes": ({**ENDS, **DIRECT, "nodes": 4}, "nodes", "2 or 3"),
-    "text for shear": ({**ENDS, "stiffness": {"shear": "soft"}, "mass_per_length": 1.0}, "stiffness.shear", "none"),
-    "a curve folded back": ({"points": [[0, 0], [1, 0], [0, 0]], **DIRECT}, "points", "turns back sharply"),
-    "a short start": ({**ENDS, **DIRECT, "elements": 2, "start": [[0, 0, 0]]}, "start", "each of the 3 nodes"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_wrong_with_a_beam_is_said_where_it_is(name: str) -> None:
-    beam, key, words = REFUSED[name]
-    with pytest.raises(SpecError) as caught:
-        Mechanism.from_spec({"bodies": {}, "beams": {"link": beam}})
-    assert caught.value.key == f"model.beams.link.{key}"
-    assert words in str(caught.value)
 
 
 def test_a_beam_with_numbers_that_overflow_is_refused() -> None:

@@ -38,28 +38,6 @@ def test_the_builder_adds_the_same() -> None:
         m.coordinate("height", "ankle.y")
 
 
-@pytest.mark.parametrize(
-    ("one", "key", "message"),
-    [
-        ("knee.angel", "of", "'knee' has no 'angel' (did you mean 'angle'?)"),
-        ("knee.x", "of", "'knee' has no 'x'; there are angle"),
-        ("foot.x", "of", "'foot.x' is not a quantity"),
-        ("knee", "of", "'knee' is not a quantity of a joint, body or marker"),
-        ("ground.x", "of", "'ground.x' is not a quantity"),
-        ({"of": "knee.angle", "scale": 0}, "scale", "should not be zero"),
-        ({"scale": 1.0}, "of", "is missing"),
-        ({"of": "knee.angle", "relative_to": "ground"}, "relative_to", "'knee.angle' is not the angle of a body"),
-        ({"of": "shank.angle", "relative_to": "thigh"}, "relative_to", "'thigh' is not another body"),
-        ({"of": "knee.angle", "sign": -1}, "sign", "unknown key"),
-    ],
-)
-def test_a_wrong_coordinate_is_refused_by_its_key(one: Any, key: str, message: str) -> None:
-    with pytest.raises(SpecError) as error:
-        Mechanism.from_spec(MODEL | {"coordinates": {"c": one}})
-    assert error.value.key == f"model.coordinates.c.{key}"
-    assert message in str(error.value)
-
-
 def test_the_model_of_a_loaded_spec_is_refused_with_what_to_use_instead() -> None:
     spec = load_spec("four-bar")
     with pytest.raises(SpecError, match=r"the mechanism of a loaded spec is `spec\.mechanism\(\)`"):

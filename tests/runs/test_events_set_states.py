@@ -216,20 +216,6 @@ def test_a_killed_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
     assert dict(resumed.measures) == dict(whole.measures)
 
 
-@pytest.mark.parametrize(
-    ("event", "key", "sentence"),
-    [
-        ({"set": {"chrage": 0}}, "set.chrage", "no first-order state 'chrage'.*did you mean 'charge'"),
-        ({"set": {"charge": "states.x"}}, "set.charge", "there is no state 'x'"),
-        ({"set": {"charge": 0}, "action": "stop"}, "", "sets states of a run that it stops"),
-    ],
-)
-def test_errors_name_the_key(event: dict[str, Any], key: str, sentence: str) -> None:
-    with pytest.raises(SpecError, match=sentence) as caught:
-        mbdkit.run(spec_of(RK4, 0.01, events={"fires": {"when": "states.charge - 1"} | event}))
-    assert str(caught.value.key) == "events.fires" + (f".{key}" if key else "")
-
-
 def test_a_method_is_not_chosen() -> None:
     spec = spec_of(RK4) | {"accuracy": 1e-6}
     del spec["integrator"]

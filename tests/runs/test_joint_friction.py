@@ -282,25 +282,6 @@ def spec_with(joint: dict[str, Any], **more: Any) -> dict[str, Any]:
 
 
 PIN = {"type": "revolute", "friction": {"coefficient": 0.1, "radius": 0.01}}
-REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
-    "radius": ({"coefficient": 0.1, "radius": -0.01}, "friction.radius", "greater than 0"),
-    "no radius": ({"coefficient": 0.1}, "friction.radius", "missing"),
-    "no coefficient": ({"radius": 0.01}, "friction.coefficient", "give `coefficient`, or `static` and `kinetic`"),
-    "only static": ({"static": 0.2, "radius": 0.01}, "friction.kinetic", "`static` and `kinetic` belong together"),
-    "both": ({"coefficient": 0.2, "static": 0.2, "radius": 0.01}, "friction.static", "either `coefficient`"),
-    "order": ({"static": 0.1, "kinetic": 0.2, "radius": 0.01}, "friction.kinetic", "not be greater than `static`"),
-    "negative": ({"coefficient": -0.1, "radius": 0.01}, "friction.coefficient", "at least 0"),
-    "unit": ({"coefficient": 0.1, "radius": "10 s"}, "friction.radius", "m"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_bad_friction_is_refused_with_the_key(name: str) -> None:
-    friction, key, words = REFUSED[name]
-    with pytest.raises(SpecError) as caught:
-        load_spec(spec_with({"type": "revolute", "friction": friction})).mechanism()
-    assert caught.value.key == f"model.joints.j.{key}"
-    assert words in caught.value.message
 
 
 def test_friction_has_no_place_in_drivers_with_redundant_joints_or_rigid_contacts() -> None:

@@ -212,21 +212,6 @@ def test_markers_survive_a_spec() -> None:
     assert "markers" not in hanging().to_spec()
 
 
-@pytest.mark.parametrize(
-    ("marker", "words"),
-    [
-        ({"body": "bat"}, r"model.markers.toe.body: there is no body 'bat' \(did you mean 'bar'\?\)"),
-        ({"point": [0, 0]}, "model.markers.toe.body: is missing"),
-        ({"body": "bar", "pint": [0, 0]}, r"model.markers.toe.pint: unknown key \(did you mean 'point'\?\)"),
-        ({"body": "bar", "point": [0, 0, 0]}, "model.markers.toe.point: should be two numbers"),
-        ({"body": "bob", "point": [0, 1]}, "model.markers.toe.point: 'bob' is a point mass"),
-    ],
-)
-def test_wrong_markers_are_refused(marker: dict[str, Any], words: str) -> None:
-    with pytest.raises(SpecError, match=words):
-        Mechanism.from_spec({**hanging().to_spec(), "markers": {"toe": marker}})
-
-
 def test_the_builder_refuses_a_marker_in_two_places_and_names_used_twice() -> None:
     m = marked()
     with pytest.raises(SpecError, match=r"either as `point` .* or as `at`"):

@@ -13,7 +13,6 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.measured_values import MeasuredValues
-from mbdkit.base.errors import SpecError
 from tests.runs.oscillator import oscillator
 
 TIME = {"end": 0.2, "step": 0.01}
@@ -88,24 +87,6 @@ def test_values_that_are_not_finite_and_failures_survive_the_archive() -> None:
     for damaged in ("[]", '{"a": 1}', '{"a": {"value": "x", "unit": "N"}}', "{"):
         with pytest.raises(ValueError, match=r"measures|convert|Expecting"):
             MeasuredValues.from_json(damaged)
-
-
-@pytest.mark.parametrize(
-    ("measures", "key", "words"),
-    [
-        ({"x": "max(joints.Z.force)"}, "measures.x", "there is no joint 'Z'"),
-        ({"x": "joints.B.force"}, "measures.x", "a measure is one number"),
-        ({"x": {"value": "max(energy.total)", "unit": "N"}}, "measures.x.unit", "cannot be given in N"),
-        ({"misalignment_max": "max(energy.total)"}, "measures.misalignment_max", "is a built-in measure"),
-        (["misalignment_max"], "measures", "should be a mapping of names and expressions, not a list"),
-        ({"x": 1}, "measures.x", "should be an expression"),
-    ],
-)
-def test_wrong_measures_are_refused_before_the_run(measures: Any, key: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match=words) as caught:
-        mbdkit.run("knee", time=TIME, measures=measures, archive=tmp_path / "run.h5")
-    assert caught.value.key == key
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_study_runs_a_base_with_measures(tmp_path: Path) -> None:

@@ -169,27 +169,6 @@ def test_a_mechanism_keeps_its_expressions_in_a_spec() -> None:
 
 @pytest.mark.parametrize(
     ("value", "sentence"),
-    [
-        ("-Kp*leg.angel", "body 'leg' has no 'angel'.*did you mean 'angle'"),
-        ("-Kp*lag.angle", "there is no body or joint 'lag'.*did you mean 'leg'"),
-        ("-Kp*foot.angle", "there is no body or joint 'foot'"),
-        ("-K*leg.angle", "there is no parameter 'K'|unknown name 'K'"),
-        ("states.j*2", "there is no state 'j'"),
-        ("forces.motor.value + 1", "quantity of a load"),
-        ("joints.hip.force_x", "joint 'hip' has no 'force_x'"),
-        ("energy.kinetic", "'energy.kinetic' cannot be part"),
-        ("leg.angle +", "cannot be parsed"),
-        ("1/sqrt(leg.angle - 2)", "no finite number at the start"),
-    ],
-)
-def test_errors_name_the_key_and_the_place(value: str, sentence: str) -> None:
-    with pytest.raises(SpecError, match=sentence) as caught:
-        mbdkit.run(spec_of({"name": "rk4"}, model=leg(value)))
-    assert str(caught.value.key).startswith("model.forces.motor")
-
-
-@pytest.mark.parametrize(
-    ("value", "sentence"),
     [("contacts.heel.gap", "'contacts.heel.gap' cannot be part"), ("heel.gap", "'heel' is a contact")],
 )
 def test_kinds_without_quantities_of_the_state_are_refused(value: str, sentence: str) -> None:
@@ -272,21 +251,10 @@ def test_a_killed_run_with_a_controller_goes_on_to_the_same_bits(tmp_path: Path)
     assert mbdkit.resume(part).data_sha256 == mbdkit.run(spec).data_sha256
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"period": 0}, "greater than 0"),
-        ({"delay": -1}, "at least 0"),
-        ({"outputs": {}}, "at least 1"),
-        ({"outputs": {"u": "controllers.pid.v"}}, "controller 'pid' has no 'v'"),
-        ({"outputs": {"sum": 1.0}}, "also a state of the controller"),
-        ({"period": 1e-9}, "sampled more often than"),
-    ],
-)
-def test_errors_of_controllers_name_their_key(change: dict[str, Any], sentence: str) -> None:
+def test_a_controller_is_not_sampled_more_often_than_steps_can_be_taken() -> None:
     model = rotor(0.0).to_spec()
-    model["controllers"]["pid"] |= change
-    with pytest.raises(SpecError, match=sentence) as caught:
+    model["controllers"]["pid"]["period"] = 1e-9
+    with pytest.raises(SpecError, match="sampled more often than") as caught:
         mbdkit.run({"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.01}})
     assert str(caught.value.key).startswith("model.controllers.pid")
 

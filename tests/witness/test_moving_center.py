@@ -25,7 +25,6 @@ from .running import gauss, run
 
 B = 1.1
 RADAU = {"name": "radau-iia", "stages": 3}
-LINES = {"table": [[0, 1], [0, 1]], "interpolation": "linear"}
 
 
 def of_angle(phi: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -170,28 +169,6 @@ def test_at_places_the_displaced_point() -> None:
     assert first == pytest.approx((0.5, 0.4), abs=1e-15)
     assert m.bodies["disc"].to_global(other) == pytest.approx((0.5, 0.4), abs=1e-15)
     assert mbdkit.Mechanism.from_spec(m.to_spec()).joints["roll"] == joint
-
-
-@pytest.mark.parametrize(
-    ("center", "key", "message"),
-    [
-        ({"x": LINES}, "x.interpolation", "should be cubic or quintic"),
-        ({"x": {"table": [[0, 1, 0.5], [0, 1, 2]]}}, "x.table[0][2]", "angles must increase: 0.5 comes after 1.0"),
-        ({"y": "0.1*t"}, "y", "unknown name 't'; known: angle, pi and functions"),
-        ({"y": "abs(angle)"}, "y", "abs cannot be used here: a derivative is discontinuous"),
-        ({"z": 1.0}, "z", "unknown key"),
-        ({"y": "log(angle - 2)"}, "y", "is not finite at the initial angle of the joint"),
-        ({"x": {"table": [[1, 2], [0, 1]]}}, "x.table[0]", "covers 1 rad to 2 rad, but the joint starts at 0.4 rad"),
-        (["x"], "", "should be"),
-    ],
-)
-def test_a_wrong_center_is_refused_with_its_key(center: Any, key: str, message: str) -> None:
-    model = wheel()
-    model["joints"]["rolls"]["center"] = center
-    with pytest.raises(SpecError) as error:
-        run(model, gauss(2), 0.1, 0.01)
-    assert error.value.key == f"model.joints.rolls.center{'.' * bool(key)}{key}"
-    assert message in str(error.value)
 
 
 def test_a_point_mass_has_no_angle_to_move_a_center() -> None:

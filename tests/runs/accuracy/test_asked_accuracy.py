@@ -248,28 +248,6 @@ def test_a_spec_without_accuracy_is_what_it_was_before():
     assert load_spec(load_spec(spec), accuracy=1e-6).sha256() == asked.sha256()
 
 
-REFUSED: list[tuple[dict[str, Any], str, str]] = [
-    ({"accuracy": 0}, "accuracy", "should be at least 1e-12, not 0"),
-    ({"accuracy": -1e-6}, "accuracy", "should be at least 1e-12"),
-    ({"accuracy": 1e-20}, "accuracy", "should be at least 1e-12"),
-    ({"accuracy": 1.0}, "accuracy", "should be at most 0.1"),
-    ({"accuracy": "fine"}, "accuracy", "should be a number"),
-    ({"accuracy": 1e-6, "choose": "speed"}, "choose", "should be 'method', 'step' or 'nothing'"),
-    ({"choose": "step"}, "choose", "takes effect only with `accuracy`"),
-    ({"accuracy": 1e-6, "choose": "nothing", "time": {"end": 1.0}}, "time.step", "is missing"),
-]
-
-
-@pytest.mark.parametrize(("sections", "key", "sentence"), REFUSED, ids=str)
-def test_what_cannot_be_meant_is_refused_in_one_sentence(sections, key, sentence):
-    given = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
-    with pytest.raises(SpecError) as refused:
-        load_spec({**given, **sections})
-    assert refused.value.key == key
-    assert sentence in refused.value.message
-    assert "\n" not in refused.value.message
-
-
 def test_without_accuracy_an_integrator_is_still_needed():
     with pytest.raises(SpecError) as refused:
         load_spec({"mbdkit": 1, "model": DOUBLE, "time": {"end": 1.0}})
