@@ -18,6 +18,7 @@ from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import FORMAT_VERSION
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_header import open_archive
+from mbdkit.archive.seams import file_problems
 from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.base.text import listed, one_line, shown
@@ -47,7 +48,7 @@ def check(path: str | Path) -> list[str]:
     except SpecError as error:
         for item in registry().of_kind("file-format"):
             of_kind = cast(FileFormat, item.plugin).problems
-            if of_kind is not None and (problems := of_kind()(path)) is not None:
+            if of_kind is not None and (problems := file_problems.of(of_kind)(path)) is not None:
                 return problems
         return [shown(error.message)]
     with contextlib.closing(file):

@@ -6,136 +6,86 @@ cause recompilation. A new method is a file of this folder and an entry of `INTE
 
 from __future__ import annotations
 
-from typing import Any
-
 from mbdkit.registry.items import IntegratorPlugin
 from mbdkit.registry.target import Target
 
-
-def _target(module: str, name: str, kind: Any = None) -> Any:
-    return Target(f"{__name__}.{module}:{name}", kind)
-
-
-def _integrator(
-    order: int,
-    name: str,
-    summary: str,
-    module: str,
-    options: str,
-    create: str = "create",
-    claims: str = "claims",
-    references: str = "REFERENCES",
-    *,
-    dense_output: bool = True,
-) -> IntegratorPlugin:
-    home, _, _ = options.rpartition(".")
-    return IntegratorPlugin(
-        name=name,
-        summary=summary,
-        options=_target(home or module, options.removeprefix(f"{home}."), type),
-        create=_target(module, create),
-        claims=_target(module, claims),
-        references=_target(module, references, tuple),
-        dense_output=dense_output,
-        order=order,
-    )
-
-
+# fmt: off
 INTEGRATORS = (
-    _integrator(
-        10,
-        "rk-gill",
-        "Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.",
-        "rk_gill",
-        "method_options.ExplicitOptions",
-        dense_output=False,
+    IntegratorPlugin(
+        name="rk-gill", summary="Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.",
+        options=Target("mbdkit.methods.method_options:ExplicitOptions"), create=Target("mbdkit.methods.rk_gill:create"),
+        claims=Target("mbdkit.methods.rk_gill:claims"), references=Target("mbdkit.methods.rk_gill:REFERENCES"),
+        order=10,
     ),
-    _integrator(
-        20,
-        "rk4",
-        "Classical Runge-Kutta: explicit, 4 stages, order 4, fixed steps.",
-        "rk4",
-        "method_options.ExplicitOptions",
-        dense_output=False,
+    IntegratorPlugin(
+        name="rk4", summary="Classical Runge-Kutta: explicit, 4 stages, order 4, fixed steps.",
+        options=Target("mbdkit.methods.method_options:ExplicitOptions"), create=Target("mbdkit.methods.rk4:create"),
+        claims=Target("mbdkit.methods.rk4:claims"), references=Target("mbdkit.methods.rk4:REFERENCES"), order=20,
     ),
-    _integrator(
-        30,
-        "dopri5",
-        "Dormand-Prince: explicit, 7 stages, order 5, fixed or adaptive steps.",
-        "dopri5",
-        "method_options.ControlledOptions",
+    IntegratorPlugin(
+        name="dopri5", summary="Dormand-Prince: explicit, 7 stages, order 5, fixed or adaptive steps.",
+        options=Target("mbdkit.methods.method_options:ControlledOptions"),
+        create=Target("mbdkit.methods.dopri5:create"), claims=Target("mbdkit.methods.dopri5:claims"),
+        references=Target("mbdkit.methods.dopri5:REFERENCES"), dense_output=True, order=30,
     ),
-    _integrator(
-        40,
-        "dop853",
-        "Dormand-Prince: explicit, 12 stages, order 8, fixed or adaptive steps.",
-        "dop853",
-        "method_options.ControlledOptions",
+    IntegratorPlugin(
+        name="dop853", summary="Dormand-Prince: explicit, 12 stages, order 8, fixed or adaptive steps.",
+        options=Target("mbdkit.methods.method_options:ControlledOptions"),
+        create=Target("mbdkit.methods.dop853:create"), claims=Target("mbdkit.methods.dop853:claims"),
+        references=Target("mbdkit.methods.dop853:REFERENCES"), dense_output=True, order=40,
     ),
-    _integrator(
-        60,
-        "gauss",
-        "Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
-        "gauss",
-        "GaussOptions",
+    IntegratorPlugin(
+        name="gauss",
+        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
+        options=Target("mbdkit.methods.gauss:GaussOptions"), create=Target("mbdkit.methods.gauss:create"),
+        claims=Target("mbdkit.methods.gauss:claims"), references=Target("mbdkit.methods.gauss:REFERENCES"),
+        dense_output=True, order=60,
     ),
-    _integrator(
-        70,
-        "radau-iia",
-        "Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable; or adaptive steps.",
-        "radau_iia",
-        "RadauOptions",
+    IntegratorPlugin(
+        name="radau-iia",
+        summary="Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable; or adaptive steps.",
+        options=Target("mbdkit.methods.radau_iia:RadauOptions"), create=Target("mbdkit.methods.radau_iia:create"),
+        claims=Target("mbdkit.methods.radau_iia:claims"), references=Target("mbdkit.methods.radau_iia:REFERENCES"),
+        dense_output=True, order=70,
     ),
-    _integrator(
-        80,
-        "rattle",
-        "RATTLE: order 2, symmetric, symplectic, no drift of positions and velocities, fixed steps.",
-        "lobatto_pair",
-        "RattleOptions",
-        "create_rattle",
-        "claims_of_rattle",
-        "REFERENCES_OF_RATTLE",
-        dense_output=False,
+    IntegratorPlugin(
+        name="rattle",
+        summary="RATTLE: order 2, symmetric, symplectic, no drift of positions and velocities, fixed steps.",
+        options=Target("mbdkit.methods.lobatto_pair:RattleOptions"),
+        create=Target("mbdkit.methods.lobatto_pair:create_rattle"),
+        claims=Target("mbdkit.methods.lobatto_pair:claims_of_rattle"),
+        references=Target("mbdkit.methods.lobatto_pair:REFERENCES_OF_RATTLE"), order=80,
     ),
-    _integrator(
-        90,
-        "lobatto-pair",
-        "Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, no drift, fixed steps.",
-        "lobatto_pair",
-        "PairOptions",
-        dense_output=False,
+    IntegratorPlugin(
+        name="lobatto-pair",
+        summary="Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, no drift, fixed steps.",
+        options=Target("mbdkit.methods.lobatto_pair:PairOptions"), create=Target("mbdkit.methods.lobatto_pair:create"),
+        claims=Target("mbdkit.methods.lobatto_pair:claims"),
+        references=Target("mbdkit.methods.lobatto_pair:REFERENCES"), order=90,
     ),
-    _integrator(
-        100,
-        "scipy-radau",
-        "SciPy's Radau IIA: implicit, order 5, adaptive steps.",
-        "scipy_methods",
-        "AdaptiveOptions",
-        "create_radau",
-        "claims_of_radau",
-        "REFERENCES_OF_RADAU",
+    IntegratorPlugin(
+        name="scipy-radau", summary="SciPy's Radau IIA: implicit, order 5, adaptive steps.",
+        options=Target("mbdkit.methods.scipy_methods:AdaptiveOptions"),
+        create=Target("mbdkit.methods.scipy_methods:create_radau"),
+        claims=Target("mbdkit.methods.scipy_methods:claims_of_radau"),
+        references=Target("mbdkit.methods.scipy_methods:REFERENCES_OF_RADAU"), dense_output=True, order=100,
     ),
-    _integrator(
-        110,
-        "scipy-dop853",
-        "SciPy's DOP853: explicit, order 8, adaptive steps.",
-        "scipy_methods",
-        "AdaptiveOptions",
-        "create_dop853",
-        "claims_of_dop853",
-        "REFERENCES_OF_DOP853",
+    IntegratorPlugin(
+        name="scipy-dop853", summary="SciPy's DOP853: explicit, order 8, adaptive steps.",
+        options=Target("mbdkit.methods.scipy_methods:AdaptiveOptions"),
+        create=Target("mbdkit.methods.scipy_methods:create_dop853"),
+        claims=Target("mbdkit.methods.scipy_methods:claims_of_dop853"),
+        references=Target("mbdkit.methods.scipy_methods:REFERENCES_OF_DOP853"), dense_output=True, order=110,
     ),
-    _integrator(
-        120,
-        "scipy-lsoda",
-        "SciPy's LSODA: Adams and BDF with automatic switching, adaptive steps.",
-        "scipy_methods",
-        "AdaptiveOptions",
-        "create_lsoda",
-        "claims_of_lsoda",
-        "REFERENCES_OF_LSODA",
+    IntegratorPlugin(
+        name="scipy-lsoda", summary="SciPy's LSODA: Adams and BDF with automatic switching, adaptive steps.",
+        options=Target("mbdkit.methods.scipy_methods:AdaptiveOptions"),
+        create=Target("mbdkit.methods.scipy_methods:create_lsoda"),
+        claims=Target("mbdkit.methods.scipy_methods:claims_of_lsoda"),
+        references=Target("mbdkit.methods.scipy_methods:REFERENCES_OF_LSODA"), dense_output=True, order=120,
     ),
 )
+# fmt: on
 """The built-in integrators: explicit methods, collocation, partitioned methods and SciPy's solvers;
 within a family by order of convergence, then by name.
 """

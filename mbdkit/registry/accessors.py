@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar, Self, cast
 
 from mbdkit.base.distributions import MBDKIT
@@ -75,5 +76,5 @@ def computed(thing: Any, name: str, part: str = "") -> Any:
     if len(items) > 1:
         owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in items], "and")
         raise PluginError(f"{owners} both add the attribute `{name}`; exclude one by MBDKIT_DISABLE_PLUGINS")
-    accessor = cast(Accessor, items[0].plugin)
-    return use(items[0], lambda: accessor.target()(thing))
+    function = cast("Callable[[object], object]", cast(Accessor, items[0].plugin).target())
+    return use(items[0], lambda: function(thing))

@@ -9,6 +9,7 @@ import typer
 
 from mbdkit.cli.common_options import InverseSpecName
 from mbdkit.plugin import counted, show, show_json
+from mbdkit.plugin.seams import repeated_run, spec_check
 from mbdkit.plugin.terminal import (
     Archive,
     AsJson,
@@ -84,6 +85,7 @@ def workload(
             show(found.text())
 
 
+@repeated_run
 def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: Any) -> Run:
     """Compute the inverse dynamics of an archive again.
 
@@ -114,6 +116,7 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     return compute_run(spec, path=output, overwrite=overwrite)
 
 
+@spec_check
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
     from mbdkit.plugin.measures import check_measures

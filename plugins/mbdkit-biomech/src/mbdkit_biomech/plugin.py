@@ -9,6 +9,8 @@ from mbdkit.plugin import (
     Accessor,
     Command,
     CriterionItem,
+    ElementFailures,
+    ElementForces,
     ElementKind,
     Example,
     GuidePage,
@@ -25,20 +27,6 @@ from mbdkit.plugin import (
 )
 
 _HERE = Path(__file__).parent
-_CRITERIA = {
-    "columns": "Columns of the motion and their smoothing.",
-    "loads": "Measured loads.",
-    "model": "The model, forces without a point, turns and signs of angles.",
-    "record": "The record, units of loads, and errors.",
-    "person": "The person: plane of motion, joint centres, lengths and plates.",
-}
-_QUANTITIES = {
-    "motion": ("ObservedHistory", "Observed quantities of a measured motion."),
-    "actuators": ("ActuatorHistory", "Values and powers of actuators in inverse dynamics."),
-    "muscles": ("MuscleHistory", "Lengths, activations, tensions and powers of muscles."),
-    "loads": ("LoadHistory", "Measured loads."),
-}
-"""Groups of archives in their order, each with the class of its histories."""
 
 
 @hookimpl
@@ -48,16 +36,16 @@ def mbdkit_models() -> list[ModelPlugin]:
         ModelPlugin(
             "four-bar-knee",
             "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers.",
-            Target("mbdkit_biomech.models.four_bar_knee:FourBarKneeOptions", type),
+            Target("mbdkit_biomech.models.four_bar_knee:FourBarKneeOptions"),
             Target("mbdkit_biomech.models.four_bar_knee:build"),
-            Target("mbdkit_biomech.models.four_bar_knee:REFERENCES", tuple),
+            Target("mbdkit_biomech.models.four_bar_knee:REFERENCES"),
             order=50,
         ),
         ModelPlugin(
             "leg",
             "One or two legs of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free "
             "trunk.",
-            Target("mbdkit_biomech.models.leg:LegOptions", type),
+            Target("mbdkit_biomech.models.leg:LegOptions"),
             Target("mbdkit_biomech.models.leg:build"),
             Target("mbdkit_biomech.models.leg:REFERENCES"),
             order=60,
@@ -65,7 +53,7 @@ def mbdkit_models() -> list[ModelPlugin]:
         ModelPlugin(
             "leg-four-bar",
             "The same leg with a knee that is a crossed four-bar linkage.",
-            Target("mbdkit_biomech.models.leg:LegFourBarOptions", type),
+            Target("mbdkit_biomech.models.leg:LegFourBarOptions"),
             Target("mbdkit_biomech.models.leg:build_four_bar"),
             Target("mbdkit_biomech.models.leg:FOUR_BAR_REFERENCES"),
             order=70,
@@ -105,16 +93,20 @@ def mbdkit_items() -> Iterable[Item]:
             model=Target("mbdkit_biomech.muscles.muscle:Muscle"),
             builder="muscle",
             method=Target("mbdkit_biomech.muscles.muscle:add_muscle"),
-            only_in_runs=True,
             in_expressions={"length": "length", "rate": "rate", "force": "tension"},
             check_elements=Target("mbdkit_biomech.muscles.muscle:check_moving_points"),
-            check_run=Target("mbdkit_biomech.muscles.acting_muscles:check_acting"),
-            forces=Target("mbdkit_biomech.muscles.acting_muscles:forces_of"),
-            lower=Target("mbdkit_biomech.muscles.acting_muscles:lower"),
-            lower_expressions=Target("mbdkit_biomech.muscles.acting_muscles:lower_excitations"),
+            acts=ElementForces(
+                only_in_runs=True,
+                check_run=Target("mbdkit_biomech.muscles.acting_muscles:check_acting"),
+                forces=Target("mbdkit_biomech.muscles.acting_muscles:forces_of"),
+                lower=Target("mbdkit_biomech.muscles.acting_muscles:lower"),
+                lower_expressions=Target("mbdkit_biomech.muscles.acting_muscles:lower_excitations"),
+            ),
             at_start=Target("mbdkit_biomech.muscles.acting_muscles:fibers_at_start"),
-            obstacle=Target("mbdkit_biomech.muscles.acting_muscles:torn_path"),
-            stiffest=Target("mbdkit_biomech.muscles.acting_muscles:stiffest"),
+            failures=ElementFailures(
+                obstacle=Target("mbdkit_biomech.muscles.acting_muscles:torn_path"),
+                stiffest=Target("mbdkit_biomech.muscles.acting_muscles:stiffest"),
+            ),
             draw=Target("mbdkit_biomech.muscles.muscle_lines:muscle_lines"),
             example="elbow-curl",
             supports={
@@ -181,16 +173,37 @@ def mbdkit_items() -> Iterable[Item]:
             group="actuators",
             excluded=Target("mbdkit_biomech.uncertainty.contributions:excluded_error"),
         ),
-        *(
-            QuantityKind(
-                name=group,
-                summary=summary,
-                order=200 + 10 * number,
-                target=Target(f"mbdkit_biomech.quantities:{group.upper()}"),
-                word=group,
-                history=Target(f"mbdkit_biomech.histories:{history}"),
-            )
-            for number, (group, (history, summary)) in enumerate(_QUANTITIES.items())
+        QuantityKind(
+            name="motion",
+            summary="Observed quantities of a measured motion.",
+            order=200,
+            target=Target("mbdkit_biomech.quantities:MOTION"),
+            word="motion",
+            history=Target("mbdkit_biomech.histories:ObservedHistory"),
+        ),
+        QuantityKind(
+            name="actuators",
+            summary="Values and powers of actuators in inverse dynamics.",
+            order=210,
+            target=Target("mbdkit_biomech.quantities:ACTUATORS"),
+            word="actuators",
+            history=Target("mbdkit_biomech.histories:ActuatorHistory"),
+        ),
+        QuantityKind(
+            name="muscles",
+            summary="Lengths, activations, tensions and powers of muscles.",
+            order=220,
+            target=Target("mbdkit_biomech.quantities:MUSCLES"),
+            word="muscles",
+            history=Target("mbdkit_biomech.histories:MuscleHistory"),
+        ),
+        QuantityKind(
+            name="loads",
+            summary="Measured loads.",
+            order=230,
+            target=Target("mbdkit_biomech.quantities:LOADS"),
+            word="loads",
+            history=Target("mbdkit_biomech.histories:LoadHistory"),
         ),
         ReportSection(
             name="loads",
@@ -214,25 +227,57 @@ def mbdkit_items() -> Iterable[Item]:
             make=Target("mbdkit_biomech.inverse_dynamics.results.views:workload_view"),
         ),
         CriterionItem(
+            name="columns",
+            summary="Columns of the motion and their smoothing.",
+            order=0,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_columns"),
+            of=frozenset({"inverse"}),
+            criteria=(),
+        ),
+        CriterionItem(
+            name="loads",
+            summary="Measured loads.",
+            order=10,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_loads"),
+            of=frozenset({"inverse"}),
+            criteria=(),
+        ),
+        CriterionItem(
+            name="model",
+            summary="The model, forces without a point, turns and signs of angles.",
+            order=20,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_model"),
+            of=frozenset({"inverse"}),
+            criteria=(),
+        ),
+        CriterionItem(
+            name="record",
+            summary="The record, units of loads, and errors.",
+            order=30,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_record"),
+            of=frozenset({"inverse"}),
+            criteria=(),
+        ),
+        CriterionItem(
+            name="person",
+            summary="The person: plane of motion, joint centres, lengths and plates.",
+            order=40,
+            stage="data",
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_person"),
+            of=frozenset({"inverse"}),
+            criteria=(),
+        ),
+        CriterionItem(
             name="excitations",
             summary="Excitations of muscles below 0 or above 1.",
             order=105,
             stage="spec",
             find=Target("mbdkit_biomech.muscles.acting_muscles:excitations"),
-            of=frozenset({"run"}),
-            criteria=("excitations",),
             elements="muscles",
-        ),
-        *(
-            CriterionItem(
-                name=part,
-                summary=summary,
-                order=10 * number,
-                stage="data",
-                find=Target(f"mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_{part}"),
-                of=frozenset({"inverse"}),
-            )
-            for number, (part, summary) in enumerate(_CRITERIA.items())
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),

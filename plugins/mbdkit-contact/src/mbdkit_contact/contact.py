@@ -27,6 +27,7 @@ from mbdkit.plugin import (
 )
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.mechanisms import Attachment, BodyPair, Weld, sequence
+from mbdkit.plugin.seams import ElementsByName, element_check
 from mbdkit_contact.polylines import check_polyline, surface_of
 
 Pair = tuple[float, float]
@@ -563,7 +564,8 @@ def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
     return tuple(found)
 
 
-def check_contacts(contacts: Mapping[str, Contact], mechanism: Any, prefix: str) -> None:
+@element_check
+def check_contacts(contacts: Mapping[str, Contact], mechanism: ElementsByName, prefix: str) -> None:
     """Raise SpecError for the first contact whose bodies a weld, or a pin between two moving bodies, holds together.
 
     Two bodies overlap around their pin. A body that is pinned to the ground may touch other parts of the ground.

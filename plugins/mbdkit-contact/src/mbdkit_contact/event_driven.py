@@ -12,6 +12,7 @@ import numpy as np
 from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Step, StepError, StepMethod, StepState, Why
 from mbdkit.plugin.equations import Workspace, gauss_legendre
 from mbdkit.plugin.methods import Dense, StepTaken, collocation_polynomials, states_at_start
+from mbdkit.plugin.seams import treatment_start
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, Point, gains, power_at
@@ -293,6 +294,7 @@ class _LibraryStep(EventStep):
         return self.inside(self._there, h / (self._there.t - self.now.t)) if h > 0.0 else self.now
 
 
+@treatment_start
 def with_contact_forces(workspace: Workspace) -> Workspace:
     """Return a workspace that starts with the contact forces and modes of the initial state.
 

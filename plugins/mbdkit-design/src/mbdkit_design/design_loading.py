@@ -9,6 +9,7 @@ from typing import Any
 
 from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, parse_path, path_text
 from mbdkit.plugin.files import Path
+from mbdkit.plugin.seams import spec_loader
 from mbdkit.plugin.specs import Document, example_names, parse_key, put, read_source, set_value, variable_path
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import is_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
@@ -66,6 +67,9 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
     except SpecError as error:
         raise document.place(error) from None
     return spec
+
+
+spec_loader(load_design_spec)
 
 
 def _document(source: Any) -> tuple[Document, FilePath]:

@@ -10,10 +10,10 @@ of all stages; steps end where g is zero. Laws of kinds of elements may have suc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from mbdkit.plugin import ExpressionLaw, FunctionLaw, SpecError
 from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism, bind_law
 from mbdkit.plugin.mechanisms import ARGUMENTS
 from mbdkit.plugin.methods import Seeds
+from mbdkit.plugin.seams import LawCondition, gradient_doubts, law_sides
 
 if TYPE_CHECKING:
     import sympy
@@ -85,19 +86,6 @@ class Condition:
         return [self.function(*row[self.element, :2], *numbers[self.parameters])[0] for row in forces]
 
 
-class FurtherCondition(Protocol):
-    """A condition of the laws of a kind of elements, see `ElementKind.sides`; its attributes are as in `Condition`."""
-
-    force: str
-    side: int
-
-    def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
-        """Return g in T states; see `Condition.values`."""
-
-    def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:
-        """Return the derivatives of g in directions of the state: positions (n,), velocities (n,), parameters (L,)."""
-
-
 @dataclass(frozen=True)
 class SidedMechanism:
     """A mechanism with sides; see the description of this module.
@@ -113,7 +101,7 @@ class SidedMechanism:
     """
 
     mechanism: CompiledMechanism
-    conditions: tuple[Condition | FurtherCondition, ...]
+    conditions: tuple[Condition | LawCondition, ...]
     places: np.ndarray
 
     def passed(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[str, ...]:
@@ -144,7 +132,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     places = np.zeros(len(top.law_parameters), dtype=np.int64)
     # A load that is an expression of the state shares its parameters with its derivatives.
     begins: dict[int, int] = {}
-    conditions: list[Condition | FurtherCondition] = []
+    conditions: list[Condition | LawCondition] = []
     rows, laws = top.laws.copy(), list(mechanism.laws)
     elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
     for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):
@@ -183,7 +171,8 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         return np.arange(begin, begin + 1 + int(values[begin]))
 
     for handle, kind in mechanism.kinds():
-        conditions += () if kind.sides is None else kind.sides()(handle, places_of)
+        sides = kind.derivatives.sides
+        conditions += () if sides is None else law_sides.of(sides)(handle, places_of)
     if not conditions:
         return None
     for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states that do not belong to a law
@@ -216,8 +205,8 @@ def with_unknown_corners(mechanism: CompiledMechanism) -> tuple[str, ...]:
 
 def doubts_of_kinds(mechanism: CompiledMechanism) -> tuple[str, ...]:
     """Return what the kinds of elements doubt about derivatives of runs."""
-    every = ((handle, kind.gradient_doubts) for handle, kind in mechanism.kinds())
-    return tuple(sentence for handle, doubts in every if doubts is not None for sentence in doubts()(handle))
+    every = ((handle, kind.derivatives.doubts) for handle, kind in mechanism.kinds())
+    return tuple(text for handle, doubts in every if doubts is not None for text in gradient_doubts.of(doubts)(handle))
 
 
 def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:

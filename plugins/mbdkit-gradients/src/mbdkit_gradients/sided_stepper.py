@@ -23,7 +23,7 @@ from mbdkit.plugin.methods import CompiledMethod, Moment, Seeds, StepTaken, Stre
 from mbdkit_gradients.differentiated_states import DifferentiatedStates
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit_gradients.law_corners import Condition, FurtherCondition
+from mbdkit_gradients.law_corners import Condition, LawCondition
 
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""
@@ -99,7 +99,7 @@ class SidedStepper(DifferentiatedStepper):
         workspace: Workspace,
         timetable: Timetable,
         seeds: Seeds,
-        conditions: Sequence[Condition | FurtherCondition],
+        conditions: Sequence[Condition | LawCondition],
         *,
         with_nodes: bool,
     ):

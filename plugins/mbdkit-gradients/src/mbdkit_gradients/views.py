@@ -5,8 +5,10 @@ from __future__ import annotations
 from mbdkit_gradients.gradient import Gradient
 from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
 from mbdkit_report.notebook.result_views import View
+from mbdkit_report.seams import object_view
 
 
+@object_view
 def gradient_view(found: Gradient) -> View:
     """Return the view of a gradient."""
     columns = [*columns_of("measure; unit; value"), *(Column(f"by {name}") for name in found.parameters)]

@@ -22,6 +22,7 @@ from mbdkit.plugin import Mechanism, SpecError, copied, did_you_mean, listed, pa
 from mbdkit.plugin.equations import compile_mechanism
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.mechanisms import element_kinds
+from mbdkit.plugin.seams import run_check
 
 STEP = 0.25
 """Change of parameters, relative to their values, by which linear functions are recognized, together with its half."""
@@ -143,8 +144,8 @@ class ChosenNumbers:
         """Return a mechanism with the elements that act only in runs."""
         mechanism.is_of_run = True
         for key, kind in element_kinds().items():
-            if kind.check_run is not None and mechanism.elements.get(key):
-                kind.check_run()(mechanism)
+            if kind.acts.check_run is not None and mechanism.elements.get(key):
+                run_check.of(kind.acts.check_run)(mechanism)
         return mechanism
 
     def with_parameters(self, values: Sequence[float]) -> Mechanism:

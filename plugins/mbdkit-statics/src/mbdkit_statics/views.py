@@ -11,6 +11,7 @@ from mbdkit_report.figures.page_model import Cell, Illustration, Table, columns_
 from mbdkit_report.figures.plane_geometry import Array
 from mbdkit_report.notebook.result_views import Picture, View
 from mbdkit_report.pages.model_section import drawing
+from mbdkit_report.seams import object_view
 from mbdkit_statics.equilibrium import Equilibrium
 from mbdkit_statics.mechanics_summary import (
     beam_ends,
@@ -26,6 +27,7 @@ from mbdkit_statics.mode_shapes import modes_figure
 from mbdkit_statics.modes import Modes
 
 
+@object_view
 def equilibrium_view(found: Equilibrium) -> View:
     """Return the view of an equilibrium."""
     bodies: list[tuple[Cell, ...]] = [
@@ -62,6 +64,7 @@ def _posed(mechanism: Mechanism | None, position: Array, time: float) -> Illustr
     return drawing(NamedPose.of(mechanism, list(mechanism.bodies), position, np.array([time])))
 
 
+@object_view
 def modes_view(found: Modes) -> View:
     """Return the view of modes."""
     rows: list[tuple[Cell, ...]] = []

@@ -34,6 +34,7 @@ from mbdkit.plugin.mechanisms import (
     pair,
     sequence,
 )
+from mbdkit.plugin.seams import ElementsByName, element_check
 
 MOST_CIRCLES = 4
 """Largest number of circles between two points of a path. It is limited because all patterns of touched circles are
@@ -282,7 +283,8 @@ class Muscle(Element):
         return [] if self.excitation is None else of_state([("excitation", self.excitation)])
 
 
-def check_moving_points(muscles: Mapping[str, Muscle], mechanism: Any, prefix: str = "") -> None:
+@element_check
+def check_moving_points(muscles: Mapping[str, Muscle], mechanism: ElementsByName, prefix: str = "") -> None:
     """Raise SpecError for the first point with an unknown name, or whose offset z depends on a coordinate.
 
     Parameters

@@ -27,6 +27,7 @@ from mbdkit_report.analysis.verdict import (
     together,
     told,
 )
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import STEP, family, value
 
 if TYPE_CHECKING:
@@ -128,6 +129,7 @@ class Touched:
         return f"{self.case}, {self.method}" + (f", {self.step:g} s" if self.step else "")
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `contact`."""
     found = [_of(study, point) for point in study.points if point.family != "painleve"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from mbdkit_paper.drift.combination import Combination, Undetermined, combinations
 from mbdkit_paper.drift.drift_figures import energies, errors
 from mbdkit_report.analysis.verdict import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together, told
+from mbdkit_studies.results.judge import study_verdict
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
@@ -50,6 +51,7 @@ NOTE = (
 )
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `drift`.
 

@@ -27,6 +27,7 @@ from mbdkit_report.analysis.verdict import (
     exceeds,
     told,
 )
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ class CrankRun:
         return max(self.errors, default=math.nan)
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `flexible-slider-crank`."""
     joints, found = _runs(study)

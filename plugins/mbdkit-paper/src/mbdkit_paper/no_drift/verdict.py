@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_report.analysis.verdict import Answer, Claim, Table, Verdict, columns_of, exceeds, told
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import value
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class Held:
         return f"{self.mechanism}, {self.method}"
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `no-drift`.
 

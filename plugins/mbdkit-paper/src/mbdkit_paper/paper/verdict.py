@@ -12,6 +12,7 @@ from mbdkit_paper.paper.published_results import METHODS, magnitudes, ranking, t
 from mbdkit_paper.paper.source_paper import TITLE
 from mbdkit_report.analysis.verdict import UNDECIDED, Answer, Cell, Claim, Table, Verdict, columns_of, told
 from mbdkit_report.figures.quantity_text import least_most
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ NOTES = (
 )
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `paper`.
 

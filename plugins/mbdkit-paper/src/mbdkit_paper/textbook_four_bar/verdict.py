@@ -33,6 +33,7 @@ from mbdkit_report.analysis.verdict import (
 )
 from mbdkit_report.figures.quantity_text import least_most, two_digits
 from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import METHOD, STEP, family, value
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ def loop_residual(run: Run) -> np.ndarray:
     return np.asarray(total - (GROUND, 0.0))
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `textbook-four-bar`.
 

@@ -29,6 +29,7 @@ from mbdkit_report.plot import drift_plot, reactions_plot
 from mbdkit_report.plot.caption import caption
 from mbdkit_report.plot.charts import chart_image
 from mbdkit_report.plot.style import png
+from mbdkit_report.seams import object_view
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def view(thing: HtmlView) -> View:
     for item in registry().of_kind("view"):
         made = cast(ViewItem, item.plugin)
         if made.of in classes:
-            return cast(View, made.make()(thing))
+            return object_view.of(made.make)(thing)
     raise TypeError(f"there is no view for a {type(thing).__name__}: a plugin can add an item `ViewItem`")
 
 

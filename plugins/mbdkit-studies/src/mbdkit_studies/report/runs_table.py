@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.plugin import Array, SpecError
 from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT
+from mbdkit.plugin.seams import exported_files
 from mbdkit_report.export import suffix_of, write_tables
 from mbdkit_report.group_table import BLOCK_VALUES, TableColumn
 from mbdkit_studies.study import Study
@@ -92,6 +93,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
     return [path]
 
 
+@exported_files
 def export_study(folder: Path, output: Path, to: str, *, overwrite: bool = False) -> list[Path]:
     """Export the table of runs of the study in a folder; see `export_runs`."""
     from mbdkit_studies.compute.carry_out import load_study

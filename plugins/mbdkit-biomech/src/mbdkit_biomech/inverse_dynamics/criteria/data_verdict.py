@@ -12,6 +12,7 @@ import numpy as np
 from mbdkit.plugin import Evidence, Finding, Judgement, accepted_doubts, findings, judge, open_doubts
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit
+from mbdkit_biomech.inverse_dynamics.criteria.data_criterion import data_criterion
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts, units_of_loads
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
 from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints, model_doubts, spec_doubts
@@ -56,16 +57,19 @@ def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
     return _sorted(found, result.problem.spec.accept)._replace(remarks=(*remarks, *added))
 
 
+@data_criterion
 def doubts_of_columns(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about columns of the motion and their smoothing."""
     return [*shared_columns(result.problem), *column_doubts(result), *cutoff_doubts(result)]
 
 
+@data_criterion
 def doubts_of_loads(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about loads."""
     return [*load_doubts(result, bars)]
 
 
+@data_criterion
 def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about the model, about forces without a point, and about turns and signs of angles."""
     return [
@@ -77,11 +81,13 @@ def doubts_of_model(result: Inverse, _bars: ErrorBars | None) -> list[Finding]:
     ]
 
 
+@data_criterion
 def doubts_of_record(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about the record, the units of loads, and errors."""
     return [*record_doubts(result, bars), *units_of_loads(result.problem), *large_errors(result, bars)]
 
 
+@data_criterion
 def doubts_of_person(result: Inverse, bars: ErrorBars | None) -> list[Finding]:
     """Return the doubts about the person and remarks on it."""
     uncertain = None if bars is None else bars.uncertain

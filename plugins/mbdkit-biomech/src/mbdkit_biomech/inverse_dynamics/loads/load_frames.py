@@ -26,6 +26,7 @@ from mbdkit_report.figures.page_model import Illustration
 from mbdkit_report.figures.plane_geometry import Array
 from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.figures.svg_canvas import Canvas
+from mbdkit_report.seams import film_data
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -69,6 +70,7 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
     return Illustration(wide, narrow, "The mechanism at several times with arrows of its forces", text)
 
 
+@film_data
 def film_with_arrows(run: Run, film: dict[str, Any]) -> dict[str, Any]:
     """Return the data of the player of a run, with arrows of forces if it is one of inverse dynamics."""
     return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film

@@ -18,6 +18,7 @@ from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.mechanism_drawing import NARROW, WIDE, short_name
 from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table, columns_of
 from mbdkit_report.figures.svg_canvas import svg_of
+from mbdkit_report.seams import report_charts, report_sections
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -30,6 +31,7 @@ _POINTS = 1_000
 _TIME = Axis("time", "s")
 
 
+@report_sections
 def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ...]:
     """Return the sections of a run of inverse dynamics that has at least two rows; empty for other runs."""
     if run.kind != "inverse" or len(run.time) < 2:
@@ -43,6 +45,7 @@ def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ..
     )
 
 
+@report_charts
 def inverse_charts(run: Run) -> list[Figure]:
     """Return the charts of a run of inverse dynamics; empty for other runs.
 
