@@ -16,9 +16,9 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import FORMAT_VERSION
+from mbdkit.archive.result_seams import file_problems
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_header import open_archive
-from mbdkit.archive.seams import file_problems
 from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.base.text import listed, one_line, shown

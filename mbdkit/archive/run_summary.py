@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mbdkit.archive import seams
+from mbdkit.archive import result_seams
 from mbdkit.archive.accuracy_summary import accuracy_sentence, asked_sentence
 from mbdkit.archive.headlines import (
     JOINTS_NAMED,
@@ -101,7 +101,7 @@ def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
     if (own.of and kind_of(run.spec).name not in own.of) or (own.group and own.group not in run.kinds):
         return []
     try:
-        lines = use(item, lambda: list(seams.summary_lines.of(own.text)(run)))
+        lines = use(item, lambda: list(result_seams.summary_lines.of(own.text)(run)))
         if all(isinstance(line, tuple) and [type(text) for text in line] == [str, str] for line in lines):
             return cast(list[tuple[str, str]], lines)
         raise PluginError(f"the summary line '{item.id}' returned lines that are not pairs of label and text")

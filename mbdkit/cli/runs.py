@@ -322,7 +322,7 @@ def rerun(
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Repeat the run in an archive."""
     from mbdkit.base.errors import SpecError
-    from mbdkit.runs.seams import repeated_run
+    from mbdkit.runs.run_seams import repeated_run
     from mbdkit.runs.simulation import simulate
     from mbdkit.spec.spec_kinds import kind_of_runs, spec_loader
 

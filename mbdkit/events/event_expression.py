@@ -28,7 +28,7 @@ from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.beams import last_nodes
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.seams import member_names
+from mbdkit.mechanism.mechanism_seams import member_names
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.registered_kinds import added_kinds, item_of_group, kind_of_word, words

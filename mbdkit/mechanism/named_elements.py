@@ -115,8 +115,7 @@ class NamedElements:
         """Return an element with its points in the frames of its bodies, which must exist."""
         last = last_nodes(self.beams)
         for place, body in element.places():
-            # ``BEAM.last`` is not accepted in `among`, because its shapes are a mapping by names of bodies.
-            if body in last and not place.startswith("among"):
+            if body in last and not place.startswith(element.KEYS_WITHOUT_LAST):
                 element = with_body(element, parse_path(place), last[body])
                 continue
             self._known(body, f"{key}.{place}")

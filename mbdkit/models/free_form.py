@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData
-from mbdkit.mechanism.seams import model_builder
+from mbdkit.mechanism.mechanism_seams import model_builder
 
 
 class MechanismOptions(MechanismData):

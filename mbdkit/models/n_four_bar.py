@@ -11,7 +11,7 @@ from pydantic import Field
 from mbdkit.base import elementary
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.seams import model_builder
+from mbdkit.mechanism.mechanism_seams import model_builder
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._memory import check_memory
 

@@ -7,7 +7,7 @@ from mbdkit.base.lazy_names import door
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
     from mbdkit.archive.headlines import excluded_words as excluded_words, run_headlines as run_headlines
-    from mbdkit.archive.seams import (
+    from mbdkit.archive.result_seams import (
         exported_files as exported_files, file_problems as file_problems, run_attribute as run_attribute,
         summary_lines as summary_lines,
     )
@@ -26,14 +26,14 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         ElementsByName as ElementsByName, element_check as element_check, element_files as element_files,
         element_forces as element_forces,
     )
-    from mbdkit.mechanism.seams import (
+    from mbdkit.mechanism.mechanism_seams import (
         element_lines as element_lines, mechanism_attribute as mechanism_attribute, member_names as member_names,
         model_builder as model_builder, run_check as run_check,
     )
     from mbdkit.methods.kinds import integrator_method as integrator_method
     from mbdkit.registry.items import integrator_claims as integrator_claims
     from mbdkit.registry.seam import OwnSeam as OwnSeam, Seam as Seam
-    from mbdkit.runs.seams import (
+    from mbdkit.runs.run_seams import (
         StateWatcher as StateWatcher, end_criterion as end_criterion, repeated_run as repeated_run,
         rows_criterion as rows_criterion, spec_criterion as spec_criterion, start_criterion as start_criterion,
         treatment_condition as treatment_condition, treatment_guards as treatment_guards,

@@ -15,7 +15,7 @@ import numpy as np
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.checks import line_of_undefined_direction
 from mbdkit.runs.law_ranges import steps_are_rows
-from mbdkit.runs.seams import rows_criterion
+from mbdkit.runs.run_seams import rows_criterion
 
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals

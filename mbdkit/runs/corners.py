@@ -14,7 +14,7 @@ from mbdkit.integrators.interface import SAME_TIME
 from mbdkit.integrators.run.sampled_control import sample_times
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
-from mbdkit.runs.seams import spec_criterion
+from mbdkit.runs.run_seams import spec_criterion
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.joints import Revolute
-from mbdkit.runs.seams import rows_criterion
+from mbdkit.runs.run_seams import rows_criterion
 
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals

@@ -12,7 +12,7 @@ from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.joints import Driver, Joint
 from mbdkit.mechanism.values import Table
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.runs.seams import spec_criterion
+from mbdkit.runs.run_seams import spec_criterion
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.trust.finding import Finding

@@ -27,7 +27,7 @@ from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.findings import findings
-from mbdkit.runs.seams import treatment_condition, treatment_start
+from mbdkit.runs.run_seams import treatment_condition, treatment_start
 from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
 

@@ -25,7 +25,7 @@ from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.runs.angles_in_degrees import angles_in_degrees, motions_in_degrees
 from mbdkit.runs.preparation import make_method
-from mbdkit.runs.seams import end_criterion, spec_criterion, start_criterion
+from mbdkit.runs.run_seams import end_criterion, spec_criterion, start_criterion
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import rounding
 from mbdkit.trust.energy_record import EnergyRecord

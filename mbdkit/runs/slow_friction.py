@@ -10,7 +10,7 @@ import numpy as np
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.joint_friction import JointFriction, PinFriction
-from mbdkit.runs.seams import rows_criterion
+from mbdkit.runs.run_seams import rows_criterion
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:

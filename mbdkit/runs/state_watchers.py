@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from mbdkit.quantities.states import States
 from mbdkit.registry.use import use
 from mbdkit.runs.findings import as_findings, criteria, findings
-from mbdkit.runs.seams import StateWatcher, rows_criterion
+from mbdkit.runs.run_seams import StateWatcher, rows_criterion
 
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals

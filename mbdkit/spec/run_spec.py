@@ -29,7 +29,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
-from mbdkit.mechanism.seams import run_check
+from mbdkit.mechanism.mechanism_seams import run_check
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.element_items import ElementKind

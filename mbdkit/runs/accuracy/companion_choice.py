@@ -22,7 +22,7 @@ from mbdkit.registry.items import IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
 from mbdkit.runs.preparation import make_method, timetable
-from mbdkit.runs.seams import treatment_guards
+from mbdkit.runs.run_seams import treatment_guards
 from mbdkit.spec import RunSpec
 
 HALVINGS = (2, 4)

@@ -289,6 +289,9 @@ class Contact(Element):
     point midway between the two outlines.
     """
 
+    KEYS_WITHOUT_LAST: ClassVar[tuple[str, ...]] = ("among",)
+    """The shapes in `among` are a mapping by names of bodies."""
+
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("bodies", "among", "rolling_resistance", "compliance")
 
     bodies: BodyPair | None = None

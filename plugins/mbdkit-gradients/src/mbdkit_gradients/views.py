@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from mbdkit_gradients.gradient import Gradient
 from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
-from mbdkit_report.notebook.result_views import View
-from mbdkit_report.seams import object_view
+from mbdkit_report.notebook.result_views import View, object_view
 
 
 @object_view

@@ -12,8 +12,7 @@ from mbdkit.plugin import Run, SpecError, TableFormat, did_you_mean, file_error,
 from mbdkit.plugin.files import check_folder, check_output, replacing
 from mbdkit.plugin.specs import registry
 from mbdkit_report.group_table import group_names, group_table
-from mbdkit_report.seams import table_writer
-from mbdkit_report.table_formats import ExportedTable
+from mbdkit_report.table_formats import ExportedTable, table_writer
 
 
 def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[Path]:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Never
+from typing import TYPE_CHECKING, Any
 
 from mbdkit.plugin import Mechanism, Run
-from mbdkit.plugin.seams import OwnSeam, Seam
+from mbdkit.plugin.seams import Seam
 from mbdkit_report.figures.page_model import Figure, Section
 
 if TYPE_CHECKING:
-    from mbdkit_report.notebook.result_views import View
     from mbdkit_report.pages.report_page import ReportPage
-    from mbdkit_report.table_formats import ExportedTable
 
 
 @Seam
@@ -32,18 +30,6 @@ def report_charts(run: Run, /) -> Iterable[Figure]:
 @Seam
 def film_data(run: Run, film: dict[str, Any], /) -> dict[str, Any]:
     """Return the data of the player of a run with additions."""
-    raise NotImplementedError
-
-
-@OwnSeam
-def object_view(result: Never, /) -> View:
-    """Return what notebooks show of an object."""
-    raise NotImplementedError
-
-
-@Seam
-def table_writer(table: ExportedTable, path: Path, /) -> None:
-    """Write a table to a file."""
     raise NotImplementedError
 
 

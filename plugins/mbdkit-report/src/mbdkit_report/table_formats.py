@@ -16,9 +16,9 @@ import numpy as np
 from mbdkit.plugin import MbdkitError, shown
 from mbdkit.plugin.archives import TEXT
 from mbdkit.plugin.files import json_text
+from mbdkit.plugin.seams import Seam
 from mbdkit.plugin.terminal import csv_cell
 from mbdkit_report.group_table import TableColumn
-from mbdkit_report.seams import table_writer
 
 MATLAB_LENGTH = 63
 """Longest name of a variable in MATLAB (``namelengthmax``)."""
@@ -48,6 +48,12 @@ class ExportedTable(Protocol):
 
     def without_text(self) -> ExportedTable:
         """Return the table without its columns of text."""
+
+
+@Seam
+def table_writer(table: ExportedTable, path: Path, /) -> None:
+    """Write a table to a file."""
+    raise NotImplementedError
 
 
 @table_writer

@@ -9,9 +9,8 @@ from mbdkit.plugin.mechanisms import beam_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose
 from mbdkit_report.figures.page_model import Cell, Illustration, Table, columns_of
 from mbdkit_report.figures.plane_geometry import Array
-from mbdkit_report.notebook.result_views import Picture, View
+from mbdkit_report.notebook.result_views import Picture, View, object_view
 from mbdkit_report.pages.model_section import drawing
-from mbdkit_report.seams import object_view
 from mbdkit_statics.equilibrium import Equilibrium
 from mbdkit_statics.mechanics_summary import (
     beam_ends,

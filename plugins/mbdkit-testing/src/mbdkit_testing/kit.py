@@ -8,9 +8,8 @@ from typing import Any
 
 from mbdkit.base.logs import to_stderr
 from mbdkit.plugin import SpecError
-from mbdkit.plugin.specs import Registered, Registry, registry
+from mbdkit.plugin.specs import Plugin, Registered, Registry, registry
 from mbdkit.registry.catalogue import Kind
-from mbdkit.registry.item import Plugin
 from mbdkit_testing import (
     conservation_checks,
     contract_checks,

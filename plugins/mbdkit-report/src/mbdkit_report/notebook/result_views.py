@@ -6,7 +6,7 @@ import base64
 import html
 from dataclasses import dataclass, replace
 from functools import singledispatch
-from typing import cast
+from typing import Never, cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from mbdkit.archive.run_summary import answer_lines, summary_lines
 from mbdkit.plugin import Accuracy, MbdkitError, Mechanism, Run, ViewItem, shown
 from mbdkit.plugin.archives import JointHistories
+from mbdkit.plugin.seams import OwnSeam
 from mbdkit.plugin.specs import registry
 from mbdkit.plugin.terminal import HtmlView
 from mbdkit_report.figures.curves import take
@@ -29,7 +30,6 @@ from mbdkit_report.plot import drift_plot, reactions_plot
 from mbdkit_report.plot.caption import caption
 from mbdkit_report.plot.charts import chart_image
 from mbdkit_report.plot.style import png
-from mbdkit_report.seams import object_view
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,12 @@ class View:
 
 _CHART = (5.4, 3.3)
 """Width and height of a chart of a run [inch]."""
+
+
+@OwnSeam
+def object_view(result: Never, /) -> View:
+    """Return what notebooks show of an object."""
+    raise NotImplementedError
 
 
 def html_of(thing: HtmlView) -> str:
