@@ -17,11 +17,12 @@ from mbdkit_report.analysis.verdict import Answer, Verdict, columns_of
 from mbdkit_report.figures.page_model import Cell, Column, Figure, Table
 from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.figures.quantity_text import count
-from mbdkit_report.notebook.result_views import View, object_view, report_of_folder
+from mbdkit_report.notebook.result_views import View, object_view
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.report_page import NO_FAILURES, ReportPage
 from mbdkit_report.pages.run_report import environment
 from mbdkit_report.pages.run_verdict import mechanism_size
+from mbdkit_report.seams import report_of_folder
 from mbdkit_studies.points.sample_groups import sample_groups
 from mbdkit_studies.report.sample_figures import sample_figures, sample_tables
 from mbdkit_studies.report.study_figures import measure_columns, study_figures, with_slope_guides
