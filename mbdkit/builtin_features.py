@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 from mbdkit.registry.feature_items import (
     CriterionItem,
@@ -15,49 +14,6 @@ from mbdkit.registry.feature_items import (
 from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
-
-_NOTES = (
-    ("model-notes", "What the model says about its mechanism.", "run_criteria:model_notes"),
-    ("unresolved-beams", "Oscillations of beams that the step does not resolve.", "run_criteria:unresolved_beams"),
-    ("unused-parameters", "Parameters that no expression uses.", "run_criteria:unused_parameters"),
-    ("short-runs", "Tables that change long after the end of the run.", "notes:short_runs"),
-    ("zero-reactions", "Measures of reactions that are always zero.", "notes:zero_reactions_of_run"),
-)
-_CRITERIA: tuple[tuple[Literal["spec", "start", "rows", "end"], str, str, str], ...] = (
-    ("spec", "baumgarte", "Terms of Baumgarte that the step makes unstable.", "run_criteria:unstable_baumgarte"),
-    *(("spec", *note) for note in _NOTES),
-    ("spec", "left-out", "Effects of a file that the mechanism lacks.", "run_criteria:left_out"),
-    ("spec", "degrees", "Angles that are probably in degrees.", "run_criteria:degrees"),
-    (
-        "spec",
-        "improbable-values",
-        "Improbable inertias and coefficients of friction, often in another unit.",
-        "run_criteria:improbable_values",
-    ),
-    (
-        "spec",
-        "improbable-sizes",
-        "Improbable beams, lengths and masses, often in another unit.",
-        "run_criteria:improbable_sizes",
-    ),
-    ("spec", "long-step", "A step that is longer than the run.", "run_criteria:long_step"),
-    ("spec", "corners", "Tables that overshoot, and too many discontinuities.", "corners:overshoots_and_corners"),
-    ("start", "moved-start", "Positions that assembly changes by far.", "run_criteria:moved_start"),
-    ("start", "changed-velocities", "Velocities that assembly changes.", "run_criteria:changed_velocities"),
-    ("rows", "table-ends", "Ends of the tables of moving centers.", "moving_centers:MovingCenters.of"),
-    ("rows", "slow-friction", "Dry friction that slips so slowly that it is viscous.", "slow_friction:of_joints"),
-    ("rows", "coincident-ends", "Forces whose ends meet.", "coincident_ends:CoincidentEnds.of"),
-    ("rows", "coarse-beams", "Beams whose elements are too coarse.", "coarse_beams:CoarseBeams.of"),
-    ("end", "passive-laws", "Laws that are declared passive, but supply energy.", "run_criteria:passive_laws"),
-)
-_SEVERAL = {
-    "improbable-values": ("improbable-inertias", "improbable-frictions"),
-    "improbable-sizes": tuple(f"improbable-{what}" for what in ("beams", "lengths", "bodies", "people")),
-    "corners": ("corners", "overshoots"),
-}
-"""Criteria that one item examines, where they are several."""
-_WITHOUT_RUN = ("model-notes", "unused-parameters", "left-out", "degrees", "improbable-values", "improbable-sizes")
-"""Criteria that also apply to a mechanism without a run."""
 
 
 def builtin_features() -> list[Feature]:
@@ -75,20 +31,89 @@ def builtin_features() -> list[Feature]:
         model=Target("mbdkit.spec.run_spec:RunSpec"),
         differentiate=Target("mbdkit.base.higher_layers:gradient_of_run"),
     )
-    notes = {name for name, *_ in _NOTES}
+    # fmt: off
     criteria = [
         CriterionItem(
-            name=name,
-            summary=summary,
-            order=10 * number,
-            stage=stage,
-            find=Target(f"mbdkit.runs.{where}"),
-            of=frozenset({"run", "mechanism"} if name in _WITHOUT_RUN else {"run"}),
-            criteria=() if name in notes else _SEVERAL.get(name, (name,)),
-            level=None if name in notes else "doubtful",
-        )
-        for number, (stage, name, summary, where) in enumerate(_CRITERIA)
+            name="baumgarte", summary="Terms of Baumgarte that the step makes unstable.", order=0, stage="spec",
+            find=Target("mbdkit.runs.run_criteria:unstable_baumgarte"),
+        ),
+        CriterionItem(
+            name="model-notes", summary="What the model says about its mechanism.", order=10, stage="spec",
+            find=Target("mbdkit.runs.run_criteria:model_notes"), of=frozenset({"mechanism", "run"}), level=None,
+        ),
+        CriterionItem(
+            name="unresolved-beams", summary="Oscillations of beams that the step does not resolve.", order=20,
+            stage="spec", find=Target("mbdkit.runs.run_criteria:unresolved_beams"), level=None,
+        ),
+        CriterionItem(
+            name="unused-parameters", summary="Parameters that no expression uses.", order=30, stage="spec",
+            find=Target("mbdkit.runs.run_criteria:unused_parameters"), of=frozenset({"mechanism", "run"}), level=None,
+        ),
+        CriterionItem(
+            name="short-runs", summary="Tables that change long after the end of the run.", order=40, stage="spec",
+            find=Target("mbdkit.runs.notes:short_runs"), level=None,
+        ),
+        CriterionItem(
+            name="zero-reactions", summary="Measures of reactions that are always zero.", order=50, stage="spec",
+            find=Target("mbdkit.runs.notes:zero_reactions_of_run"), level=None,
+        ),
+        CriterionItem(
+            name="left-out", summary="Effects of a file that the mechanism lacks.", order=60, stage="spec",
+            find=Target("mbdkit.runs.run_criteria:left_out"), of=frozenset({"mechanism", "run"}),
+        ),
+        CriterionItem(
+            name="degrees", summary="Angles that are probably in degrees.", order=70, stage="spec",
+            find=Target("mbdkit.runs.run_criteria:degrees"), of=frozenset({"mechanism", "run"}),
+        ),
+        CriterionItem(
+            name="improbable-values",
+            summary="Improbable inertias and coefficients of friction, often in another unit.", order=80, stage="spec",
+            find=Target("mbdkit.runs.run_criteria:improbable_values"), of=frozenset({"mechanism", "run"}),
+            criteria=("improbable-inertias", "improbable-frictions"),
+        ),
+        CriterionItem(
+            name="improbable-sizes", summary="Improbable beams, lengths and masses, often in another unit.", order=90,
+            stage="spec", find=Target("mbdkit.runs.run_criteria:improbable_sizes"), of=frozenset({"mechanism", "run"}),
+            criteria=("improbable-beams", "improbable-lengths", "improbable-bodies", "improbable-people"),
+        ),
+        CriterionItem(
+            name="long-step", summary="A step that is longer than the run.", order=100, stage="spec",
+            find=Target("mbdkit.runs.run_criteria:long_step"),
+        ),
+        CriterionItem(
+            name="corners", summary="Tables that overshoot, and too many discontinuities.", order=110, stage="spec",
+            find=Target("mbdkit.runs.corners:overshoots_and_corners"), criteria=("corners", "overshoots"),
+        ),
+        CriterionItem(
+            name="moved-start", summary="Positions that assembly changes by far.", order=120, stage="start",
+            find=Target("mbdkit.runs.run_criteria:moved_start"),
+        ),
+        CriterionItem(
+            name="changed-velocities", summary="Velocities that assembly changes.", order=130, stage="start",
+            find=Target("mbdkit.runs.run_criteria:changed_velocities"),
+        ),
+        CriterionItem(
+            name="table-ends", summary="Ends of the tables of moving centers.", order=140, stage="rows",
+            find=Target("mbdkit.runs.moving_centers:watch_moving_centers"),
+        ),
+        CriterionItem(
+            name="slow-friction", summary="Dry friction that slips so slowly that it is viscous.", order=150,
+            stage="rows", find=Target("mbdkit.runs.slow_friction:of_joints"),
+        ),
+        CriterionItem(
+            name="coincident-ends", summary="Forces whose ends meet.", order=160, stage="rows",
+            find=Target("mbdkit.runs.coincident_ends:watch_coincident_ends"),
+        ),
+        CriterionItem(
+            name="coarse-beams", summary="Beams whose elements are too coarse.", order=170, stage="rows",
+            find=Target("mbdkit.runs.coarse_beams:watch_coarse_beams"),
+        ),
+        CriterionItem(
+            name="passive-laws", summary="Laws that are declared passive, but supply energy.", order=180, stage="end",
+            find=Target("mbdkit.runs.run_criteria:passive_laws"),
+        ),
     ]
+    # fmt: on
     return [
         run,
         *criteria,

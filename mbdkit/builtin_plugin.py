@@ -33,24 +33,41 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:
     return list(LAWS)
 
 
-def _command(order: int, words: str, summary: str, function: str) -> Command:
-    """Return the command that is called with the words; `function` is ``module:name`` in `mbdkit.cli`."""
-    group, _, name = words.rpartition(" ")
-    return Command(name=name, summary=summary, target=Target(f"mbdkit.cli.{function}"), group=group, order=order)
-
-
+# fmt: off
 COMMANDS = (
-    _command(10, "run", "Run a spec and write its archive.", "runs:run"),
-    _command(20, "validate", "Check a spec of any kind without running it.", "runs:validate"),
-    _command(130, "rerun", "Run the spec of an archive again and compare the results.", "runs:rerun"),
-    _command(140, "guide", "List the pages of the guide, print one, or search them.", "specs:guide"),
+    Command(name="run", summary="Run a spec and write its archive.", target=Target("mbdkit.cli.runs:run"), order=10),
+    Command(
+        name="info", summary="Describe run archives.", target=Target("mbdkit.cli.archives:archive_info"),
+        group="archive", order=10,
+    ),
+    Command(
+        name="validate", summary="Check a spec of any kind without running it.",
+        target=Target("mbdkit.cli.runs:validate"), order=20,
+    ),
+    Command(
+        name="check", summary="Check the structure and contents of run archives.",
+        target=Target("mbdkit.cli.archives:archive_check"), group="archive", order=20,
+    ),
+    Command(
+        name="diff", summary="Compare the data of two run archives.", target=Target("mbdkit.cli.archives:archive_diff"),
+        group="archive", order=30,
+    ),
+    Command(
+        name="rerun", summary="Run the spec of an archive again and compare the results.",
+        target=Target("mbdkit.cli.runs:rerun"), order=130,
+    ),
+    Command(
+        name="guide", summary="List the pages of the guide, print one, or search them.",
+        target=Target("mbdkit.cli.specs:guide"), order=140,
+    ),
+    Command(
+        name="examples", summary="List the packaged examples, or copy one.",
+        target=Target("mbdkit.cli.specs:examples_app"), order=190,
+    ),
     Command(name="schema", summary="Print the JSON schema of a spec, for editors.", order=170),
-    _command(190, "examples", "List the packaged examples, or copy one.", "specs:examples_app"),
     Command(name="archive", summary="Describe, check, compare and export run archives.", order=200),
-    _command(10, "archive info", "Describe run archives.", "archives:archive_info"),
-    _command(20, "archive check", "Check the structure and contents of run archives.", "archives:archive_check"),
-    _command(30, "archive diff", "Compare the data of two run archives.", "archives:archive_diff"),
 )
+# fmt: on
 
 
 @hookimpl

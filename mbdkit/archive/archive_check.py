@@ -17,6 +17,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import FORMAT_VERSION
+from mbdkit.archive.result_seams import file_problems
 from mbdkit.archive.result_table import ResultTable, is_table
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_header import open_archive
@@ -50,7 +51,7 @@ def check(path: str | Path) -> list[str]:
     except (SpecError, ArchiveError) as error:
         for item in registry().of_kind("file-format"):
             of_kind = cast(FileFormat, item.plugin).problems
-            if of_kind is not None and (problems := of_kind()(path)) is not None:
+            if of_kind is not None and (problems := file_problems.of(of_kind)(path)) is not None:
                 return problems
         return [shown(error.message)]
     with contextlib.closing(file):

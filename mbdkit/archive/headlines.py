@@ -5,7 +5,7 @@ activations.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -15,6 +15,7 @@ from mbdkit.archive.peak_errors import measures_of_largest, missed_between_rows,
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import HeadlineItem
 from mbdkit.registry.manager import registry
+from mbdkit.registry.seam import Seam
 from mbdkit.registry.target import Target
 from mbdkit.registry.use import use
 
@@ -117,6 +118,18 @@ class Headline(NamedTuple):
         return f"{value:.{DIGITS_ALONE}g} {self._unit}".rstrip()
 
 
+@Seam
+def run_headlines(run: Run, /) -> Iterable[Headline]:
+    """Return headlines of a run, the most important first."""
+    raise NotImplementedError
+
+
+@Seam
+def excluded_words(run: Run, /) -> str:
+    """Return what the error bars of a run do not include, as words that follow "without"; empty if they include all."""
+    raise NotImplementedError
+
+
 def excluded_error(run: Run) -> str:
     """Return the error that the estimates of a run do not include: that of the mesh of beams, or what plugins state."""
     if run.spec.get("model", {}).get("beams") or (run.records("beams/strain_energy") and run.beams):
@@ -127,8 +140,8 @@ def excluded_error(run: Run) -> str:
     )
 
 
-def _words(words: Target[Callable[[Run], str]], run: Run) -> str:
-    return words()(run)
+def _words(words: Target, run: Run) -> str:
+    return excluded_words.of(words)(run)
 
 
 def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_DIGITS) -> str:
@@ -186,7 +199,7 @@ def _of_groups(run: Run) -> list[Registered]:
 
 
 def _taken(item: Registered, run: Run) -> list[Headline]:
-    return list(cast(HeadlineItem, item.plugin).take()(run))
+    return list(run_headlines.of(cast(HeadlineItem, item.plugin).take)(run))
 
 
 def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[str, str]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from mbdkit.archive import result_seams
 from mbdkit.archive.accuracy_summary import asked_sentence
 from mbdkit.archive.headlines import (
     JOINTS_NAMED,
@@ -98,7 +99,7 @@ def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
     if (own.of and run.spec_kind.name not in own.of) or (own.group and own.group not in run.kinds):
         return []
     try:
-        lines = use(item, lambda: list(own.text()(run)))
+        lines = use(item, lambda: list(result_seams.summary_lines.of(own.text)(run)))
         if all(isinstance(line, tuple) and [type(text) for text in line] == [str, str] for line in lines):
             return cast(list[tuple[str, str]], lines)
         raise PluginError(f"the summary line '{item.id}' returned lines that are not pairs of label and text")

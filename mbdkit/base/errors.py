@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
 
 from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.base.text import did_you_mean, listed, one_line, shortened, shown
@@ -208,12 +207,6 @@ class RunError(MbdkitError):
     """A run did not complete; raised by `Run.check`."""
 
 
-StepCode = Literal[
-    "newton-failed", "singular", "not-finite", "step-too-small", "zeno", "painleve", "contact-solver", "self-locking"
-]
-"""Codes of failed steps, which archives store among other codes of failed runs."""
-
-
 class StepError(Exception):
     """A step failed. The run ends with the status ``failed`` and this reason; its archive contains the results that
     were recorded before.
@@ -224,13 +217,13 @@ class StepError(Exception):
     Parameters
     ----------
     code
-        Code of the reason, stored in the archive: ``newton-failed``, ``singular``, ``not-finite``, ``step-too-small``,
-        ``zeno``, ``painleve``, ``contact-solver`` or ``self-locking``.
+        Code of the reason, stored in the archive: ``newton-failed``, ``singular``, ``not-finite`` or
+        ``step-too-small``, or a code of a plugin.
     sentence
         Description of the failure, without the time and without a full stop.
     """
 
-    def __init__(self, code: StepCode, sentence: str):
+    def __init__(self, code: str, sentence: str):
         super().__init__(code, sentence)
         self.code, self.sentence = code, sentence
 

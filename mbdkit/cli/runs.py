@@ -30,6 +30,7 @@ from mbdkit.cli.common_options import (
     stem,
 )
 from mbdkit.cli.outcome import exit_with, tell
+from mbdkit.spec.spec_kinds import spec_check
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -153,11 +154,11 @@ def validate(
     defines the bodies itself; otherwise, the mechanism is written in full.
     """
     from mbdkit.spec.loading import read_source
-    from mbdkit.spec.spec_kinds import kind_of, spec_kinds
+    from mbdkit.spec.spec_kinds import kind_of, packaged_spec, spec_kinds
 
     if spec != "-" and not os.path.isfile(spec):
         for kind in spec_kinds():
-            if kind.is_packaged is not None and kind.is_packaged()(spec):
+            if kind.is_packaged is not None and packaged_spec.of(kind.is_packaged)(spec):
                 _validate(kind, spec, spec, assignments)
                 return
     document = read_source(spec)
@@ -187,13 +188,16 @@ def _write_assembled(kind: SpecKind, source: Document, name: str, assignments: l
 
 
 def _validate(kind: SpecKind, source: Document | str, name: str, assignments: list[str] | None) -> None:
+    from mbdkit.spec.spec_kinds import spec_check, spec_loader
+
     if kind.validate is not None:
-        kind.validate()(source, name, assignments or [])
+        spec_check.of(kind.validate)(source, name, assignments or [])
     else:
-        kind.load()(source, assignments or ())
+        spec_loader.of(kind.load)(source, assignments or ())
         show(f"{name}: this is valid as {kind.phrase}")
 
 
+@spec_check
 def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
     """Check a run spec, build its mechanism, and print what it defines."""
     from mbdkit.spec import load_spec
@@ -318,16 +322,17 @@ def rerun(
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Repeat the run in an archive."""
     from mbdkit.base.errors import SpecError
+    from mbdkit.runs.run_seams import repeated_run
+    from mbdkit.spec.spec_kinds import spec_loader
 
     try:
         kind = before.spec_kind
         with progress_bar(archive.name, quiet) as progress:
             if kind.repeat is None:
-                spec = kind.load()(before.spec)
+                spec = spec_loader.of(kind.load)(before.spec, ())
                 repeated: Run = kind.compute()(spec, path=output, overwrite=overwrite, progress=progress)
-            else:
-                repeated = kind.repeat()(before, archive, output, overwrite=overwrite, progress=progress)
-            return repeated
+                return repeated
+            return repeated_run.of(kind.repeat)(before, archive, output, overwrite=overwrite, progress=progress)
     except SpecError as error:
         raise error.located(file=archive) from error
 

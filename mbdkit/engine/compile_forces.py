@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, Never
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.compile_motions import CompiledMotions
-from mbdkit.engine.compiled_mechanism import ActingForce, ElementState, ForceElement, LawForce, SampledController
+from mbdkit.engine.compiled_mechanism import ActingForce, ElementState, ForceElement, SampledController
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.friction_forces import FrictionForce, friction_forces
 from mbdkit.engine.kernels import table_rows as rows
@@ -30,9 +30,10 @@ from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.pathways import path_ends
+from mbdkit.mechanism.pathways import LawForce, path_ends
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.registry.element_items import ElementKind
+from mbdkit.registry.seam import OwnSeam
 
 Numbers = tuple[float, ...]
 
@@ -159,7 +160,8 @@ class Lowering:
     def _add_kind(self, kind: ElementKind) -> None:
         key, elements = kind.key_in_model, getattr(self.mechanism, kind.key_in_model)
         acting = tuple(self.force(kind.name, key, name, force) for name, force in forces_of(kind, elements).items())
-        self.extensions[key] = acting if kind.lower is None else kind.lower()(elements, self, acting)
+        lower = kind.acts.lower
+        self.extensions[key] = acting if lower is None else lowering.of(lower)(elements, self, acting)
 
     def force(self, kind: str, key: str, name: str, force: LawForce) -> ActingForce:
         """Add a force element with a law along a pathway, and its states.
@@ -287,9 +289,9 @@ class Lowering:
                 if is_of_state(text):
                     self._add_load_value(name, k, component, str(text))
         for kind in acting_kinds(mechanism):
-            if kind.lower_expressions is not None:
+            if (lower := kind.acts.lower_expressions) is not None:
                 handle = self.extensions[kind.key_in_model]
-                self.extensions[kind.key_in_model] = kind.lower_expressions()(handle, self)
+                self.extensions[kind.key_in_model] = expression_lowering.of(lower)(handle, self)
         for name, state in mechanism.states.items():
             law = self.expression(f"model.states.{quoted(name)}.rate", name, state.rate)
             self.state(name, state.unit, state.initial, law)
@@ -342,7 +344,7 @@ class Lowering:
         self.state_rows[state] = rows.StateRow(-1, self.state_rows[state].parameter, law)
 
     def expression(self, key: str, name: str, text: str) -> int:
-        """Add an expression of the state as a law, and return its index; only in `ElementKind.lower_expressions`.
+        """Add an expression of the state as a law, and return its index; only in an `expression_lowering`.
 
         Parameters
         ----------
@@ -386,12 +388,30 @@ class Lowering:
         self.law_rows.append(rows.LawRow(law.address, begin, law.claims, law.program))
 
 
+@OwnSeam
+def lowering(elements: Never, lowering: Lowering, forces: tuple[ActingForce, ...], /) -> object:
+    """Add forces and states of elements, given by name, whose force elements along pathways have been added.
+
+    Returns
+    -------
+    object
+        The handle of the elements: what `CompiledMechanism.extensions` holds under their key.
+    """
+    raise NotImplementedError
+
+
+@OwnSeam
+def expression_lowering(handle: Never, lowering: Lowering, /) -> object:
+    """Add expressions of the state, such as rates of states, but no states; return a new handle of the elements."""
+    raise NotImplementedError
+
+
 def acting_kinds(mechanism: Mechanism) -> list[ElementKind]:
     """Return the kinds of plugins of which a mechanism has elements that act, in their order."""
     return [
         kind
         for key, kind in element_kinds().items()
-        if mechanism.elements.get(key) and (mechanism.is_of_run or not kind.only_in_runs)
+        if mechanism.elements.get(key) and (mechanism.is_of_run or not kind.acts.only_in_runs)
     ]
 
 

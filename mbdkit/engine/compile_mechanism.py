@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import marshal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Never
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import ELEMENTS
+from mbdkit.registry.seam import OwnSeam
 
 WELL_SCALED = 1e6
 """Largest ratio of masses, and of inertias over squared lever arms, for which the Schur complement is accurate."""
@@ -141,12 +142,18 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     )
 
 
+@OwnSeam
+def recorded_members(handle: Never, /) -> Iterable[tuple[str, tuple[str, ...]]]:
+    """Return the names and the bodies of what archives record of elements."""
+    raise NotImplementedError
+
+
 def _members(mechanism: Mechanism, extensions: Mapping[str, Any]) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
     members, kinds = {}, element_kinds()
     for key, handle in extensions.items():
-        own = kinds[key].members
+        own = kinds[key].acts.members
         places = ((name, tuple(body for _, body in one.places())) for name, one in getattr(mechanism, key).items())
-        members[key] = tuple(places if own is None else own()(handle))
+        members[key] = tuple(places if own is None else recorded_members.of(own)(handle))
     return members
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.table_rows import BODIES, LINEAR, PAIR, STATE_ROW
 from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.pathways import LawForce
 from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
 from mbdkit.mechanism.values import Motion
 from mbdkit.registry.element_items import ElementKind
@@ -54,25 +55,6 @@ class ForceElement:
     name: str
     bodies: tuple[str, str]
     unit: str
-
-
-class LawForce(Protocol):
-    """A force element with a law along a pathway, as `ElementKind.forces` returns it.
-
-    The law reads its options from the attributes of this object.
-    """
-
-    @property
-    def law_id(self) -> str:
-        """Name of the law in messages."""
-
-    @property
-    def force_law(self) -> Any:
-        """The law, such as an `mbdkit.ExpressionLaw`; it has a state for each first-order state of the element."""
-
-    @property
-    def pathway(self) -> Any:
-        """Object with ``segments(joints)``, which returns the segments of the pathway, and ``length_unit``."""
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Never
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.checks import check_centers, check_springs
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.registry.seam import OwnSeam
 
 
 @contextmanager
@@ -117,14 +119,20 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
     return Starts().at_start(mechanism, t0, end)
 
 
+@OwnSeam
+def start_values(handle: Never, mechanism: Mechanism, time: float, positions: np.ndarray, /) -> Mapping[int, float]:
+    """Return initial values of states by their index, from the time [s] and the positions (B, 3) after assembly."""
+    raise NotImplementedError
+
+
 def _with_states_at(mechanism: Mechanism, compiled: CompiledMechanism, q: np.ndarray, t0: float) -> CompiledMechanism:
     """Return a compiled mechanism with the states of further kinds that follow from the positions `q` at the start."""
     if not compiled.extensions:
         return compiled
     parameters = compiled.topology.law_parameters.copy()
     for handle, kind in compiled.kinds():
-        at_start = kind.at_start
-        for state, value in at_start()(handle, mechanism, t0, q).items() if at_start is not None else ():
+        values = {} if kind.at_start is None else start_values.of(kind.at_start)(handle, mechanism, t0, q)
+        for state, value in values.items():
             parameters[compiled.topology.states[state, STATE_ROW.parameter]] = value
     return replace(compiled, topology=compiled.topology._replace(law_parameters=parameters))
 

@@ -28,6 +28,7 @@ from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.beams import last_nodes
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import member_names
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.registered_kinds import added_kinds, item_of_group, kind_of_word, words
@@ -249,7 +250,9 @@ class RunCompiler(Compiler):
         for own in map(item_of_group, added_kinds()):
             elements = self.known.get(own.of, getattr(mechanism, own.of, None))
             if own.word and elements is not None:
-                self.known[own.word] = list(elements if own.names is None or not elements else own.names()(mechanism))
+                self.known[own.word] = list(
+                    elements if own.names is None or not elements else member_names.of(own.names)(mechanism)
+                )
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Never
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.formulation import FORMULATIONS
@@ -16,6 +16,7 @@ from mbdkit.integrators.run.step_control import Control, unit_of_length
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.methods.step_methods import ExternalMethod, StepMethod
+from mbdkit.registry.seam import Seam
 
 
 def step_control(traits: Traits, mechanism: CompiledMechanism) -> Control | None:
@@ -52,6 +53,19 @@ def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMetho
     return method.traits.compiled()(method, workspace, control), control
 
 
+Steps = StepMethod | ExternalMethod | Callable[[CompiledMethod], CompiledMethod]
+"""What takes the steps of a run, or a function that makes it of a method in machine code."""
+
+
+@Seam
+def treatment_method(method: Method, section: Never, /) -> Steps:
+    """Return what takes the steps of a run in place of its method, with the section of the spec on the treatment.
+
+    Its memory has the attributes of `mbdkit.integrators.run.impulse.ReactingMemory`.
+    """
+    raise NotImplementedError
+
+
 def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
     """Return a stepper that runs a method.
 
@@ -74,9 +88,9 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
         If the method does not support the mechanism.
     """
     traits, chosen = method.traits, workspace.mechanism.reacting
-    between: Callable[[CompiledMethod], CompiledMethod] | None = None
+    between: Steps | None = None
     if chosen is not None and (steps_of := chosen.item.method) is not None:
-        between = steps_of()(method, chosen.section)
+        between = treatment_method.of(steps_of)(method, chosen.section)
         if isinstance(between, StepMethod | ExternalMethod):
             return StepHost(between, workspace, timetable)
     if traits.compiled is None:

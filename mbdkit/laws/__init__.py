@@ -5,40 +5,32 @@ from __future__ import annotations
 from mbdkit.registry.items import ForceLawPlugin
 from mbdkit.registry.target import Target
 
-
-def _law(order: int, name: str, summary: str, module: str, options: str) -> ForceLawPlugin:
-    home = f"{__name__}.{module}"
-    return ForceLawPlugin(name, summary, Target(f"{home}:{options}", type), Target(f"{home}:LAW"), order=order)
-
-
+# fmt: off
 LAWS = (
-    _law(10, "linear", "A linear spring and damper, on any pathway.", "linear", "LinearOptions"),
-    _law(
-        20,
-        "one-sided",
-        "A spring and damper that only pulls (a rope) or only pushes (a stop).",
-        "one_sided",
-        "OneSidedOptions",
+    ForceLawPlugin(
+        name="linear", summary="A linear spring and damper, on any pathway.",
+        options=Target("mbdkit.laws.linear:LinearOptions"), law=Target("mbdkit.laws.linear:LAW"), order=10,
     ),
-    _law(
-        30,
-        "exponential",
-        "An exponential spring that only pulls (a ligament) or only pushes (a pad), with a linear damper.",
-        "exponential",
-        "ExponentialOptions",
+    ForceLawPlugin(
+        name="one-sided", summary="A spring and damper that only pulls (a rope) or only pushes (a stop).",
+        options=Target("mbdkit.laws.one_sided:OneSidedOptions"), law=Target("mbdkit.laws.one_sided:LAW"), order=20,
     ),
-    _law(
-        40,
-        "gas-spring",
-        "A gas spring: its push grows from the preload as it is compressed, by the polytropic law of its gas.",
-        "gas_spring",
-        "GasSpringOptions",
+    ForceLawPlugin(
+        name="exponential",
+        summary="An exponential spring that only pulls (a ligament) or only pushes (a pad), with a linear damper.",
+        options=Target("mbdkit.laws.exponential:ExponentialOptions"), law=Target("mbdkit.laws.exponential:LAW"),
+        order=30,
     ),
-    _law(
-        50,
-        "table",
-        "A spring with a table of force against length, interpolated by a cubic spline and extrapolated linearly.",
-        "tabulated",
-        "TableOptions",
+    ForceLawPlugin(
+        name="gas-spring",
+        summary="A gas spring: its push grows from the preload as it is compressed, by the polytropic law of its gas.",
+        options=Target("mbdkit.laws.gas_spring:GasSpringOptions"), law=Target("mbdkit.laws.gas_spring:LAW"), order=40,
+    ),
+    ForceLawPlugin(
+        name="table",
+        summary="A spring with a table of force against length, interpolated by a cubic spline and extrapolated "
+        "linearly.",
+        options=Target("mbdkit.laws.tabulated:TableOptions"), law=Target("mbdkit.laws.tabulated:LAW"), order=50,
     ),
 )
+# fmt: on

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Never
 
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.base.errors import PluginError, SpecError, blaming
@@ -14,6 +14,7 @@ from mbdkit.engine.compile_mechanism import characteristic_length
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.registry.items import MeasurePlugin
+from mbdkit.registry.seam import Seam
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.trust.measure_error import measure_error
@@ -150,3 +151,9 @@ def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: ModelSpe
         values = listed([f"{one:.6g}" for one in compared], "and")
         return [f"its error is unknown: its values in the comparison runs, {values} in SI units, do not converge"]
     return ["its error is unknown: a comparison run failed or has no value"]
+
+
+@Seam
+def measure_function(run: Run, options: Never, /) -> float:
+    """Return the value of a measure of a run, complete or not; nan if it cannot be computed for this run."""
+    raise NotImplementedError

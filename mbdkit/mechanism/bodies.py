@@ -83,6 +83,9 @@ class Element(StrictModel):
     Its methods list the bodies, points, angles, motions and expressions that an element uses.
     """
 
+    KEYS_WITHOUT_LAST: ClassVar[tuple[str, ...]] = ()
+    """Keys with bodies for which ``BEAM.last`` is not accepted."""
+
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the first-order states of an element of a plugin's kind in a run."""

@@ -6,7 +6,8 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, lru_cache
-from typing import Any, TypeVar, cast
+from pathlib import Path
+from typing import Any, Never, Protocol, TypeVar, cast
 
 from pydantic import Field, TypeAdapter, create_model
 from pydantic.fields import FieldInfo
@@ -16,12 +17,15 @@ from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MissingPartError, PluginError, SpecError
 from mbdkit.base.parts import ELEMENTS_OF_PARTS
 from mbdkit.base.strict_model import StrictModel
-from mbdkit.mechanism.bodies import FromTo
+from mbdkit.mechanism.bodies import Body, Element, FromTo
+from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.model_methods import of_models
+from mbdkit.mechanism.pathways import LawForce
 from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.element_items import ElementKind
+from mbdkit.registry.element_items import ElementDerivatives, ElementFailures, ElementForces, ElementKind
 from mbdkit.registry.item import described
 from mbdkit.registry.manager import log, registry
+from mbdkit.registry.seam import OwnSeam, Seam
 from mbdkit.registry.target import Target
 from mbdkit.registry.use import use
 
@@ -52,30 +56,28 @@ def _kinds(known: Registry) -> dict[str, ElementKind]:
     return dict(sorted(kinds.items(), key=lambda item: item[1].order))
 
 
-class _BlamingTarget(Target[Callable[..., Any]]):
+class _BlamingTarget(Target):
     """A function of a kind of elements, whose errors name the kind and its distribution."""
 
-    def __init__(self, item: Registered, target: Target[Callable[..., Any]]):
-        super().__init__(target.where, target.type)
+    def __init__(self, item: Registered, target: Target):
+        super().__init__(target.where)
         self._item = item
 
-    def __call__(self) -> Callable[..., Any]:
-        function = super().__call__()
+    def __call__(self) -> Callable[..., object]:
+        function = cast("Callable[..., object]", super().__call__())
         return lambda *arguments: use(self._item, lambda: function(*arguments))
 
 
-def _blaming(item: Registered, kind: ElementKind) -> ElementKind:
-    """Return a kind of a plugin whose functions, if they are wrong, raise PluginError."""
-    given = [name for name in _FUNCTIONS if getattr(kind, name) is not None]
-    changed: dict[str, Any] = {name: _BlamingTarget(item, getattr(kind, name)) for name in given}
-    return replace(kind, **changed)
+Part = TypeVar("Part", ElementKind, ElementForces, ElementFailures, ElementDerivatives)
 
 
-_FUNCTIONS = (
-    "read_files", "check_elements", "check_run", "forces", "lower", "lower_expressions", "at_start", "members",
-    "obstacle", "stiffest", "sides", "gradient_doubts", "draw",
-)  # fmt: skip
-"""Attributes of `ElementKind` that are functions which mbdkit calls."""
+def _blaming(item: Registered, part: Part) -> Part:
+    """Return a kind of a plugin, or a part of it, whose functions, if they are wrong, raise PluginError."""
+    given = {name: target for name in part.seams if isinstance(target := getattr(part, name), Target)}
+    changed: dict[str, Any] = {name: _BlamingTarget(item, target) for name, target in given.items()}
+    if isinstance(part, ElementKind):
+        changed |= {name: _blaming(item, getattr(part, name)) for name in ("acts", "failures", "derivatives")}
+    return replace(part, **changed)
 
 
 def kinds_in(data: Mapping[str, Any]) -> list[ElementKind]:
@@ -103,32 +105,44 @@ def kind_built_by(method: str) -> ElementKind | None:
     return next((kind for kind in element_kinds().values() if kind.builder == method), None)
 
 
+def class_of(kind: ElementKind) -> type[Element]:
+    """Return the class of the elements of a kind."""
+    return cast("type[Element]", kind.model())
+
+
 @cache
 def builder_of(kind: ElementKind) -> Callable[..., Any]:
     """Return the method of `Mechanism` that adds an element of a kind."""
     if kind.method is not None:
-        return kind.method()
+        return cast("Callable[..., None]", kind.method())
 
     def method(self: Any, name: str, **keys: Any) -> None:
         self.add(kind.key_in_model, name, **keys)
 
     method.__name__, method.__qualname__ = kind.builder, f"Mechanism.{kind.builder}"
     method.__doc__ = f"Add an element of kind {kind.name}."
-    built: Callable[..., Any] = of_models(kind.model())(method)
+    built: Callable[..., Any] = of_models(class_of(kind))(method)
     return built
 
 
-def forces_of(kind: ElementKind, elements: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the force elements with laws by which elements of a kind act, by name; see `ElementKind.forces`.
+@OwnSeam
+def element_forces(elements: Never, /) -> Mapping[str, LawForce]:
+    """Return the force elements by which elements, given by name, act; with `points` in the frames of the bodies."""
+    raise NotImplementedError
+
+
+def forces_of(kind: ElementKind, elements: Mapping[str, object]) -> Mapping[str, LawForce]:
+    """Return the force elements with laws by which elements of a kind act, by name; see `element_forces`.
 
     Raises
     ------
     PluginError
         If they are not objects as `mbdkit.plugin.LawForce` describes.
     """
-    if kind.forces is None and kind.lower is not None:
+    own = kind.acts.forces
+    if own is None and kind.acts.lower is not None:
         return {}
-    forces = elements if kind.forces is None else kind.forces()(elements)
+    forces: Mapping[str, object] = elements if own is None else element_forces.of(own)(elements)
     if not isinstance(forces, Mapping):
         raise PluginError(f"`forces` of the kind of elements '{kind.name}' returned {described(forces)}, not a mapping")
     for name, force in forces.items():
@@ -138,17 +152,41 @@ def forces_of(kind: ElementKind, elements: Mapping[str, Any]) -> Mapping[str, An
                 raise PluginError(f"{what} has no `{attribute}`, which mbdkit.plugin.LawForce describes")
         if isinstance(force, FromTo) and force.points is None:
             raise PluginError(f"{what} has no `points`, the points in the frames of the bodies")
-    return forces
+    return cast("Mapping[str, LawForce]", forces)
 
 
-def lines_of(kind: ElementKind, mechanism: Any, element: Any) -> list[list[tuple[str, tuple[float, float]]]]:
-    """Return the lines with which an element is drawn: bodies and points in their frames [m]."""
-    if kind.draw is not None:
-        return kind.draw()(mechanism, element)
-    return [list(zip(element.bodies, element.ends, strict=True))] if getattr(element, "is_line", False) else []
+class ElementsByName(Protocol):
+    """Elements of a mechanism, or of its data, by name."""
+
+    @property
+    def bodies(self) -> Mapping[str, Body]:
+        """Bodies."""
+
+    @property
+    def joints(self) -> Mapping[str, Joint]:
+        """Joints."""
+
+    @property
+    def coordinates(self) -> Mapping[str, object]:
+        """Named coordinates."""
 
 
-def check_elements(elements: Mapping[str, Mapping[str, Any]], mechanism: Any, prefix: str = "") -> None:
+@OwnSeam
+def element_check(elements: Never, mechanism: ElementsByName, prefix: str, /) -> None:
+    """Raise SpecError for the first of the elements, given by name, that does not fit the other elements.
+
+    `prefix` is the beginning of the key of the error.
+    """
+    raise NotImplementedError
+
+
+@Seam
+def element_files(elements: Mapping[str, object], folder: Path, /) -> None:
+    """Replace in plain data of elements by name what they give by the names of files, in the folder of the spec."""
+    raise NotImplementedError
+
+
+def check_elements(elements: Mapping[str, Mapping[str, object]], mechanism: ElementsByName, prefix: str = "") -> None:
     """Raise SpecError for the first element of a plugin's kind that does not fit the other elements.
 
     Parameters
@@ -162,7 +200,7 @@ def check_elements(elements: Mapping[str, Mapping[str, Any]], mechanism: Any, pr
     """
     for key, kind in element_kinds().items():
         if elements.get(key) and kind.check_elements is not None:
-            kind.check_elements()(elements[key], mechanism, prefix)
+            element_check.of(kind.check_elements)(elements[key], mechanism, prefix)
 
 
 def field_of(kind: ElementKind) -> FieldInfo:
@@ -178,7 +216,7 @@ def elements_type(kind: ElementKind) -> TypeAdapter[Any]:
 
 
 def _named(kind: ElementKind) -> Any:
-    return dict.__class_getitem__((str, kind.model()))
+    return dict.__class_getitem__((str, class_of(kind)))
 
 
 @cache

@@ -14,7 +14,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam, last_nodes, with_body
 from mbdkit.mechanism.bodies import Body, Element, Marker
 from mbdkit.mechanism.checks import check_known, check_name
-from mbdkit.mechanism.element_kinds import check_elements, element_kinds, kinds_in
+from mbdkit.mechanism.element_kinds import check_elements, class_of, element_kinds, kinds_in
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate, check_coordinates
@@ -77,7 +77,7 @@ class NamedElements:
         check_name(name, key)
         if name in getattr(self, kind):
             raise SpecError(f"the name '{name}' is already in use", key=key)
-        model = further[kind].model() if kind in further else _KINDS[kind]
+        model = class_of(further[kind]) if kind in further else _KINDS[kind]
         element = _validated(model, key, {key.removesuffix("_"): value for key, value in keys.items()})
         if isinstance(element, Element):
             element = self._with_points(element, key)
@@ -115,8 +115,7 @@ class NamedElements:
         """Return an element with its points in the frames of its bodies, which must exist."""
         last = last_nodes(self.beams)
         for place, body in element.places():
-            # ``BEAM.last`` is not accepted in `among`, because its shapes are a mapping by names of bodies.
-            if body in last and not place.startswith("among"):
+            if body in last and not place.startswith(element.KEYS_WITHOUT_LAST):
                 element = with_body(element, parse_path(place), last[body])
                 continue
             self._known(body, f"{key}.{place}")

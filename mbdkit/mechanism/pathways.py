@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
@@ -35,6 +35,36 @@ class Segment(NamedTuple):
     constants: tuple[float, float] = (0.0, 0.0)
 
 
+class AnyPathway(Protocol):
+    """What force elements are asked about their pathways."""
+
+    @property
+    def length_unit(self) -> str:
+        """Unit of the length, m or rad."""
+
+    def segments(self, joints: Mapping[str, Joint], /) -> tuple[Segment, ...]:
+        """Return the segments of the pathway in a mechanism with these joints."""
+
+
+class LawForce(Protocol):
+    """A force element with a law along a pathway, as `element_forces` returns it.
+
+    The law reads its options from the attributes of this object.
+    """
+
+    @property
+    def law_id(self) -> str:
+        """Name of the law in messages."""
+
+    @property
+    def force_law(self) -> ForceLaw:
+        """The law; it has a state for each first-order state of the element."""
+
+    @property
+    def pathway(self) -> AnyPathway:
+        """The pathway."""
+
+
 class LinePathway(FromTo):
     """Base class of pathways whose length is the distance between two points [m]."""
 
@@ -53,7 +83,7 @@ class LineForce(LinePathway):
     """
 
     force_law: ClassVar[ForceLaw]
-    """The force law, which gets the element as its options. Elements of a kind with `ElementKind.forces` need none."""
+    """The force law, which gets the element as its options. Kinds with `ElementForces.forces` need none."""
 
     @property
     def law_id(self) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
-from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ControlledOptions, embedded_claims
 from mbdkit.methods.tableau import ButcherTableau
 
@@ -69,6 +69,7 @@ def pair() -> EmbeddedPair:
     return EmbeddedPair(np.array([_ERROR]), 5, a, c, nested_polynomials(parts))
 
 
+@integrator_method
 def create(options: ControlledOptions) -> ExplicitRungeKutta:
     """Return the method."""
     return ExplicitRungeKutta(tableau(), pair(), options.tolerances())

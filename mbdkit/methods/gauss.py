@@ -15,10 +15,10 @@ from pydantic import Field
 
 from mbdkit.base.quadrature import legendre_roots
 from mbdkit.engine.formulation import ORDINARY
-from mbdkit.methods.kinds import ImplicitRungeKutta
+from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
-from mbdkit.registry.items import Claims
+from mbdkit.registry.items import Claims, integrator_claims
 
 REFERENCE = """@article{butcher1964,
   author = {Butcher, John C.},
@@ -67,6 +67,7 @@ class GaussOptions(ImplicitOptions):
     """Number of stages s; the order is 2 s."""
 
 
+@integrator_claims
 def claims(options: GaussOptions) -> Claims:
     """Return the claims of the method."""
     # A step size that depends on earlier steps differs in the reversed motion. Adaptive steps are therefore neither
@@ -89,6 +90,7 @@ def claims(options: GaussOptions) -> Claims:
     )
 
 
+@integrator_method
 def create(options: GaussOptions) -> ImplicitRungeKutta:
     """Return the method."""
     return options.method(tableau(options.stages))

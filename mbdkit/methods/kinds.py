@@ -10,10 +10,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Never
 
 from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.methods.tableau import ButcherTableau, TableauError
+from mbdkit.registry.seam import OwnSeam
 from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
@@ -126,6 +127,12 @@ class Method(ABC):
 
     def require_mechanism(self, mechanism: CompiledMechanism) -> None:  # noqa: B027
         """Raise UnsupportedMechanismError if the method does not support an element of a mechanism."""
+
+
+@OwnSeam
+def integrator_method(options: Never, /) -> Method:
+    """Return the method with these options."""
+    raise NotImplementedError
 
 
 @dataclass(frozen=True)

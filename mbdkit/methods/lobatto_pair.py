@@ -11,9 +11,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from mbdkit.methods.kinds import LobattoPair
+from mbdkit.methods.kinds import LobattoPair, integrator_method
 from mbdkit.methods.method_options import Options
-from mbdkit.registry.items import Claims
+from mbdkit.registry.items import Claims, integrator_claims
 
 JAY = """@article{jay1996,
   author = {Jay, Laurent},
@@ -82,21 +82,25 @@ def _claims(stages: int) -> Claims:
     )
 
 
+@integrator_method
 def create(options: PairOptions) -> LobattoPair:
     """Return the method."""
     return LobattoPair(options.stages, options.tolerance, options.max_iterations)
 
 
+@integrator_claims
 def claims(options: PairOptions) -> Claims:
     """Return the claims of the method."""
     return _claims(options.stages)
 
 
+@integrator_method
 def create_rattle(options: RattleOptions) -> LobattoPair:
     """Return RATTLE."""
     return LobattoPair(2, options.tolerance, options.max_iterations)
 
 
+@integrator_claims
 def claims_of_rattle(options: RattleOptions) -> Claims:
     """Return the claims of RATTLE."""
     return _claims(2)

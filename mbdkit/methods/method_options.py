@@ -16,7 +16,7 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
 from mbdkit.methods.tableau import ButcherTableau
-from mbdkit.registry.items import Claims
+from mbdkit.registry.items import Claims, integrator_claims
 
 ORDER_DRIFT = "only accelerations satisfy the constraints; drift has the order of the method and grows with time"
 """Drift of methods in fixed steps on the index-1 equations."""
@@ -105,20 +105,23 @@ class ImplicitOptions(ControlledOptions):
 
 def explicit_claims(order: int, stages: int) -> Callable[[ExplicitOptions], Claims]:
     """Return the claims of an explicit method in fixed steps."""
-    return lambda options: Claims(
-        order=order,
-        stages=stages,
-        drift=ORDER_DRIFT + OF_TREES,
-        needs=("accelerations",),
-        formulations=ORDINARY,
-        states=True,
-        conserves=("linear-momentum",),
+    return integrator_claims(
+        lambda options: Claims(
+            order=order,
+            stages=stages,
+            drift=ORDER_DRIFT + OF_TREES,
+            needs=("accelerations",),
+            formulations=ORDINARY,
+            states=True,
+            conserves=("linear-momentum",),
+        )
     )
 
 
 def embedded_claims(order: int, stages: int, dense_order: int) -> Callable[[ControlledOptions], Claims]:
     """Return the claims of an explicit method with an error estimate, in fixed or adaptive steps."""
 
+    @integrator_claims
     def claims(options: ControlledOptions) -> Claims:
         return Claims(
             order=None if options.adaptive else order,

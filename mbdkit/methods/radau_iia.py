@@ -13,10 +13,10 @@ import mpmath
 from pydantic import Field
 
 from mbdkit.engine.formulation import FORMULATIONS, ORDINARY, formulation_name
-from mbdkit.methods.kinds import ImplicitRungeKutta
+from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import HAIRER_WANNER, OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, collocation
-from mbdkit.registry.items import Claims, Orders
+from mbdkit.registry.items import Claims, Orders, integrator_claims
 
 GEAR = """@article{gear1985,
   author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
@@ -72,6 +72,7 @@ _DRIFT_BY_FORMULATION = (
 _OF_LOOPS = ", and joints that close loops satisfy the constraints as with the formulation that `loops` names"
 
 
+@integrator_claims
 def claims(options: RadauOptions) -> Claims:
     """Return the claims of the method."""
     # Hairer, Lubich and Roche (1989) prove the orders of index 2 for all s, and those of index 3 for s >= 3.
@@ -97,6 +98,7 @@ def claims(options: RadauOptions) -> Claims:
     )
 
 
+@integrator_method
 def create(options: RadauOptions) -> ImplicitRungeKutta:
     """Return the method."""
     return options.method(tableau(options.stages))

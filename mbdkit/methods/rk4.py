@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ExplicitOptions, explicit_claims
 from mbdkit.methods.tableau import ButcherTableau
 
@@ -27,6 +27,7 @@ def tableau() -> ButcherTableau:
     )
 
 
+@integrator_method
 def create(options: ExplicitOptions) -> ExplicitRungeKutta:
     """Return the method."""
     return ExplicitRungeKutta(tableau())

@@ -8,9 +8,10 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
+from mbdkit.methods.kinds import integrator_method
 from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT, MaxStep, Options
 from mbdkit.methods.scipy_solver import SciPySolver
-from mbdkit.registry.items import Claims
+from mbdkit.registry.items import Claims, integrator_claims
 
 SCIPY = """@article{scipy2020,
   author = {Virtanen, Pauli and others},
@@ -53,6 +54,7 @@ def _claims(
     variable_order: bool = False,
     a_stable: bool = False,
 ) -> Callable[[AdaptiveOptions], Claims]:
+    @integrator_claims
     def claims(options: AdaptiveOptions) -> Claims:
         """Return the claims of the solver."""
         return Claims(
@@ -70,7 +72,8 @@ def _claims(
 
 
 create_radau, create_dop853, create_lsoda = (
-    partial(_solver, solver, jacobian) for solver, jacobian in (("Radau", True), ("DOP853", False), ("LSODA", True))
+    integrator_method(partial(_solver, solver, jacobian))
+    for solver, jacobian in (("Radau", True), ("DOP853", False), ("LSODA", True))
 )
 claims_of_radau = _claims("accelerations", "tangents", a_stable=True)
 claims_of_dop853 = _claims("accelerations")

@@ -2,51 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.registry.target import Target
 
-
-def _target(module: str, name: str, kind: Any = None) -> Any:
-    return Target(f"{__name__}.{module}:{name}", kind)
-
-
-def _model(
-    order: int, name: str, summary: str, module: str, options: str, build: str = "build", references: str = ""
-) -> ModelPlugin:
-    sources = _target(module, references, tuple) if references else ()
-    return ModelPlugin(name, summary, _target(module, options, type), _target(module, build), sources, order)
-
-
+# fmt: off
 MODELS = (
-    _model(
-        10,
-        "single-pendulum",
-        "One rod attached to the ground by a revolute joint.",
-        "pendulums",
-        "SinglePendulumOptions",
-        "build_single",
+    ModelPlugin(
+        name="single-pendulum", summary="One rod attached to the ground by a revolute joint.",
+        options=Target("mbdkit.models.pendulums:SinglePendulumOptions"),
+        build=Target("mbdkit.models.pendulums:build_single"), order=10,
     ),
-    _model(20, "double-pendulum", "Two rods in a chain.", "pendulums", "DoublePendulumOptions", "build_double"),
-    _model(
-        30,
-        "n-pendulum",
-        "A chain of n rods, with equal or individual parameters.",
-        "pendulums",
-        "NPendulumOptions",
-        "build_n",
+    ModelPlugin(
+        name="double-pendulum", summary="Two rods in a chain.",
+        options=Target("mbdkit.models.pendulums:DoublePendulumOptions"),
+        build=Target("mbdkit.models.pendulums:build_double"), order=20,
     ),
-    _model(
-        40,
-        "n-four-bar",
-        "N four-bar windows in a row, with two singular positions per turn (IFToMM benchmark A02).",
-        "n_four_bar",
-        "NFourBarOptions",
-        references="REFERENCES",
+    ModelPlugin(
+        name="n-pendulum", summary="A chain of n rods, with equal or individual parameters.",
+        options=Target("mbdkit.models.pendulums:NPendulumOptions"), build=Target("mbdkit.models.pendulums:build_n"),
+        order=30,
     ),
-    _model(
-        80, "mechanism", "Any mechanism of named bodies, joints, drivers and forces.", "free_form", "MechanismOptions"
+    ModelPlugin(
+        name="n-four-bar",
+        summary="N four-bar windows in a row, with two singular positions per turn (IFToMM benchmark A02).",
+        options=Target("mbdkit.models.n_four_bar:NFourBarOptions"), build=Target("mbdkit.models.n_four_bar:build"),
+        references=Target("mbdkit.models.n_four_bar:REFERENCES"), order=40,
+    ),
+    ModelPlugin(
+        name="mechanism", summary="Any mechanism of named bodies, joints, drivers and forces.",
+        options=Target("mbdkit.models.free_form:MechanismOptions"), build=Target("mbdkit.models.free_form:build"),
+        order=80,
     ),
 )
+# fmt: on
 """The built-in models, in the order in which `mbdkit plugins list` shows them."""

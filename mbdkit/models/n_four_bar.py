@@ -11,6 +11,7 @@ from pydantic import Field
 from mbdkit.base import elementary
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import model_builder
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._memory import check_memory
 
@@ -57,6 +58,7 @@ class NFourBarOptions(StrictModel):
     """Gravitational acceleration (x, y) [m/s^2]."""
 
 
+@model_builder
 def build(options: NFourBarOptions) -> Mechanism:
     """Return a mechanism of N + 1 cranks on the ground at A_i = (i L, 0), with N couplers between their ends B_i.
 

@@ -15,6 +15,7 @@ from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import model_builder
 from mbdkit.mechanism.values import Number, Point, Positive, pair, sequence
 from mbdkit.models._memory import check_memory
 
@@ -48,6 +49,7 @@ class SinglePendulumOptions(StrictModel):
     """Gravitational acceleration (x, y) [m/s^2]."""
 
 
+@model_builder
 def build_single(options: SinglePendulumOptions) -> Mechanism:
     """Return a mechanism with body `rod1` and joint `J1`."""
     o = options
@@ -72,6 +74,7 @@ class DoublePendulumOptions(StrictModel):
     """Gravitational acceleration (x, y) [m/s^2]."""
 
 
+@model_builder
 def build_double(options: DoublePendulumOptions) -> Mechanism:
     """Return a mechanism with bodies `rod1` and `rod2` and joints `J1` and `J2`."""
     o = options
@@ -142,6 +145,7 @@ class NPendulumOptions(StrictModel):
         return next(len(values) for many in _QUANTITIES.values() if (values := getattr(self, many)) is not None)
 
 
+@model_builder
 def build_n(options: NPendulumOptions) -> Mechanism:
     """Return a mechanism with bodies `rod1` to `rodn` and joints `J1` to `Jn`.
 

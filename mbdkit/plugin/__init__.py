@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.base.units import Unit as Unit, read_quantity as read_quantity, read_unit as read_unit
     from mbdkit.engine.compile_forces import Lowering as Lowering
-    from mbdkit.engine.compiled_mechanism import ActingForce as ActingForce, LawForce as LawForce
+    from mbdkit.engine.compiled_mechanism import ActingForce as ActingForce
     from mbdkit.engine.equations_of_motion import EquationsOfMotion as EquationsOfMotion
     from mbdkit.engine.iteration_matrix import (
         IterationMatrix as IterationMatrix, IterationMatrixWithStates as IterationMatrixWithStates,
@@ -56,7 +56,9 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.joints import Driver as Driver, Joint as Joint, Revolute as Revolute
     from mbdkit.mechanism.mechanism import Mechanism as Mechanism
     from mbdkit.mechanism.model_methods import of_models as of_models
-    from mbdkit.mechanism.pathways import LineForce as LineForce, Pathway as Pathway, Segment as Segment
+    from mbdkit.mechanism.pathways import (
+        LawForce as LawForce, LineForce as LineForce, Pathway as Pathway, Segment as Segment,
+    )
     from mbdkit.mechanism.quantity_names import QuantityNames as QuantityNames
     from mbdkit.mechanism.state_values import Expression as Expression
     from mbdkit.mechanism.values import (
@@ -79,7 +81,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.quantities.array import Array as Array, Chart as Chart, Kind as Kind, Recorded as Recorded
     from mbdkit.quantities.entries import name_array as name_array, quantity_group as quantity_group
     from mbdkit.quantities.states import States as States
-    from mbdkit.registry.element_items import ElementKind as ElementKind, QuantityKind as QuantityKind
+    from mbdkit.registry.element_items import (
+        ElementDerivatives as ElementDerivatives, ElementFailures as ElementFailures, ElementForces as ElementForces,
+        ElementKind as ElementKind, QuantityKind as QuantityKind,
+    )
     from mbdkit.registry.feature_items import (
         Accessor as Accessor, CriterionItem as CriterionItem, Example as Example, FileFormat as FileFormat,
         GuidePage as GuidePage, HeadlineItem as HeadlineItem, PlotKind as PlotKind, ReportSection as ReportSection,

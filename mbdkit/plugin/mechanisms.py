@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.coordinate_function import (
         CoordinateExpressionError as CoordinateExpressionError, CoordinateTable as CoordinateTable,
     )
-    from mbdkit.mechanism.element_kinds import element_kinds as element_kinds, lines_of as lines_of
+    from mbdkit.mechanism.element_kinds import element_kinds as element_kinds
     from mbdkit.mechanism.force_law import ARGUMENTS as ARGUMENTS
     from mbdkit.mechanism.forces import (
         AppliedLoad as AppliedLoad, Force as Force, PointForce as PointForce, SpringDamper as SpringDamper,
@@ -50,6 +50,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.symbolic.symbolic_law import LENGTH as LENGTH, RATE as RATE, T as T, law_expressions as law_expressions
     from mbdkit.mechanism.extent import points_of_elements as points_of_elements
+    from mbdkit.mechanism.mechanism_seams import lines_of as lines_of
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar, Self, cast
 
 from mbdkit.base.distributions import MBDKIT
@@ -10,7 +11,12 @@ from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import Accessor
 from mbdkit.registry.manager import log, registry
+from mbdkit.registry.target import Target
 from mbdkit.registry.use import use
+
+
+class AccessorAttributeError(PluginError, AttributeError):
+    """A function of a plugin raised AttributeError, so that the object has no such attribute, as `hasattr` answers."""
 
 
 class Extensible:
@@ -22,7 +28,7 @@ class Extensible:
 
     _added: ClassVar[frozenset[str]]
 
-    def __new__(cls, *_arguments: Any, **_named: Any) -> Self:
+    def __new__(cls, *_arguments: object, **_named: object) -> Self:
         """Make an object of the class, which has the attributes of plugins."""
         if "_added" not in vars(cls):
             known = accessors(cls)
@@ -42,7 +48,7 @@ class _Computed:
     def __init__(self, name: str):
         self.name = name
 
-    def __get__(self, thing: Any, owner: type) -> Any:
+    def __get__(self, thing: object, owner: type) -> object:
         if thing is None:
             return self
         thing.__dict__[self.name] = value = computed(thing, self.name)
@@ -58,7 +64,7 @@ def accessors(kind: type) -> dict[str, list[Registered]]:
     return items
 
 
-def computed(thing: Any, name: str, part: str = "") -> Any:
+def computed(thing: object, name: str, part: str = "") -> Any:
     """Return the value of an attribute that a plugin computes, or the part of mbdkit with the name `part`.
 
     Raises
@@ -75,5 +81,10 @@ def computed(thing: Any, name: str, part: str = "") -> Any:
     if len(items) > 1:
         owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in items], "and")
         raise PluginError(f"{owners} both add the attribute `{name}`; exclude one by MBDKIT_DISABLE_PLUGINS")
-    accessor = cast(Accessor, items[0].plugin)
-    return use(items[0], lambda: accessor.target()(thing))
+    target = cast("Target[Callable[[object], object]]", cast(Accessor, items[0].plugin).target)
+    try:
+        return use(items[0], lambda: target()(thing))
+    except PluginError as error:
+        if isinstance(error.__cause__, AttributeError):
+            raise AccessorAttributeError(str(error)) from error.__cause__
+        raise

@@ -3,15 +3,88 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from mbdkit.base.errors import PluginError
 from mbdkit.registry.feature_items import Feature
-from mbdkit.registry.item import Item
+from mbdkit.registry.item import Item, described
 from mbdkit.registry.target import Target
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElementForces:
+    """How elements act in runs, a part of an `ElementKind`.
+
+    Parameters
+    ----------
+    only_in_runs
+        Whether the elements act only in runs, and are ignored by equilibria and inverse dynamics.
+    check_run
+        Function that raises SpecError for elements that the run does not support.
+    forces
+        Function that returns force elements with laws along pathways. By default, without `lower`, these are the
+        elements themselves, which may be derived from `mbdkit.plugin.LineForce`.
+    lower
+        Function that adds further forces and states, and returns what `CompiledMechanism.extensions` holds under
+        `key_in_model`, the *handle*; by default, this is the tuple of the forces.
+    lower_expressions
+        Function that adds expressions of the state, and returns a new handle.
+    members
+        Function that returns names and bodies of what archives record; by default, those of the elements.
+    """
+
+    seams: ClassVar[Mapping[str, str]] = {
+        "check_run": "run_check",
+        "forces": "element_forces",
+        "lower": "lowering",
+        "lower_expressions": "expression_lowering",
+        "members": "recorded_members",
+    }
+
+    only_in_runs: bool = False
+    check_run: Target | None = None
+    forces: Target | None = None
+    lower: Target | None = None
+    lower_expressions: Target | None = None
+    members: Target | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElementFailures:
+    """Explanations of failed steps by elements, a part of an `ElementKind`.
+
+    Parameters
+    ----------
+    obstacle
+        Function that names an element that cannot have the positions at which a step failed.
+    stiffest
+        Function that names an element for which explicit methods need small steps.
+    """
+
+    seams: ClassVar[Mapping[str, str]] = {"obstacle": "obstacle_clause", "stiffest": "stiffness_clause"}
+
+    obstacle: Target | None = None
+    stiffest: Target | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElementDerivatives:
+    """What runs with derivatives need of elements, a part of an `ElementKind`.
+
+    Parameters
+    ----------
+    sides
+        Function that returns the discontinuities of laws, at which steps with derivatives end.
+    doubts
+        Function that returns doubts about derivatives of runs.
+    """
+
+    seams: ClassVar[Mapping[str, str]] = {"sides": "law_sides", "doubts": "gradient_doubts"}
+
+    sides: Target | None = None
+    doubts: Target | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -41,52 +114,23 @@ class ElementKind(Feature):
     section_model
         Class of this section, derived from `mbdkit.plugin.StrictModel`. All its fields have default values, and the
         first one is `treatment`, whose annotation is `mbdkit.plugin.TreatmentName`.
-    only_in_runs
-        Whether the elements act only in runs, and are ignored by equilibria and inverse dynamics.
     in_expressions
         Quantities that expressions of the state may contain, ``length``, ``rate`` or ``tension`` of the force element
         along a pathway, by the name in the expression.
     read_files
-        Function that takes plain data of elements by name and the folder of the spec, and replaces in these data what
-        specs give by the names of files.
+        Function that replaces in plain data of elements what specs give by the names of files.
     check_elements
-        Function that takes elements by name, a mechanism or its data, and the beginning of key paths, and raises
-        SpecError for elements that do not fit the other elements.
-    check_run
-        Function that takes the mechanism of a run, with its `treatments`, and raises SpecError for elements that the
-        run does not support.
-    forces
-        Function that takes elements by name and returns force elements with laws along pathways by name, as
-        `mbdkit.plugin.LawForce` describes. The elements act by these forces. By default, without `lower`, these are the
-        elements themselves, which may be derived from `mbdkit.plugin.LineForce`.
-    lower
-        Function that takes elements by name, the `mbdkit.plugin.Lowering`, and the compiled `forces`, a tuple of
-        `mbdkit.plugin.ActingForce`; it adds further forces and states, and returns what
-        `CompiledMechanism.extensions` holds under `key_in_model`. By default, it holds the tuple.
-    lower_expressions
-        Function that takes this object and the `Lowering`, adds expressions of the state, and returns a new object. It
-        must not add states.
+        Function that raises SpecError for elements that do not fit the other elements.
+    acts
+        How the elements act in runs.
     at_start
-        Function that takes this object, the mechanism, the time [s] and the positions (B, 3) after assembly, and
-        returns initial values of states by their index.
-    members
-        Function that takes this object and returns names and bodies of what archives record; by default, those of the
-        elements.
-    obstacle
-        Function that takes this object, a `mbdkit.plugin.Workspace`, a time, positions and velocities at which a step
-        failed, and returns a clause that names an element that cannot have this position, or an empty text.
-    stiffest
-        Function that takes this object and returns a clause that names an element for which explicit methods need small
-        steps, or an empty text.
-    sides
-        Function that takes this object and a function that returns the indices in ``Topology.law_parameters`` of the
-        parameters of a law, their number first. It returns the discontinuities of its laws, at which steps with
-        derivatives end: objects like `mbdkit_gradients.law_corners.FurtherCondition`.
-    gradient_doubts
-        Function that takes this object and returns doubts about derivatives of runs.
+        Function that returns initial values of states that follow from the positions after assembly.
+    failures
+        Explanations of failed steps.
+    derivatives
+        What runs with derivatives need.
     draw
-        Function that takes a mechanism and an element, and returns lines to draw: lists of bodies and points in their
-        frames [m]. By default, elements between two points are drawn as a line.
+        Function that returns lines to draw; by default, elements between two points are drawn as a line.
     example
         Name of a packaged example, a run of a mechanism with such elements, on which ``mbdkit plugins verify`` checks
         the kind.
@@ -96,30 +140,50 @@ class ElementKind(Feature):
 
     kind: ClassVar[str] = "element-kind"
     key: ClassVar[str] = "model"
+    seams: ClassVar[Mapping[str, str]] = {
+        "read_files": "element_files",
+        "check_elements": "element_check",
+        "at_start": "start_values",
+        "draw": "element_lines",
+    }
 
     key_in_model: str
-    model: Target[type[Any]]
+    model: Target
     builder: str = ""
-    method: Target[Callable[..., Any]] | None = None
+    method: Target | None = None
     section: str = ""
-    section_model: Target[type[Any]] | None = None
-    only_in_runs: bool = False
+    section_model: Target | None = None
     in_expressions: Mapping[str, str] = field(default_factory=dict)
-    read_files: Target[Callable[[Mapping[str, Any], Path], None]] | None = None
-    check_elements: Target[Callable[[Mapping[str, Any], Any, str], None]] | None = None
-    check_run: Target[Callable[[Any], None]] | None = None
-    forces: Target[Callable[[Mapping[str, Any]], Mapping[str, Any]]] | None = None
-    lower: Target[Callable[[Mapping[str, Any], Any, tuple[Any, ...]], Any]] | None = None
-    lower_expressions: Target[Callable[[Any, Any], Any]] | None = None
-    at_start: Target[Callable[..., Mapping[int, float]]] | None = None
-    members: Target[Callable[[Any], Iterable[tuple[str, tuple[str, ...]]]]] | None = None
-    obstacle: Target[Callable[..., str]] | None = None
-    stiffest: Target[Callable[[Any], str]] | None = None
-    sides: Target[Callable[[Any, Callable[[int], Any]], Iterable[Any]]] | None = None
-    gradient_doubts: Target[Callable[[Any], Iterable[str]]] | None = None
-    draw: Target[Callable[[Any, Any], list[list[tuple[str, tuple[float, float]]]]]] | None = None
+    read_files: Target | None = None
+    check_elements: Target | None = None
+    acts: ElementForces = ElementForces()
+    at_start: Target | None = None
+    failures: ElementFailures = ElementFailures()
+    derivatives: ElementDerivatives = ElementDerivatives()
+    draw: Target | None = None
     example: str = ""
     supports: Mapping[str, str] = field(default_factory=dict)
+
+    def targets(self) -> dict[str, Target]:
+        """Return the targets by the names of their fields, also those of parts, such as ``acts.lower``."""
+        return super().targets() | {
+            f"{part}.{name}": target
+            for part in ("acts", "failures", "derivatives")
+            for name, target in vars(getattr(self, part)).items()
+            if isinstance(target, Target)
+        }
+
+    def seam_of(self, field: str) -> str:
+        """Return the decorator for the function behind a field, also of a part."""
+        part, _, name = field.rpartition(".")
+        return str(getattr(self, part).seams[name]) if part else super().seam_of(field)
+
+    def check(self) -> None:
+        """Also check the classes of the parts; raises PluginError."""
+        super().check()
+        for name, part in (("acts", ElementForces), ("failures", ElementFailures), ("derivatives", ElementDerivatives)):
+            if not isinstance(value := getattr(self, name), part):
+                raise PluginError(f"its `{name}` is {described(value)}, not {part.__name__}(...)")
 
     def _check_key_in_model(self) -> None:
         for name in (self.key_in_model, self.builder or self.key_in_model):
@@ -146,8 +210,7 @@ class QuantityKind(Feature):
         Elements of mechanisms whose presence in a run makes it record the group: a key of
         `mbdkit.quantities.names.ArchiveNames.members`; by default, the group.
     names
-        Function that takes a mechanism with such elements and returns the names of the objects; by default, those of
-        the elements.
+        Function that returns the names of the objects of a mechanism; by default, those of the elements.
     peaks
         Quantities of which checked runs determine the largest values between their rows as well, such as
         ``normal_force``; of the negative quantity after a minus sign. The first one is a force: its largest values
@@ -161,15 +224,16 @@ class QuantityKind(Feature):
 
     kind: ClassVar[str] = "quantity"
     key: ClassVar[str] = "group"
+    seams: ClassVar[Mapping[str, str]] = {"names": "member_names"}
 
-    target: Target[Any]
+    target: Target
     group: str = ""
     word: str = ""
     of: str = ""
-    names: Target[Callable[[Any], list[str]]] | None = None
+    names: Target | None = None
     peaks: tuple[str, ...] = ()
     modes: str = ""
-    history: Target[type[Any]] | None = None
+    history: Target | None = None
 
     def __post_init__(self) -> None:
         """Set names that are not given."""
@@ -189,7 +253,7 @@ class QuantityKind(Feature):
         Item.check_targets(self)
         self.checked_kind()
 
-    def checked_kind(self) -> Any:
+    def checked_kind(self) -> object:
         """Return the kind, which must have the group and the word of the item; raises PluginError."""
         for name in ("group", "word"):
             if (value := getattr(self.target(), name, None)) != getattr(self, name):

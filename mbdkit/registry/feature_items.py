@@ -1,15 +1,16 @@
 """Classes of the items with which a plugin extends mbdkit: kinds of specs, examples, pages, and results.
 
-Every item names its code by a `Target`, which is imported when it is first used.
+Every item names its code by a `Target`, which is imported when it is first used. The decorators in
+`mbdkit.plugin.seams`, which `Item.seams` names, declare what the functions take and return.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from mbdkit.base.errors import PluginError
 from mbdkit.registry.item import Item, described
@@ -37,20 +38,19 @@ class Feature(Item):
     def check(self) -> None:
         """Check the fields, and that code is named by targets; raises PluginError."""
         super().check()
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if "Target" in str(one.type) and not isinstance(value, Target) and value is not None:
-                raise PluginError(f"its `{one.name}` is {described(value)}, not a Target")
+        for own in fields(self):
+            value = getattr(self, own.name)
+            if "Target" in str(own.type) and not isinstance(value, Target) and value is not None:
+                raise PluginError(f"its `{own.name}` is {described(value)}, not a Target")
 
     def check_targets(self) -> None:
-        """Check that the targets exist, and that they can be called; raises PluginError."""
+        """Check that the targets exist, and that they can be called as declared; raises PluginError."""
+        for name, target in self.targets().items():
+            _check_function(target, name)
         super().check_targets()
-        for name, value in vars(self).items():
-            if isinstance(value, Target):
-                _check_function(value, name)
 
 
-def _check_function(target: Target[Any], name: str) -> None:
+def _check_function(target: Target, name: str) -> None:
     if not callable(target()):
         raise PluginError(f"its `{name}` is {described(target())}, which cannot be called")
 
@@ -60,7 +60,7 @@ def _check_identifier(item: Item) -> None:
         raise PluginError(f"the name {item.name!r} is not made of letters, digits and _, as names in Python are")
 
 
-_SIMULATE: Target[Callable[..., Any]] = Target("mbdkit.runs.simulation:simulate")
+_SIMULATE = Target("mbdkit.runs.simulation:simulate")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -89,16 +89,15 @@ class SpecKind(Feature):
     run_instead
         Error for a run spec in place of this kind.
     load
-        Function that takes a source (a file, the name of an example, a document, a mapping) and assignments, and
-        returns the validated spec.
+        Function that loads and validates a spec.
     validate
-        Function that takes a source, its name and assignments, checks the spec, and prints what it defines; by default,
-        `load` is called, and the spec is called valid.
+        Function that checks a spec and prints what it defines; by default, `load` is called, and the spec is called
+        valid.
     is_packaged
         Function that returns whether a name is that of a packaged spec that is no example; None if there are none.
     schema
-        Function that takes a registry and returns the JSON schema for ``mbdkit schema NAME``; by default, it is that of
-        `model`, a class derived from `mbdkit.plugin.RunSpec`.
+        Function that returns the JSON schema for ``mbdkit schema NAME``; by default, it is that of `model`, a class
+        derived from `mbdkit.plugin.RunSpec`.
     run_kind
         `Run.kind` of the archives of this kind; empty if there are none.
     model
@@ -125,6 +124,13 @@ class SpecKind(Feature):
 
     kind: ClassVar[str] = "spec-kind"
     key: ClassVar[str] = "spec"
+    seams: ClassVar[Mapping[str, str]] = {
+        "load": "spec_loader",
+        "validate": "spec_check",
+        "is_packaged": "packaged_spec",
+        "schema": "spec_schema",
+        "repeat": "repeated_run",
+    }
 
     phrase: str = ""
     marker: str = ""
@@ -133,17 +139,17 @@ class SpecKind(Feature):
     command: str = ""
     given_instead: str = ""
     run_instead: str = ""
-    load: Target[Callable[..., Any]]
-    validate: Target[Callable[[Any, str, list[str]], None]] | None = None
-    is_packaged: Target[Callable[[str], bool]] | None = None
-    schema: Target[Callable[[Any], dict[str, Any]]] | None = None
+    load: Target
+    validate: Target | None = None
+    is_packaged: Target | None = None
+    schema: Target | None = None
     run_kind: str = ""
-    model: Target[Any] | None = None
-    compute: Target[Callable[..., Any]] = _SIMULATE
-    differentiate: Target[Callable[..., Any]] | None = None
-    errors: Target[Any] | None = None
+    model: Target | None = None
+    compute: Target = _SIMULATE
+    differentiate: Target | None = None
+    errors: Target | None = None
     is_integrated: bool = True
-    repeat: Target[Callable[..., Any]] | None = None
+    repeat: Target | None = None
     heading: str = ""
 
     def __post_init__(self) -> None:
@@ -154,7 +160,7 @@ class SpecKind(Feature):
         for name, text in (("phrase", phrase), ("given_instead", instead), ("run_instead", run_instead)):
             object.__setattr__(self, name, text)
 
-    def recognises(self, data: Mapping[str, Any]) -> bool:
+    def recognises(self, data: Mapping[str, object]) -> bool:
         """Return whether plain data are, or are meant to be, a spec of this kind."""
         if any(key in data for key in self.absent):
             return False
@@ -222,29 +228,34 @@ class FileFormat(Feature):
     suffix
         Suffix of files of this kind; empty for folders.
     problems
-        Function that takes a path and returns the problems found, or None if the file is of another kind.
+        Function that checks a file.
     export
-        Function that takes path, folder, format and ``overwrite`` by name, and returns the files written.
+        Function that writes tables in a format of ``mbdkit archive export``.
     report
-        Function that takes a path and the number of processes, and returns a context manager that yields the page.
+        Function that makes the page of the report.
     saves_figures
         Whether the charts of the report are also written as images.
     """
 
     kind: ClassVar[str] = "file-format"
     key: ClassVar[str] = "file"
+    seams: ClassVar[Mapping[str, str]] = {
+        "problems": "file_problems",
+        "export": "exported_files",
+        "report": "report_of_folder",
+    }
 
     file: str = ""
     suffix: str = ""
-    problems: Target[Callable[[Path], list[str] | None]] | None = None
-    export: Target[Callable[..., list[Path]]] | None = None
-    report: Target[Callable[[Path, int], Any]] | None = None
+    problems: Target | None = None
+    export: Target | None = None
+    report: Target | None = None
     saves_figures: bool = False
 
     @classmethod
     def of_folder(cls, folder: Path, formats: Iterable[FileFormat]) -> FileFormat | None:
         """Return the format of a folder; None if it is of no known kind."""
-        return next((one for one in formats if one.file and (folder / one.file).is_file()), None)
+        return next((own for own in formats if own.file and (folder / own.file).is_file()), None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -258,16 +269,20 @@ class Accessor(Feature):
     of
         Class that has the attribute: ``Run`` or ``Mechanism``.
     target
-        Function that takes the object and returns the value of the attribute, which runs keep.
+        Function that returns the value of the attribute, which runs keep.
     """
 
     kind: ClassVar[str] = "accessor"
     key: ClassVar[str] = "attribute"
 
     of: str
-    target: Target[Callable[[Any], Any]]
+    target: Target
 
     _check_name = _check_identifier
+
+    def seam_of(self, field: str) -> str:
+        """Return the decorator of the function, which depends on the class."""
+        return f"{self.of.lower()}_attribute" if field == "target" else ""
 
     def _check_of(self) -> None:
         if self.of not in ("Run", "Mechanism"):
@@ -283,7 +298,7 @@ class SummaryLine(Feature):
     name
         Name of the item; the function gives the labels.
     text
-        Function that takes the run and returns lines, each a label and a text; empty texts are left out.
+        Function that returns the lines.
     of
         Names of the kinds of specs whose runs have the lines; empty for all kinds.
     group
@@ -292,8 +307,9 @@ class SummaryLine(Feature):
 
     kind: ClassVar[str] = "summary-line"
     key: ClassVar[str] = "summary"
+    seams: ClassVar[Mapping[str, str]] = {"text": "summary_lines"}
 
-    text: Target[Callable[[Any], list[tuple[str, str]]]]
+    text: Target
     of: frozenset[str] = frozenset()
     group: str = ""
 
@@ -304,21 +320,17 @@ class ReportSection(Feature):
 
     Parameters
     ----------
-    make
-        Function that takes the run and its mechanism, or None if it cannot be built, and returns the sections, of class
-        `mbdkit_report.Section`; none if the run has no such section.
-    charts
-        Function that takes the run and returns charts, of class `mbdkit_report.Figure`.
-    film
-        Function that takes the run and the data of the player, and returns these data with its additions.
+    make, charts, film
+        Functions that return the sections, their charts, and additions to the data of the player.
     """
 
     kind: ClassVar[str] = "report-section"
     key: ClassVar[str] = "section"
+    seams: ClassVar[Mapping[str, str]] = {"make": "report_sections", "charts": "report_charts", "film": "film_data"}
 
-    make: Target[Callable[[Any, Any], Iterable[Any]]]
-    charts: Target[Callable[[Any], Iterable[Any]]] | None = None
-    film: Target[Callable[[Any, dict[str, Any]], dict[str, Any]]] | None = None
+    make: Target
+    charts: Target | None = None
+    film: Target | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -354,14 +366,15 @@ class ViewItem(Feature):
     of
         Full name of the class, ``module:name``.
     make
-        Function that takes the object and returns its `mbdkit_report.View`.
+        Function that returns the view of an object.
     """
 
     kind: ClassVar[str] = "view"
     key: ClassVar[str] = "view"
+    seams: ClassVar[Mapping[str, str]] = {"make": "object_view"}
 
     of: str
-    make: Target[Callable[[Any], Any]]
+    make: Target
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -374,17 +387,15 @@ class CriterionItem(Feature):
         What is examined: the ``spec`` of a run, its ``start`` after assembly, its recorded ``rows``, its ``end``, or
         the ``data`` of inverse dynamics.
     find
-        Function that returns `mbdkit.plugin.Finding` objects or sentences. It takes, with ``spec``, the spec and the
-        expressions that are evaluated beside its measures; with ``start``, the spec and the
-        `mbdkit.engine.assembly.AssembledState`; with ``end``, the spec and the largest energies, a
-        `mbdkit.trust.energy_record.EnergyRecord`; with ``data``, the result and its error bars, or None. With ``rows``,
-        it takes the spec, the compiled mechanism and its size [m], and returns a
-        `mbdkit.runs.state_watchers.StateWatcher`, or None if this run needs none.
+        Function that returns `mbdkit.plugin.Finding` objects or sentences, or with ``rows`` a watcher of rows. Its
+        decorator is named after the stage: `spec_criterion`, `start_criterion`, `rows_criterion`, `end_criterion` or
+        `data_criterion`.
     of
         Names of the kinds of specs whose results are examined; ``mechanism`` stands for results without a run, such as
         equilibria.
     criteria
-        Names of the criteria, which `accept` in specs of these kinds may list.
+        Names of the criteria, which `accept` in specs of these kinds may list; by default, that of the item if it has a
+        level.
     level
         Level of sentences, which become findings of the criterion `name`.
     elements
@@ -395,11 +406,20 @@ class CriterionItem(Feature):
     key: ClassVar[str] = "accept"
 
     stage: Literal["spec", "start", "rows", "end", "data"]
-    find: Target[Callable[..., Any]]
-    of: frozenset[str]
-    criteria: tuple[str, ...] = ()
+    find: Target
+    of: frozenset[str] = frozenset({"run"})
+    criteria: tuple[str, ...] | None = None
     level: Literal["doubtful", "bad"] | None = "doubtful"
     elements: str = ""
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """Names of the criteria, which `accept` may list."""
+        return ((self.name,) if self.level else ()) if self.criteria is None else self.criteria
+
+    def seam_of(self, field: str) -> str:
+        """Return the decorator of the function, which depends on the stage."""
+        return f"{self.stage}_criterion" if field == "find" else ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -411,16 +431,17 @@ class TableFormat(Feature):
     suffix
         Suffix of the files, with its dot.
     write
-        Function that takes a table, see `mbdkit_report.table_formats.ExportedTable`, and the path of the file to write.
+        Function that writes a table to a file.
     needs
         Name of the package that the function imports, if it is not part of mbdkit's requirements.
     """
 
     kind: ClassVar[str] = "table-format"
     key: ClassVar[str] = "to"
+    seams: ClassVar[Mapping[str, str]] = {"write": "table_writer"}
 
     suffix: str
-    write: Target[Callable[[Any, Path], None]]
+    write: Target
     needs: str = ""
 
     def _check_suffix(self) -> None:
@@ -442,18 +463,13 @@ class Treatment(Feature):
         Whether the elements exert no forces of their own: the steps of the run determine their reactions, as they do
         for joints. All fields that follow are for such treatments.
     require
-        Function that takes a spec and its method, and raises SpecError if they do not suit the treatment.
+        Function that raises SpecError if a run does not suit the treatment.
     begin
-        Function that takes the `mbdkit.plugin.Workspace` of a run and returns one that starts with the forces and modes
-        of the elements at the initial state.
+        Function that returns a workspace which starts with the forces and modes of the elements.
     method
-        Function that takes the method of a run and the section of its spec, and returns the `mbdkit.StepMethod` or
-        `mbdkit.ExternalMethod` that takes the steps, or a function that returns this from the
-        `mbdkit.integrators.stages.compiled_method.CompiledMethod` of the method. Its memory has the attributes of
-        `mbdkit.integrators.run.impulse.ReactingMemory`. By default, the method itself takes the steps.
+        Function that returns what takes the steps of a run; by default, the method of the run does.
     guards
-        Function that takes the method of a run, and returns names of fixed-step methods for comparison runs, with the
-        factors by which their steps are smaller.
+        Function that returns fixed-step methods for comparison runs.
     guarded_by
         Treatment of these comparison runs.
     factors
@@ -471,13 +487,19 @@ class Treatment(Feature):
 
     kind: ClassVar[str] = "treatment"
     key: ClassVar[str] = "treatment"
+    seams: ClassVar[Mapping[str, str]] = {
+        "require": "treatment_condition",
+        "begin": "treatment_start",
+        "method": "treatment_method",
+        "guards": "treatment_guards",
+    }
 
     of: str
     reacting: bool = False
-    require: Target[Callable[[Any, Any], None]] | None = None
-    begin: Target[Callable[[Any], Any]] | None = None
-    method: Target[Callable[[Any, Any], Any]] | None = None
-    guards: Target[Callable[[Any], Mapping[str, int]]] | None = None
+    require: Target | None = None
+    begin: Target | None = None
+    method: Target | None = None
+    guards: Target | None = None
     guarded_by: str = ""
     factors: tuple[int, int] | None = None
     includes_impacts: bool = False
@@ -492,20 +514,20 @@ class HeadlineItem(Feature):
     Parameters
     ----------
     take
-        Function that takes the run and returns headlines, of class `mbdkit.plugin.Headline`, the most important first.
+        Function that returns the headlines.
     group
         Group of the archive that runs with these headlines have.
     excluded
-        Function that takes the run and returns what the error bars of such a run do not include, as words that follow
-        "without"; empty if they include all.
+        Function that returns what the error bars of such a run do not include.
     """
 
     kind: ClassVar[str] = "headline"
     key: ClassVar[str] = "headline"
+    seams: ClassVar[Mapping[str, str]] = {"take": "run_headlines", "excluded": "excluded_words"}
 
-    take: Target[Callable[[Any], Iterable[Any]]]
+    take: Target
     group: str
-    excluded: Target[Callable[[Any], str]] | None = None
+    excluded: Target | None = None
 
 
 FEATURES: tuple[type[Feature], ...] = (

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from types import EllipsisType
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast
 
 from mbdkit.base.errors import PluginError
+from mbdkit.registry.seam import check_marked
 from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
@@ -35,6 +38,8 @@ class Item:
     """Key in a spec whose value names such an item, or another word for its place; error messages mention it."""
     is_reserved: ClassVar[bool] = True
     """Whether a short name that mbdkit uses keeps its meaning when another distribution uses it too."""
+    seams: ClassVar[Mapping[str, str]] = {}
+    """Decorator of `mbdkit.plugin.seams` for the function behind each field that has one."""
 
     if TYPE_CHECKING:  # fields of the subclasses; a property would become the default of the field
 
@@ -81,19 +86,38 @@ class Item:
 
         Called by ``mbdkit plugins doctor``, by the conformance kit, and when the item is first used.
         """
-        targets = {name: value for name, value in vars(self).items() if isinstance(value, Target)}
-        for target in targets.values():
+        targets = self.targets()
+        for name, target in targets.items():
             target()
+            if seam := self.seam_of(name):
+                check_marked(target, seam, name)
         self._check_fields(targets)
+
+    def targets(self) -> dict[str, Target]:
+        """Return the targets by the names of their fields."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, Target)}
+
+    def seam_of(self, field: str) -> str:
+        """Return the decorator for the function behind a field; empty if there is none."""
+        return self.seams.get(field, "")
 
     def _check_fields(self, names: Iterable[str]) -> None:
         for name in names:
             if (check := getattr(self, f"_check_{name}", None)) is not None:
                 check()
 
-    def _check_callable(self, name: str) -> None:
-        if not callable(getattr(self, name)):
+    def _check_callable(self, name: str, *arguments: str) -> None:
+        function = getattr(self, name)
+        if not callable(function):
             raise PluginError(f"its `{name}` cannot be called")
+        try:
+            signature = inspect.signature(function)
+        except (TypeError, ValueError):  # functions in machine code
+            return
+        try:
+            signature.bind(*arguments)
+        except TypeError:
+            raise PluginError(f"its `{name}` takes {signature}, not ({', '.join(arguments)})") from None
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and vars(self) == vars(other)
@@ -114,7 +138,7 @@ class Given(Generic[T]):
         Value of the field if it is not given; `...` if it must be given.
     """
 
-    def __init__(self, default: Any = ...):
+    def __init__(self, default: T | EllipsisType = ...):
         self.default = default
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -122,15 +146,13 @@ class Given(Generic[T]):
 
     def __get__(self, item: object, kind: type | None = None) -> T:
         if item is None:  # dataclasses read the default of a field here, if it has one
-            if self.default is ...:
+            if isinstance(self.default, EllipsisType):
                 raise AttributeError(self.name)
-            value = self.default
-        else:
-            value = vars(item)[self.name]
-        given: T = value() if isinstance(value, Target) else value
-        return given
+            return self.default
+        value = vars(item)[self.name]
+        return cast(T, value() if isinstance(value, Target) else value)
 
-    def __set__(self, item: object, value: T | Target[T] | Target[Any]) -> None:
+    def __set__(self, item: object, value: T | Target) -> None:
         vars(item)[self.name] = value
 
 
@@ -151,7 +173,7 @@ class Plugin(Item):
         def references(self) -> tuple[str, ...]:
             """BibTeX entries of the sources."""
 
-    def claimed(self) -> Mapping[str, Any]:
+    def claimed(self) -> Mapping[str, object]:
         """Return the claims of the item with default options, by name; empty if the item makes no claims."""
         return {}
 

@@ -6,15 +6,18 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Never, Protocol, TypeVar
 
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.registry.item import NAME, Given, Item, Plugin, described
+from mbdkit.registry.seam import OwnSeam
 from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
+
+    Options = TypeVar("Options", bound=BaseModel)
 
 
 LAW_KEYS = ("type", "law", "pathway", "name", "a", "b", "along", "from_", "to", "points")
@@ -128,12 +131,12 @@ class Claims:
         for name in ("states", "variable_order", "a_stable", "l_stable", "restartable"):
             if not isinstance(getattr(self, name), bool):
                 raise PluginError(f"its claim `{name}` is {getattr(self, name)!r}, not True or False")
-        dense: Any = self.dense_order
+        dense: object = self.dense_order
         if dense is not None and (
             isinstance(dense, bool) or not isinstance(dense, int | float) or not 0 < dense < math.inf
         ):
             raise PluginError(f"its claim `dense_order` is {dense!r}, not a positive number or None")
-        if not isinstance(self.conserves, tuple) or any(one not in CONSERVED for one in self.conserves):
+        if not isinstance(self.conserves, tuple) or any(quantity not in CONSERVED for quantity in self.conserves):
             raise PluginError(
                 f"its claim `conserves` is {self.conserves!r}, not a tuple of some of {listed(CONSERVED)}"
             )
@@ -149,7 +152,13 @@ class Claims:
         return None if self.order is None else Orders(self.order, self.order, self.multiplier_order)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@OwnSeam
+def integrator_claims(options: Never, /) -> Claims:
+    """Return what the method with these options claims; the conformance checks test it."""
+    raise NotImplementedError
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class ModelPlugin(Plugin):
     """A model: builds a mechanism from parameters.
 
@@ -162,8 +171,8 @@ class ModelPlugin(Plugin):
     options
         Pydantic model of the parameters, without ``name``.
     build
-        Function that takes an instance of `options` and returns a `Mechanism`. It raises SpecError if no mechanism has
-        these parameters; any other exception counts as a failure of the plugin.
+        Function that takes an instance of `options` and returns a `Mechanism`; decorated with `model_builder` if it is
+        named by a target.
     references
         BibTeX entries of the sources.
     """
@@ -171,19 +180,31 @@ class ModelPlugin(Plugin):
     kind: ClassVar[str] = "model"
     hook: ClassVar[str] = "mbdkit_models"
     key: ClassVar[str] = "model.name"
+    seams: ClassVar[Mapping[str, str]] = {"build": "model_builder"}
 
     name: str
     summary: str
     options: Given[type[BaseModel]] = Given()
-    build: Given[Callable[[Any], Any]] = Given()
+    build: Given[Callable[..., object]] = Given()
     references: Given[tuple[str, ...]] = Given(())
     order: int = 500
 
+    def __init__(
+        self,
+        name: str,
+        summary: str,
+        options: type[Options] | Target,
+        build: Callable[[Options], object] | Target,
+        references: tuple[str, ...] | Target = (),
+        order: int = 500,
+    ):
+        vars(self).update(name=name, summary=summary, options=options, build=build, references=references, order=order)
+
     def _check_build(self) -> None:
-        self._check_callable("build")
+        self._check_callable("build", "options")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class IntegratorPlugin(Plugin):
     """An integrator: a method that advances the state in time.
 
@@ -196,9 +217,11 @@ class IntegratorPlugin(Plugin):
     options
         Pydantic model of the options, without ``name``.
     create
-        Function that takes an instance of `options` and returns the method.
+        Function that takes an instance of `options` and returns the method; decorated with `integrator_method` if it is
+        named by a target.
     claims
-        Function that takes an instance of `options` and returns the `Claims` of that method.
+        Function that takes an instance of `options` and returns the `Claims` of that method; decorated with
+        `integrator_claims` if it is named by a target.
     references
         BibTeX entries of the sources.
     dense_output
@@ -208,21 +231,36 @@ class IntegratorPlugin(Plugin):
     kind: ClassVar[str] = "integrator"
     hook: ClassVar[str] = "mbdkit_integrators"
     key: ClassVar[str] = "integrator.name"
+    seams: ClassVar[Mapping[str, str]] = {"create": "integrator_method", "claims": "integrator_claims"}
 
     name: str
     summary: str
     options: Given[type[BaseModel]] = Given()
-    create: Given[Callable[[Any], Any]] = Given()
-    claims: Given[Callable[[Any], Claims]] = Given()
+    create: Given[Callable[..., object]] = Given()
+    claims: Given[Callable[..., Claims]] = Given()
     references: Given[tuple[str, ...]] = Given(())
     dense_output: bool = False
     order: int = 500
 
+    def __init__(
+        self,
+        name: str,
+        summary: str,
+        options: type[Options] | Target,
+        create: Callable[[Options], object] | Target,
+        claims: Callable[[Options], Claims] | Target,
+        references: tuple[str, ...] | Target = (),
+        dense_output: bool = False,
+        order: int = 500,
+    ):
+        vars(self).update(name=name, summary=summary, options=options, create=create, claims=claims)
+        vars(self).update(references=references, dense_output=dense_output, order=order)
+
     def _check_create(self) -> None:
-        self._check_callable("create")
+        self._check_callable("create", "options")
 
     def _check_claims(self) -> None:
-        self._check_callable("claims")
+        self._check_callable("claims", "options")
 
     def check_targets(self) -> None:
         """Also check the claims with default options, if the options have defaults."""
@@ -234,16 +272,23 @@ class IntegratorPlugin(Plugin):
         except (Exception, SystemExit):  # an option has no default; other errors are reported where claims are used
             pass
 
-    def claimed(self) -> Mapping[str, Any]:
+    def claimed(self) -> Mapping[str, object]:
         """Return the claims with default options, by name; empty if an option has no default, or if `claims` fails."""
         try:
-            claims: Any = self.claims(self.options())
+            claims: object = self.claims(self.options())
         except (Exception, SystemExit):  # an option has no default, or the plugin fails in any way
             return {}
         if not isinstance(claims, Claims):
             return {}
         values = {name: getattr(claims, name) for name in Claims.__dataclass_fields__}
         return values | {"orders": {name: Orders(*orders)._asdict() for name, orders in claims.orders.items()}}
+
+
+class _Law(Protocol):
+    """What is asked of laws here, which cannot import their classes."""
+
+    passive: bool
+    potential: object
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -272,14 +317,14 @@ class ForceLawPlugin(Plugin):
     name: str
     summary: str
     options: Given[type[BaseModel]] = Given()
-    law: Given[Any] = Given()
+    law: Given[_Law] = Given()
     references: Given[tuple[str, ...]] = Given(())
     order: int = 500
 
     def _check_law(self) -> None:
         # Laws are recognised by their attributes instead of their class, because `mbdkit.registry` may not import
         # `mbdkit.mechanism`.
-        law: Any = self.law
+        law: object = self.law
         is_law = hasattr(law, "passive") and (hasattr(law, "force") or hasattr(law, "function"))
         if not is_law or isinstance(law, type):
             raise PluginError(f"its law is {described(law)}, not an ExpressionLaw or a FunctionLaw")
@@ -290,7 +335,7 @@ class ForceLawPlugin(Plugin):
             if name in LAW_KEYS or info.alias in LAW_KEYS:
                 raise PluginError(f"its option '{name}' has the name of a key that every element of type law has")
 
-    def claimed(self) -> Mapping[str, Any]:
+    def claimed(self) -> Mapping[str, object]:
         """Return whether the law has a potential and whether it is passive."""
         return {"potential": self.law.potential not in (None, False), "passive": self.law.passive}
 
@@ -309,8 +354,8 @@ class StudyPlugin(Plugin):
         File of the study spec (YAML, TOML or JSON). Paths in it are relative to the folder of this file.
     verdict
         Function that takes the `mbdkit.Study`, complete or not, and returns the verdict of the report, a
-        `mbdkit_report.Verdict`; None for the general verdict of a study. It should import large
-        packages inside the function, because plugins are loaded whenever mbdkit starts.
+        `mbdkit_report.Verdict`; None for the general verdict of a study. Decorated with
+        `mbdkit_studies.results.judge.study_verdict` if it is named by a target.
     references
         BibTeX entries of the sources.
     """
@@ -318,11 +363,12 @@ class StudyPlugin(Plugin):
     kind: ClassVar[str] = "study"
     hook: ClassVar[str] = "mbdkit_studies"
     key: ClassVar[str] = "study"
+    seams: ClassVar[Mapping[str, str]] = {"verdict": "study_verdict"}
 
     name: str
     summary: str
     spec: Path
-    verdict: Given[Callable[[Any], Any] | None] = Given(None)
+    verdict: Given[Callable[..., object] | None] = Given(None)
     references: Given[tuple[str, ...]] = Given(())
     order: int = 500
 
@@ -346,10 +392,10 @@ class StudyPlugin(Plugin):
 
     def _check_verdict(self) -> None:
         if self.verdict is not None:
-            self._check_callable("verdict")
+            self._check_callable("verdict", "study")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class MeasurePlugin(Plugin):
     """A measure of studies: a function that computes one number from a run.
 
@@ -365,8 +411,7 @@ class MeasurePlugin(Plugin):
         Unit of the number, such as ``N m``; ``1`` for a pure number.
     take
         Function that takes the `mbdkit.Run`, complete or not, and an instance of `options`, and returns the number: nan
-        if it cannot be computed for this run. It should import large packages inside the function, because plugins are
-        loaded whenever mbdkit starts.
+        if it cannot be computed for this run. Decorated with `measure_function` if it is named by a target.
     references
         BibTeX entries of the sources.
     """
@@ -374,17 +419,31 @@ class MeasurePlugin(Plugin):
     kind: ClassVar[str] = "measure"
     hook: ClassVar[str] = "mbdkit_measures"
     key: ClassVar[str] = "name"
+    seams: ClassVar[Mapping[str, str]] = {"take": "measure_function"}
 
     name: str
     summary: str
     options: Given[type[BaseModel]] = Given()
     units: str  # type: ignore[misc]  # `options` has no default, although mypy assumes one
-    take: Given[Callable[[Any, Any], float]] = Given()
+    take: Given[Callable[..., float]] = Given()
     references: Given[tuple[str, ...]] = Given(())
     order: int = 500
 
+    def __init__(
+        self,
+        name: str,
+        summary: str,
+        options: type[Options] | Target,
+        units: str,
+        take: Callable[[Never, Options], float] | Target,
+        references: tuple[str, ...] | Target = (),
+        order: int = 500,
+    ):
+        vars(self).update(name=name, summary=summary, options=options, units=units, take=take)
+        vars(self).update(references=references, order=order)
+
     def _check_take(self) -> None:
-        self._check_callable("take")
+        self._check_callable("take", "run", "options")
 
     def _check_units(self) -> None:
         from mbdkit.base.units import read_unit
@@ -421,7 +480,7 @@ class Command(Item):
 
     name: str
     summary: str
-    target: Target[Any] | None = None
+    target: Target | None = None
     group: str = ""
     order: int = 500
 
@@ -446,7 +505,7 @@ class Command(Item):
         if not callable(function):
             raise PluginError(f"its target is {described(function)}, which cannot be called")
         commands = getattr(function, "registered_commands", None)
-        if commands and function.registered_callback:  # a group, whose help typer takes from elsewhere
+        if commands and getattr(function, "registered_callback", None):  # a group, whose help typer takes elsewhere
             return
         text = (commands[0].callback if commands else function).__doc__ or ""
         paragraph = " ".join(text.strip().partition("\n\n")[0].split())

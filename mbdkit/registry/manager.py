@@ -25,7 +25,7 @@ from mbdkit.base.errors import MbdkitError, PluginError, SpecError, in_this_proc
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report
-from mbdkit.registry.item import Item, described
+from mbdkit.registry.item import Item, Plugin, described
 from mbdkit.registry.policy import STRICT, Policy, check_api
 
 GROUP = hookspecs.PROJECT
@@ -51,7 +51,7 @@ class EntryPoint(Protocol):
         """Distribution, an object with `name` and `version`."""
         ...
 
-    def load(self) -> Any:
+    def load(self) -> object:
         """Import the module."""
         ...
 
@@ -235,7 +235,7 @@ def _accept(
         if kind is None:
             raise PluginError(f"its hook `{hook}` returned {described(thing)}, not an item of class {_classes(hook)}")
         cast(Item, thing).check()
-        item = Registered(kind, cast(Any, thing), origin)
+        item = Registered(kind, cast(Plugin, thing), origin)
         if (kind, item.id) in known:
             raise PluginError(f"its distribution has another {KINDS[kind].label()} of the same name")
     except KeyboardInterrupt:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import pkgutil
 import re
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, cast
 
 from mbdkit.base.distributions import entry_points, name_and_version
 from mbdkit.base.errors import MbdkitError, PluginError, in_this_process, with_place
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
+    T = TypeVar("T", default=object)
+else:
+    from typing import TypeVar
+
+    T = TypeVar("T")
 
 _WHERE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
@@ -21,26 +28,13 @@ class Target(Generic[T]):
     ----------
     where
         Module and name of the object, as in ``Target("my_package.swing:build")``.
-    type
-        Class of which the object must be an instance; None for any object.
     """
 
-    def __init__(self, where: str, type: type[T] | None = None):  # noqa: A002
+    def __init__(self, where: str):
         if not isinstance(where, str) or not _WHERE.fullmatch(where):
             raise PluginError(f"the target {where!r} is not of the form 'package.module:name'")
         self.where = where
-        self.type = type
-        self._objects: list[T] = []
-
-    @property
-    def module(self) -> str:
-        """Name of the module."""
-        return self.where.partition(":")[0]
-
-    @property
-    def name(self) -> str:
-        """Name of the object in the module."""
-        return self.where.partition(":")[2]
+        self._objects: list[object] = []
 
     def __call__(self) -> T:
         """Return the object.
@@ -48,13 +42,12 @@ class Target(Generic[T]):
         Raises
         ------
         PluginError
-            If the module cannot be imported, or the object is missing or of another type; the message names the
-            distribution.
+            If the module cannot be imported, or the object is missing; the message names the distribution.
         """
         if not self._objects:
             try:
                 with in_this_process():
-                    value: Any = pkgutil.resolve_name(self.where)
+                    self._objects.append(pkgutil.resolve_name(self.where))
             except KeyboardInterrupt:
                 raise
             except BaseException as error:  # a module may raise any exception, including SystemExit
@@ -62,12 +55,7 @@ class Target(Generic[T]):
                     raise
                 sentence = with_place(error)
                 raise PluginError(f"{self._distribution()} does not provide '{self.where}': {sentence}") from error
-            if self.type is not None and not isinstance(value, self.type):
-                kind = type(value).__name__
-                expected = self.type.__name__
-                raise PluginError(f"'{self.where}' of {self._distribution()} is of type {kind}, not {expected}")
-            self._objects.append(value)
-        return self._objects[0]
+        return cast("T", self._objects[0])
 
     def _distribution(self) -> str:
         package = self.where.partition(".")[0].partition(":")[0]
@@ -77,7 +65,7 @@ class Target(Generic[T]):
         return package
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Target) and (self.where, self.type) == (other.where, other.type)
+        return isinstance(other, Target) and self.where == other.where
 
     def __hash__(self) -> int:
         return hash(self.where)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MbdkitError, PluginError, blaming
 from mbdkit.registry.catalogue import KINDS, Registered
 from mbdkit.registry.item import described
 
+T = TypeVar("T")
 
-def use(item: Registered, work: Callable[[], Any], of: type | tuple[type, ...] = object) -> Any:
+
+def use(item: Registered, work: Callable[[], T], of: type | tuple[type, ...] = object) -> T:
     """Return what `work`, which calls the code of an item, returns.
 
     Errors of mbdkit itself and of its own items pass unchanged.
@@ -40,4 +42,4 @@ def use(item: Registered, work: Callable[[], Any], of: type | tuple[type, ...] =
 
 
 def _words(of: type | tuple[type, ...]) -> str:
-    return f"an object of type {' or '.join(one.__name__ for one in (of if isinstance(of, tuple) else (of,)))}"
+    return f"an object of type {' or '.join(kind.__name__ for kind in (of if isinstance(of, tuple) else (of,)))}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.beams import Beam
+from mbdkit.runs.run_seams import rows_criterion
 
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals
@@ -95,11 +96,6 @@ class CoarseBeams:
     def __init__(self, mechanism: Mechanism, compiled: CompiledMechanism):
         self._beams = [_WatchedBeam(name, beam, compiled) for name, beam in mechanism.beams.items()]
 
-    @classmethod
-    def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> CoarseBeams | None:
-        """Return the `CoarseBeams` of a mechanism; None if it has no beams."""
-        return cls(spec.mechanism(), compiled) if spec.mechanism().beams else None
-
     def add(self, states: States) -> None:
         """Take note of states."""
         for beam in self._beams:
@@ -118,6 +114,12 @@ class CoarseBeams:
         for beam, (turns, largest) in zip(self._beams, state, strict=True):
             fill(beam.turns, turns)
             fill(beam.largest, largest)
+
+
+@rows_criterion
+def watch_coarse_beams(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> CoarseBeams | None:
+    """Return the `CoarseBeams` of a mechanism; None if it has no beams."""
+    return CoarseBeams(spec.mechanism(), compiled) if spec.mechanism().beams else None
 
 
 class _WatchedBeam:

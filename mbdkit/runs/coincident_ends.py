@@ -15,6 +15,7 @@ import numpy as np
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.checks import line_of_undefined_direction
 from mbdkit.runs.law_ranges import steps_are_rows
+from mbdkit.runs.run_seams import rows_criterion
 
 if TYPE_CHECKING:
     from mbdkit.archive.checkpoint import StoredState
@@ -48,14 +49,6 @@ class CoincidentEnds:
         self._names, self._columns = names, columns
         self._first = np.full(len(names), np.inf)
         self._last = np.zeros((0, len(names), 4))
-
-    @classmethod
-    def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> CoincidentEnds | None:
-        """Return the forces that are watched in a run; None if there are none, or if rows skip ends of steps."""
-        columns = {one.name: column for column, one in enumerate(compiled.forces)}
-        forces = spec.mechanism().forces
-        names = [name for name, force in forces.items() if line_of_undefined_direction(force) is not None]
-        return cls(names, [columns[name] for name in names]) if names and steps_are_rows(spec) else None
 
     def add(self, states: States) -> None:
         """Take note of states."""
@@ -93,3 +86,12 @@ class CoincidentEnds:
         self._last = np.zeros((min(1, len(state["last"])), len(self._names), 4))
         fill(self._first, state["first"])
         fill(self._last, state["last"])
+
+
+@rows_criterion
+def watch_coincident_ends(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> CoincidentEnds | None:
+    """Return the forces that are watched in a run; None if there are none, or if rows skip ends of steps."""
+    columns = {one.name: column for column, one in enumerate(compiled.forces)}
+    forces = spec.mechanism().forces
+    names = [name for name, force in forces.items() if line_of_undefined_direction(force) is not None]
+    return CoincidentEnds(names, [columns[name] for name in names]) if names and steps_are_rows(spec) else None

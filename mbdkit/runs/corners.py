@@ -14,6 +14,7 @@ from mbdkit.integrators.interface import SAME_TIME
 from mbdkit.integrators.run.sampled_control import sample_times
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
+from mbdkit.runs.run_seams import spec_criterion
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
@@ -152,6 +153,7 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
             )
 
 
+@spec_criterion
 def overshoots_and_corners(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield doubts about tables that overshoot, and motions with too many discontinuities."""
     for key, motion in spec.mechanism().motions():

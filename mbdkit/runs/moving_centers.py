@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.joints import Revolute
+from mbdkit.runs.run_seams import rows_criterion
 
 if TYPE_CHECKING:
     from mbdkit.archive.checkpoint import StoredState
@@ -33,11 +34,6 @@ class MovingCenters:
     def __init__(self, mechanism: Mechanism):
         self._joints = mechanism.joints
         self._reached = np.tile([[np.inf], [-np.inf]], len(self._joints))
-
-    @classmethod
-    def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> MovingCenters | None:
-        """Return the `MovingCenters` of a mechanism; None if no joint has a moving center."""
-        return cls(spec.mechanism()) if len(compiled.topology.centers) else None
 
     def add(self, states: States) -> None:
         """Take note of states."""
@@ -69,3 +65,9 @@ class MovingCenters:
     def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         fill(self._reached, state["reached"])
+
+
+@rows_criterion
+def watch_moving_centers(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> MovingCenters | None:
+    """Return the `MovingCenters` of a mechanism; None if no joint has a moving center."""
+    return MovingCenters(spec.mechanism()) if len(compiled.topology.centers) else None

@@ -12,6 +12,7 @@ from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.joints import Driver, Joint
 from mbdkit.mechanism.values import Table
 from mbdkit.quantities.quantity import Quantity
+from mbdkit.runs.run_seams import spec_criterion
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.trust.finding import Finding
@@ -20,6 +21,7 @@ COVERED = 0.5
 """Share of the duration of a table, without constant values at its end, that a run covers without a note."""
 
 
+@spec_criterion
 def short_runs(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a note for each table of a motion, load or excitation that changes long after the end of the run."""
     start, end = spec.span
@@ -36,6 +38,7 @@ def short_runs(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding
             yield Finding("short-runs", None, sentence, key, is_named=False)
 
 
+@spec_criterion
 def zero_reactions_of_run(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
     """Yield a note for each reaction in the measures of a run that is always zero."""
     return zero_reactions(spec, spec.defined_measures())

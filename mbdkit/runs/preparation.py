@@ -27,6 +27,7 @@ from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.findings import findings
+from mbdkit.runs.run_seams import treatment_condition, treatment_start
 from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
 
@@ -87,7 +88,7 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
             workspace.mechanism.length**2  # step guards divide by this
             chosen = workspace.mechanism.reacting
             if chosen is not None and (begin := chosen.item.begin) is not None:
-                workspace = begin()(workspace)
+                workspace = treatment_start.of(begin)(workspace)
     except SpecError as error:
         raise spec.placed(error) from error
     except StepError as error:
@@ -152,7 +153,7 @@ def make_method(spec: RunSpec) -> Method:
         )
     if (chosen := spec.reacting) is not None and (require := chosen.item.require) is not None:
         try:
-            require()(spec, method)
+            treatment_condition.of(require)(spec, method)
         except SpecError as error:
             raise spec.placed(error) from None
     if spec.stabilized.symmetric and isinstance(method, ExternalMethod):

@@ -25,6 +25,7 @@ from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.runs.angles_in_degrees import angles_in_degrees, motions_in_degrees
 from mbdkit.runs.preparation import make_method
+from mbdkit.runs.run_seams import end_criterion, spec_criterion, start_criterion
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import rounding
 from mbdkit.trust.energy_record import EnergyRecord
@@ -48,6 +49,7 @@ REGAINED = 10.0
 """A decrease of the dissipated energy up to this multiple of the largest energy balance may be an integration error."""
 
 
+@spec_criterion
 def unstable_baumgarte(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
     """Yield a warning if Baumgarte's terms are unstable with the step of a run."""
     if spec.stabilized.kind == "baumgarte":
@@ -55,11 +57,13 @@ def unstable_baumgarte(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator
         yield from stiff_baumgarte(name, method, spec.claims, spec.stabilized, spec.time.step)
 
 
+@spec_criterion
 def model_notes(spec: RunSpec, _measures: Sequence[str] = ()) -> tuple[str, ...]:
     """Return what the model says about its mechanism."""
     return spec.mechanism().warnings
 
 
+@spec_criterion
 def left_out(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a doubt about each effect that the file of a model describes, but the mechanism lacks."""
     mechanism = spec.mechanism()
@@ -67,6 +71,7 @@ def left_out(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
         yield Finding("left-out", "doubtful", sentence, "model")
 
 
+@start_criterion
 def moved_start(spec: RunSpec, start: AssembledState) -> Iterator[str]:
     """Yield a warning if assembly moves a point by more than a tenth of the mechanism's size."""
     if not start.changed:
@@ -92,6 +97,7 @@ def moved_start(spec: RunSpec, start: AssembledState) -> Iterator[str]:
         )
 
 
+@start_criterion
 def changed_velocities(spec: RunSpec, start: AssembledState) -> Iterator[str]:
     """Yield a warning if assembly changes a velocity that the spec gives by more than 1 % of it."""
     if not start.changed:
@@ -129,6 +135,7 @@ def _key(mechanism: Mechanism, body: str) -> str:
     return written_key(mechanism.beams, "bodies", body) if mechanism.name == "mechanism" else "model"
 
 
+@end_criterion
 def passive_laws(spec: RunSpec, energies: EnergyRecord) -> Iterator[str]:
     """Yield a warning about passive force laws if the dissipated energy of a run has decreased."""
     least = max(REGAINED * energies.balance, rounding(energies.energy))
@@ -147,12 +154,14 @@ def passive_laws(spec: RunSpec, energies: EnergyRecord) -> Iterator[str]:
     )
 
 
+@spec_criterion
 def degrees(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
     """Yield warnings about angles that are probably in degrees."""
     yield from angles_in_degrees(spec)
     yield from motions_in_degrees(spec)
 
 
+@spec_criterion
 def improbable_values(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield doubts about masses and friction that are valid but improbable, most of them because of another unit."""
     mechanism = spec.mechanism()
@@ -160,6 +169,7 @@ def improbable_values(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[
     yield from _improbable("frictions", improbable_frictions(mechanism))
 
 
+@spec_criterion
 def improbable_sizes(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield doubts about sizes that are valid but improbable, most of them because of another unit."""
     mechanism = spec.mechanism()
@@ -174,6 +184,7 @@ def _improbable(what: str, sentences: Iterable[str]) -> Iterator[Finding]:
         yield Finding(f"improbable-{what}", "doubtful", sentence, "model", is_named=False)
 
 
+@spec_criterion
 def long_step(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a doubt if the step is longer than the run."""
     length = spec.time.final - spec.time.start
@@ -185,6 +196,7 @@ def long_step(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]
         yield Finding("long-step", "doubtful", sentence, "time.step", is_named=False)
 
 
+@spec_criterion
 def unresolved_beams(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
     """Yield a warning for each beam whose oscillations are not resolved by the fixed steps of an implicit method."""
     step, beams = spec.time.step, spec.mechanism().beams
@@ -224,6 +236,7 @@ def step_advice(spec: RunSpec, code: str) -> str:
     return advice
 
 
+@spec_criterion
 def unused_parameters(spec: RunSpec, measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a note for each parameter that no expression of a spec uses."""
     if not spec.parameters:

@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.joint_friction import JointFriction, PinFriction
+from mbdkit.runs.run_seams import rows_criterion
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
@@ -111,6 +112,7 @@ class SlowFriction:
             fill(getattr(self, f"_{name}"), state[name])
 
 
+@rows_criterion
 def of_joints(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
     """Return the slow friction of the joints of a mechanism; None if none of them has friction."""
     if not compiled.friction:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 from mbdkit.quantities.states import States
 from mbdkit.registry.use import use
 from mbdkit.runs.findings import as_findings, criteria, findings
+from mbdkit.runs.run_seams import StateWatcher, rows_criterion
 
 if TYPE_CHECKING:
     from mbdkit.archive.checkpoint import StoredState
@@ -16,31 +16,6 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
     from mbdkit.trust.finding import Finding
-
-
-class StateWatcher(Protocol):
-    """What a watcher of recorded states does."""
-
-    def add(self, states: States) -> None:
-        """Take note of states, which are later than those of earlier calls."""
-
-    def findings(self, energies: EnergyRecord, integrals: Integrals) -> Iterable[str | Finding]:
-        """Return what is wrong, as sentences or findings.
-
-        Parameters
-        ----------
-        energies
-            The largest energies of the run.
-        integrals
-            Integrals and extrema of the run, also between the recorded states, by their expressions. Those of checked
-            runs contain the peaks of elements (`mbdkit.registry.feature_items.QuantityKind.peaks`).
-        """
-
-    def stored(self) -> Any:
-        """Return the state as plain values, for a checkpoint."""
-
-    def restore(self, state: Any) -> None:
-        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
 
 
 class StateWatchers:
@@ -59,7 +34,7 @@ class StateWatchers:
         self._criteria = {item.name: (item, criterion) for item, criterion in criteria("rows", spec)}
         self._watchers: dict[str, StateWatcher] = {}
         for name, (item, criterion) in self._criteria.items():
-            watcher = use(item, lambda find=criterion.find: find()(spec, compiled, size))  # type: ignore[misc]
+            watcher = use(item, lambda find=criterion.find: rows_criterion.of(find)(spec, compiled, size))  # type: ignore[misc]
             if watcher is not None:
                 self._watchers[name] = watcher
 

@@ -58,7 +58,7 @@ class CriterionName(ItemName):
     def names(self) -> list[str]:
         """See `ItemName`."""
         items = (cast(CriterionItem, item.plugin) for item in registry().of_kind(CriterionItem.kind))
-        added = [name for item in items if self.kind in item.of for name in item.criteria]
+        added = [name for item in items if self.kind in item.of for name in item.accepted]
         return list(dict.fromkeys([*self.known, *added]))
 
 

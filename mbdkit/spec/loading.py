@@ -16,7 +16,7 @@ from mbdkit.base.files_read import FilesRead, recording
 from mbdkit.base.plain_data import copied
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.formulation import FormulationName
-from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.element_kinds import element_files, element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.feature_items import Example
@@ -24,7 +24,7 @@ from mbdkit.registry.manager import registry
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.spec_kinds import refused, spec_kinds
+from mbdkit.spec.spec_kinds import refused, spec_kinds, spec_loader
 
 Section: TypeAlias = Mapping[str, object]
 """A section of a spec, such as ``{"name": "gauss", "stages": 2}``."""
@@ -83,6 +83,9 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
     return loaded("run", RunSpec, source, overrides, sections)
 
 
+spec_loader(load_spec)
+
+
 def loaded(name: str, kind: type[S], source: Any, overrides: Iterable[str], sections: Mapping[str, Any]) -> S:
     """Return a validated spec of the kind with this name, which is of the class `kind`, from any source."""
     if isinstance(source, kind) and not sections and not tuple(overrides):
@@ -113,7 +116,7 @@ def _read_files(document: Document) -> None:
     model: Any = document.data.get("model")
     for key, kind in element_kinds().items() if isinstance(model, Mapping) else ():
         if kind.read_files is not None and isinstance(elements := model.get(key), Mapping):
-            kind.read_files()(elements, document.folder)
+            element_files.of(kind.read_files)(elements, document.folder)
 
 
 def example_names(kind: str | None = None) -> list[str]:

@@ -29,6 +29,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
+from mbdkit.mechanism.mechanism_seams import run_check
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.element_items import ElementKind
@@ -453,8 +454,8 @@ class RunSpec(ModelSpec):
         if len(reacting := [chosen.key for chosen in mechanism.treatments if chosen.item.reacting]) > 1:
             raise SpecError(f"a run can determine reactions of one kind of elements only, not of {listed(reacting)}")
         for kind in kinds:
-            if kind.check_run is not None:
-                kind.check_run()(mechanism)
+            if kind.acts.check_run is not None:
+                run_check.of(kind.acts.check_run)(mechanism)
         self._watched = self._parsed(mechanism)
         self._settings = self._parsed_settings(mechanism)
 

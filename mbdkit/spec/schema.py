@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import Any
+from typing import Any, cast
 
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
@@ -16,7 +16,7 @@ from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit.spec.spec_kinds import kind_named
+from mbdkit.spec.spec_kinds import kind_named, spec_schema
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 EXPRESSION = "[-+*/(A-Za-z%]"
@@ -42,9 +42,9 @@ def run_schema(installed: Registry | None = None, spec: type[RunSpec] = RunSpec)
 def schema_of(kind: SpecKind, installed: Registry | None = None) -> dict[str, Any]:
     """Return the JSON schema of a kind of specs."""
     if kind.schema is not None:
-        return kind.schema()(installed)
+        return spec_schema.of(kind.schema)(installed)
     assert kind.model is not None
-    return run_schema(installed, kind.model())
+    return run_schema(installed, cast("type[RunSpec]", kind.model()))
 
 
 def model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:

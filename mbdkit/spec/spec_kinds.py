@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, cast
+
+from pydantic import BaseModel
 
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MissingPartError, SpecError
 from mbdkit.base.parts import MARKERS_OF_PARTS
 from mbdkit.base.text import listed
+from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
+from mbdkit.registry.seam import Seam
+from mbdkit.spec.reading import Document
+
+Source = str | Path | Mapping[str, object] | Document
+"""A file, the name of an example, plain data, or a document."""
 
 
 def spec_kinds() -> list[SpecKind]:
@@ -51,3 +60,31 @@ def refused(data: Mapping[str, Any], wanted: str) -> SpecError | None:
     if kind.name != wanted and "integrator" in data:
         return SpecError(kind_named(wanted).run_instead, key="integrator")
     return None
+
+
+@Seam
+def spec_loader(source: Source, assignments: Iterable[str], /) -> BaseModel:
+    """Load and validate a spec.
+
+    `source` is a file, the name of an example, a document or a mapping; `assignments` are texts such as
+    ``time.step=0.005``.
+    """
+    raise NotImplementedError
+
+
+@Seam
+def spec_check(source: Source, name: str, assignments: list[str], /) -> None:
+    """Check a spec, which has a name for messages, and print what it defines."""
+    raise NotImplementedError
+
+
+@Seam
+def packaged_spec(name: str, /) -> bool:
+    """Return whether a name is that of a packaged spec that is no example."""
+    raise NotImplementedError
+
+
+@Seam
+def spec_schema(installed: Registry | None, /) -> dict[str, object]:
+    """Return the JSON schema of specs with the items of a registry, by default all installed ones."""
+    raise NotImplementedError

@@ -17,7 +17,8 @@ PLUGIN = """
 from typing import Annotated
 import sympy
 from mbdkit.plugin import (
-    Accessor, Element, ElementKind, ExpressionLaw, StrictModel, Target, Treatment, TreatmentName, hookimpl,
+    Accessor, Element, ElementForces, ElementKind, ExpressionLaw, StrictModel, Target, Treatment, TreatmentName,
+    hookimpl,
 )
 
 SIZE = sympy.Symbol("size", real=True)
@@ -50,7 +51,7 @@ def thrust_of(mechanism):
 def mbdkit_items():
     return [
         ElementKind(name="jet", summary="Jets by name.", key_in_model="jets", builder="jet",
-                    model=Target("jet_kit:Jet"), lower=Target("jet_kit:lower"), section="jetting",
+                    model=Target("jet_kit:Jet"), acts=ElementForces(lower=Target("jet_kit:lower")), section="jetting",
                     section_model=Target("jet_kit:JetSection")),
         *(Treatment(name=name, summary="Forces by time.", of="jets") for name in ("pulses", "steady")),
         Accessor(name="thrust", summary="Sum of thrusts.", of="Mechanism", target=Target("jet_kit:thrust_of")),
@@ -104,7 +105,7 @@ def test_elements_act_by_laws_of_their_own_and_mechanisms_have_attributes_of_plu
 LINKS = """
 from typing import ClassVar
 import sympy
-from mbdkit.plugin import ElementKind, ExpressionLaw, LineForce, Number, Positive, Target, hookimpl
+from mbdkit.plugin import ElementForces, ElementKind, ExpressionLaw, LineForce, Number, Positive, Target, hookimpl
 
 LENGTH, STIFFNESS = sympy.symbols("length stiffness", real=True)
 
@@ -129,7 +130,7 @@ def force(link, k):
 @hookimpl
 def mbdkit_items():
     return [ElementKind(name="link", summary="Links by name.", key_in_model="links", builder="link",
-                        model=Target("link_kit:Link"), forces=Target("link_kit:forces"))]
+                        model=Target("link_kit:Link"), acts=ElementForces(forces=Target("link_kit:forces")))]
 """
 LINKED = """
 mbdkit: 1

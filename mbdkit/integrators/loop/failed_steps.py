@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Never
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from mbdkit.integrators.run.run_plan import SYMMETRIC
 from mbdkit.integrators.run.run_state import MODIFIED
 from mbdkit.integrators.run.step_control import SOLVER_FAILURE_FACTOR
 from mbdkit.integrators.run.step_guards import ENERGY_JUMP, FELL_APART
+from mbdkit.registry.seam import OwnSeam
 
 if TYPE_CHECKING:
     from mbdkit.integrators.run.run_plan import RunPlan
@@ -32,6 +33,21 @@ SINGULAR, REGULAR = 1e-6, 1e-2
 
 APART, SWITCHED = -1, -2
 """Codes of further attempts at a step, beside the statuses after which new pivots have been chosen."""
+
+
+@OwnSeam
+def obstacle_clause(handle: Never, workspace: Workspace, time: float, q: np.ndarray, v: np.ndarray, /) -> str:
+    """Return a clause that names an element that cannot have the positions q (n,) at which a step failed; or nothing.
+
+    The time is in s, v (n,) are the velocities.
+    """
+    raise NotImplementedError
+
+
+@OwnSeam
+def stiffness_clause(handle: Never, /) -> str:
+    """Return a clause that names an element for which explicit methods need small steps, or an empty text."""
+    raise NotImplementedError
 
 
 class FailedSteps:
@@ -180,15 +196,16 @@ class FailedSteps:
     def _obstacle(self, t: float, q: np.ndarray) -> str:
         """Return a clause that names an element that cannot have the positions `q`; empty if there is none."""
         for handle, kind in self.workspace.mechanism.kinds():
-            obstacle = kind.obstacle
-            if obstacle is not None and (clause := obstacle()(handle, self.workspace, t, q, self._state.v)):
+            if (target := kind.failures.obstacle) is None:
+                continue
+            if clause := obstacle_clause.of(target)(handle, self.workspace, t, q, self._state.v):
                 return clause
         return ""
 
     def _stiffness(self) -> str:
         """Return a clause that names an element for which explicit methods need small steps, if there is one."""
         for handle, kind in () if self.method.carries_stages else self.workspace.mechanism.kinds():
-            stiffest = kind.stiffest
-            if stiffest is not None and (clause := stiffest()(handle)):
+            stiffest = kind.failures.stiffest
+            if stiffest is not None and (clause := stiffness_clause.of(stiffest)(handle)):
                 return f"; {clause}"
         return ""

@@ -22,6 +22,7 @@ from mbdkit.registry.items import IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
 from mbdkit.runs.preparation import make_method, timetable
+from mbdkit.runs.run_seams import treatment_guards
 from mbdkit.spec import RunSpec
 
 HALVINGS = (2, 4)
@@ -147,7 +148,7 @@ def guards_of_treatment(spec: RunSpec, method: Method) -> tuple[ChosenTreatment,
     chosen = spec.reacting
     if chosen is None or chosen.item.guards is None:
         return None
-    return chosen.replaced(chosen.item.guarded_by), chosen.item.guards()(method)
+    return chosen.replaced(chosen.item.guarded_by), treatment_guards.of(chosen.item.guards)(method)
 
 
 def _guards_of_treatment(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbdkit.plugin import counted, show, show_json
+from mbdkit.plugin.seams import repeated_run, spec_check
 from mbdkit.plugin.terminal import (
     Archive,
     AsJson,
@@ -88,6 +89,7 @@ def workload(
             show(found.text())
 
 
+@repeated_run
 def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: object) -> Run:
     """Compute the inverse dynamics of an archive again.
 
@@ -118,6 +120,7 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     return compute_run(spec, path=output, overwrite=overwrite)
 
 
+@spec_check
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
     from mbdkit.plugin.measures import check_measures

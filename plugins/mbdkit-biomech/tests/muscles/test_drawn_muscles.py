@@ -20,7 +20,7 @@ def test_a_muscle_is_drawn_through_its_points_and_beside_its_circles():
         {"body": rod, "point": (0.0, 0.0)},
     ]
     m.muscle("m", path, max_force=1.0, optimal_length=0.1, tendon_length=0.1)
-    (places,) = muscle_lines(m, m.muscles["m"])
+    (places,) = muscle_lines(m.muscles["m"], m)
     assert [body for body, _ in places] == ["ground", "ground", "rod", "rod"]
     x, y = places[1][1]
     assert np.isclose(np.hypot(x, y + 0.2), 0.1)  # on the circle, above its center: a path to the right has left up

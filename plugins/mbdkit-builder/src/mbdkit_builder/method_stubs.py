@@ -9,7 +9,7 @@ import inspect
 import re
 import sys
 import textwrap
-from typing import Any
+from typing import Any, cast
 
 from mbdkit.kernels import machine_code
 from mbdkit.mechanism.element_kinds import builder_of
@@ -37,11 +37,11 @@ def generated() -> str:
     kinds = [item.plugin for item in built_in().of_kind("element-kind") if isinstance(item.plugin, ElementKind)]
     methods = {name: one for name, one in vars(ElementMethods).items() if not name.startswith("_")}
     methods |= {kind.builder: builder_of(kind) for kind in kinds if kind.builder}
-    text = "\n".join(f"    {kind.key_in_model}: dict[str, {kind.model().__name__}]" for kind in kinds)
+    text = "\n".join(f"    {kind.key_in_model}: dict[str, {cast(type, kind.model()).__name__}]" for kind in kinds)
     text += "\n\n" + "\n\n".join(_method(name, one) for name, one in methods.items())
     used = [name for pair in re.findall(r"\bMapping\[str, Any\] \| (\w+)|: dict\[str, (\w+)\]", text) for name in pair]
     classes = ["NamedElements", *filter(None, used)]
-    own = {kind.model().__module__ for kind in kinds}
+    own = {cast(type, kind.model()).__module__ for kind in kinds}
     rooms = [vars(one) for name, one in sys.modules.items() if name.startswith("mbdkit.mechanism.") or name in own]
     places = {name: one.__module__ for room in rooms for name, one in room.items() if isinstance(one, type)}
     imports = "\n".join(sorted({f"from {places[name]} import {name}" for name in classes}))

@@ -15,6 +15,7 @@ import numpy as np
 
 from mbdkit.plugin import GROUND, SpecError, Target
 from mbdkit.plugin.equations import CompiledLaw, NativeLaw, elementary, native_law, with_ground
+from mbdkit.plugin.seams import lowering, recorded_members, start_values
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.contact_laws import (
     FORCE_LAWS,
@@ -33,7 +34,7 @@ from mbdkit_contact.modes import OPEN, SLIP, STICK
 from mbdkit_contact.polylines import reaching_segments
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Lowering, Mechanism
+    from mbdkit.plugin import ActingForce, Lowering, Mechanism
     from mbdkit_contact.contact import Contact
 
 HEAVY = 10.0
@@ -236,7 +237,10 @@ def _coordinates(mechanism: Mechanism, body: str) -> int:
     return 2 if mechanism.bodies[body].inertia is None else 3
 
 
-def lower_contacts(elements: Mapping[str, Contact], lowering: Lowering, acting: tuple[()]) -> tuple[ActingContact, ...]:
+@lowering
+def lower_contacts(
+    elements: Mapping[str, Contact], lowering: Lowering, acting: tuple[ActingForce, ...]
+) -> tuple[ActingContact, ...]:
     """Add the forces of compliant contacts, or the states of rigid ones, to a mechanism that is compiled.
 
     These states store the forces and modes of rigid contacts, and the sum of these forces on each body. Their values
@@ -267,6 +271,7 @@ def lower_contacts(elements: Mapping[str, Contact], lowering: Lowering, acting: 
     return tuple(rigid)
 
 
+@start_values
 def check_start(
     contacts: Sequence[ActingContact], mechanism: Mechanism, _t0: float, q: np.ndarray
 ) -> Mapping[int, float]:
@@ -309,6 +314,7 @@ def check_start(
     return {}
 
 
+@recorded_members
 def members_of(contacts: Sequence[ActingContact]) -> list[tuple[str, tuple[str, ...]]]:
     """Return name and bodies of each row of the contacts."""
     return [(acting.pair.name, acting.pair.ordered) for acting in contacts]

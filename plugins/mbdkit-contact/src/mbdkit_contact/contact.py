@@ -27,6 +27,7 @@ from mbdkit.plugin import (
 )
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.mechanisms import Attachment, BodyPair, Weld, sequence
+from mbdkit.plugin.seams import ElementsByName, element_check
 from mbdkit_contact.polylines import check_polyline, surface_of
 
 Pair = tuple[float, float]
@@ -286,6 +287,9 @@ class Contact(Element):
     The normal points from the first body to the second. Normal and friction forces of a compliant contact act at the
     point midway between the two outlines.
     """
+
+    KEYS_WITHOUT_LAST: ClassVar[tuple[str, ...]] = ("among",)
+    """The shapes in `among` are a mapping by names of bodies."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("bodies", "among", "rolling_resistance", "compliance")
 
@@ -559,7 +563,8 @@ def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
     return tuple(edges)
 
 
-def check_contacts(contacts: Mapping[str, Contact], mechanism: Any, prefix: str) -> None:
+@element_check
+def check_contacts(contacts: Mapping[str, Contact], mechanism: ElementsByName, prefix: str) -> None:
     """Raise SpecError for the first contact whose bodies a weld, or a pin between two moving bodies, holds together.
 
     Two bodies overlap around their pin. A body that is pinned to the ground may touch other parts of the ground.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.plugin.equations import CompiledLaw
+from mbdkit.plugin.seams import gradient_doubts, law_sides
 from mbdkit_contact.acting_contacts import ActingContact, contact_law, has_sides, pairs_of_shapes
 from mbdkit_contact.kernels.contact_laws import STIFFNESS, VALUE, VALUES, contact_rows
 
@@ -31,7 +32,7 @@ class Push:
     ----------
     force, side
         Name of the contact, and index of the parameter with the side; see
-        `mbdkit_gradients.law_corners.LawCondition`.
+        `mbdkit.plugin.seams.LawCondition`.
     bodies
         Indices of both bodies.
     law
@@ -51,7 +52,7 @@ class Push:
     rows: int
 
     def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
-        """Return g in T states; see `mbdkit_gradients.law_corners.Condition.values`."""
+        """Return g in T states; see `mbdkit.plugin.seams.LawCondition.values`."""
         return np.min(self._overlap_and_force(q, v, numbers), axis=0).tolist()
 
     def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:
@@ -81,8 +82,9 @@ class Push:
         return np.array([-quantities[:, self.row, 0], quantities[:, self.row, 1] / own[1 + STIFFNESS]])
 
 
+@law_sides
 def sides(contacts: Sequence[ActingContact], places_of: Callable[[int], np.ndarray]) -> Iterator[Push]:
-    """Yield the conditions of the compliant contacts with a linear law; see `ElementKind.sides`."""
+    """Yield the conditions of the compliant contacts with a linear law; see `law_sides`."""
     for rows in pairs_of_shapes(contacts):
         if has_sides(rows):
             parameters, law = places_of(rows[0].law_place), contact_law(rows, VALUES)
@@ -91,6 +93,7 @@ def sides(contacts: Sequence[ActingContact], places_of: Callable[[int], np.ndarr
                 yield Push(rows[0].pair.name, side, rows[0].bodies, law, parameters, i, len(rows))
 
 
+@gradient_doubts
 def jumps(contacts: Sequence[ActingContact]) -> list[str]:
     """Return a doubt about each contact of polygons that has the linear law, which has no sides there."""
     rows = (rows[0] for rows in pairs_of_shapes(contacts) if rows[0].force == "linear" and not has_sides(rows))

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.plugin import GROUND, Finding, quoted
 from mbdkit.plugin.doubts import SHARE, FrictionElement, SlowFriction
+from mbdkit.plugin.seams import rows_criterion, spec_criterion
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 
 
+@spec_criterion
 def slip_events(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a warning for each event that is the zero crossing of the slip of a contact."""
     for name, event in spec.events.items():
@@ -31,6 +33,7 @@ def slip_events(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Findin
             yield Finding("slip-events", "doubtful", sentence, f"events.{quoted(name)}.when", is_named=False)
 
 
+@spec_criterion
 def rolling_point_masses(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a doubt about each point mass with a round shape that friction cannot turn."""
     mechanism = spec.mechanism()
@@ -46,6 +49,7 @@ def rolling_point_masses(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterat
                 yield Finding("rolling-point-masses", "doubtful", sentence, "model", is_named=False)
 
 
+@rows_criterion
 def slow_friction(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFriction | None:
     """Return the slow friction of the contacts of a mechanism; None if they are rigid, or cannot touch."""
     if compiled.reacting is not None or not compiled.extensions["contacts"]:

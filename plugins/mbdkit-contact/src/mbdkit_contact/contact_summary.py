@@ -12,12 +12,14 @@ from mbdkit.archive.peak_errors import errors_of_largest
 from mbdkit.archive.run_summary import counted_impacts, impacts_of_drivers
 from mbdkit.plugin import Headline, MbdkitError, listed
 from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, few, largest_of, missed_between_rows, ranked
+from mbdkit.plugin.seams import run_headlines, summary_lines
 from mbdkit_contact.modes import SLIP, STICK
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
 
 
+@run_headlines
 def largest_forces(run: Run) -> list[Headline]:
     """Return the two largest normal forces of contacts."""
     if not run.records("contacts/normal_force"):
@@ -32,6 +34,7 @@ def largest_forces(run: Run) -> list[Headline]:
     return largest_of("normal force at", run, names, force, "N", errors, missed)[:2]
 
 
+@summary_lines
 def contact_lines(run: Run) -> list[tuple[str, str]]:
     """Return the line of the summary about contacts."""
     return [("contacts", _overlaps(run))]
@@ -65,6 +68,7 @@ def _overlaps(run: Run) -> str:
     return few(ranked(parts))
 
 
+@summary_lines
 def impact_lines(run: Run) -> list[tuple[str, str]]:
     """Return the line of the summary about impacts of contacts."""
     return [("impacts", _impacts(run))]

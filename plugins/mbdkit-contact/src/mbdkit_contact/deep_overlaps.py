@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.plugin.archives import expression_of_largest
 from mbdkit.plugin.equations import fill
+from mbdkit.plugin.seams import rows_criterion
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
@@ -49,12 +50,6 @@ class DeepOverlaps:
         self._is_rigid, self._finer = compiled.reacting is not None, finer
         self._depth, self._time = np.zeros((2, len(self._pairs)))
 
-    @classmethod
-    def of(cls, spec: RunSpec, compiled: CompiledMechanism, _size: float) -> DeepOverlaps | None:
-        """Return the `DeepOverlaps` of a mechanism; None if it has no contacts of circles."""
-        has_circles = any(contact.pair.radius > 0.0 for contact in compiled.extensions["contacts"])
-        return cls(compiled, spec.finer) if has_circles else None
-
     def add(self, states: States) -> None:
         """Take note of states."""
         if len(states.time):
@@ -88,6 +83,13 @@ class DeepOverlaps:
         fill(self._time, state["time"])
 
 
+@rows_criterion
+def watch_deep_overlaps(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> DeepOverlaps | None:
+    """Return the `DeepOverlaps` of a mechanism; None if it has no contacts of circles."""
+    has_circles = any(one.pair.radius > 0.0 for one in compiled.extensions["contacts"])
+    return DeepOverlaps(compiled, spec.finer) if has_circles else None
+
+
 class RigidOverlaps(DeepOverlaps):
     """Overlaps of rigid contacts, which have none in a sound run.
 
@@ -104,14 +106,6 @@ class RigidOverlaps(DeepOverlaps):
     def __init__(self, compiled: CompiledMechanism, finer: str, size: float, *, locates: bool):
         super().__init__(compiled, finer)
         self._size, self._locates = size, locates
-
-    @classmethod
-    def of(cls, spec: RunSpec, compiled: CompiledMechanism, size: float) -> RigidOverlaps | None:
-        """Return the `RigidOverlaps` of a mechanism; None if its contacts are compliant."""
-        chosen = compiled.reacting
-        if chosen is None:
-            return None
-        return cls(compiled, spec.finer, size, locates=chosen.section.treatment == "event-driven")
 
     def add(self, states: States) -> None:
         """See `DeepOverlaps.add`."""
@@ -134,3 +128,12 @@ class RigidOverlaps(DeepOverlaps):
                     f"missed, or steps are too long; use {self._finer}."
                 )
         return tuple(sentences)
+
+
+@rows_criterion
+def watch_rigid_overlaps(spec: RunSpec, compiled: CompiledMechanism, size: float) -> RigidOverlaps | None:
+    """Return the `RigidOverlaps` of a mechanism; None if its contacts are compliant."""
+    chosen = compiled.reacting
+    if chosen is None:
+        return None
+    return RigidOverlaps(compiled, spec.finer, size, locates=chosen.section.treatment == "event-driven")

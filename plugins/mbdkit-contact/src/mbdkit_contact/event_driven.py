@@ -13,6 +13,7 @@ from mbdkit.kernels import STATE_ROW, fade
 from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Step, StepError, StepMethod, StepState, Why
 from mbdkit.plugin.equations import Workspace, gauss_on_unit
 from mbdkit.plugin.methods import SAME_INSTANT, Dense, StepTaken, collocation_polynomials, states_at_start
+from mbdkit.plugin.seams import treatment_start
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, StepPoint, gains, power_at
@@ -289,6 +290,7 @@ class _LibraryStep(EventStep):
         return self.inside(self._there, h / (self._there.t - self.now.t)) if h > 0.0 else self.now
 
 
+@treatment_start
 def with_contact_forces(workspace: Workspace) -> Workspace:
     """Return a workspace that starts with the contact forces and modes of the initial state.
 

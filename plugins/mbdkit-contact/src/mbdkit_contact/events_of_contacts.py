@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.kernels import NOT_FINITE, OK, PAUSED, PinnedBundle
-from mbdkit.plugin import EquationsOfMotion, StepCode, StepError
+from mbdkit.plugin import EquationsOfMotion, StepError
 from mbdkit.plugin.equations import SingularSystemError
 from mbdkit.plugin.methods import ElementImpact
 from mbdkit_contact.contact_state import ContactState
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from mbdkit.plugin.equations import Workspace
     from mbdkit_contact.contact_section import ContactTreatment
 
-FAILURES: dict[int, tuple[StepCode, str]] = {
+FAILURES: dict[int, tuple[str, str]] = {
     PAINLEVE: ("painleve", "the friction of contact {name} presses it together more than it is pressed"),
     NO_MODES: ("painleve", "no forces at contact {name} satisfy Coulomb's law"),
     NO_IMPULSES: ("contact-solver", "no impulses of the contacts satisfy the law of impact"),

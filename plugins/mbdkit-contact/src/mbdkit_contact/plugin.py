@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from mbdkit.plugin import (
     CriterionItem,
+    ElementDerivatives,
+    ElementForces,
     ElementKind,
     Example,
     GuidePage,
@@ -27,44 +28,37 @@ _HERE = Path(__file__).parent
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
     """Return the time-stepping methods."""
+    # fmt: off
     return [
         IntegratorPlugin(
             name="moreau-jean",
-            summary="Moreau and Jean: time-stepping for rigid contacts, order 1, no drift of joints and gaps, fixed "
-            "steps.",
-            options=Target("mbdkit_contact.time_stepping_methods:MoreauJeanOptions", type),
+            summary="Moreau and Jean: time-stepping for rigid contacts, order 1, no drift of joints and gaps, "
+            "fixed steps.",
+            options=Target("mbdkit_contact.time_stepping_methods:MoreauJeanOptions"),
             create=Target("mbdkit_contact.time_stepping_methods:create_moreau_jean"),
             claims=Target("mbdkit_contact.time_stepping_methods:claims_of_moreau_jean"),
-            references=Target("mbdkit_contact.time_stepping_methods:REFERENCES_OF_MOREAU_JEAN", tuple),
-            order=130,
+            references=Target("mbdkit_contact.time_stepping_methods:REFERENCES_OF_MOREAU_JEAN"), order=130,
         ),
         IntegratorPlugin(
             name="nonsmooth-generalized-alpha",
             summary="Nonsmooth generalized-alpha: time-stepping for rigid contacts, order 2 without them, fixed steps.",
-            options=Target("mbdkit_contact.time_stepping_methods:NonsmoothGeneralizedAlphaOptions", type),
+            options=Target("mbdkit_contact.time_stepping_methods:NonsmoothGeneralizedAlphaOptions"),
             create=Target("mbdkit_contact.time_stepping_methods:create_generalized_alpha"),
             claims=Target("mbdkit_contact.time_stepping_methods:claims_of_generalized_alpha"),
-            references=Target("mbdkit_contact.time_stepping_methods:REFERENCES_OF_GENERALIZED_ALPHA", tuple),
-            order=140,
+            references=Target("mbdkit_contact.time_stepping_methods:REFERENCES_OF_GENERALIZED_ALPHA"), order=140,
         ),
     ]
+    # fmt: on
 
 
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
     """Return contacts, what runs record and say of them, treatments, examples, and the page of the guide."""
-    rigid: dict[str, Any] = {
-        "of": "contacts",
-        "reacting": True,
-        "begin": Target("mbdkit_contact.treatments:with_contact_forces"),
-        "guards": Target("mbdkit_contact.treatments:guards"),
-        "guarded_by": "event-driven",
-        "undecided": "impacts of rigid contacts make the errors of the motion unknown before its end",
-        "supports": {
-            "gradients": "gradients of runs do not include event-driven and time-stepping contacts; use compliant ones",
-            "statics": "an analysis of a mechanism at rest needs compliant contacts: use `treatment: compliant`",
-        },
+    supports = {
+        "gradients": "gradients of runs do not include event-driven and time-stepping contacts; use compliant ones",
+        "statics": "an analysis of a mechanism at rest needs compliant contacts: use `treatment: compliant`",
     }
+    undecided = "impacts of rigid contacts make the errors of the motion unknown before its end"
     return [
         ElementKind(
             name="contact",
@@ -79,12 +73,16 @@ def mbdkit_items() -> Iterable[Item]:
             section_model=Target("mbdkit_contact.contact_section:ContactTreatment"),
             read_files=Target("mbdkit_contact.polyline_files:read_polylines"),
             check_elements=Target("mbdkit_contact.contact:check_contacts"),
-            check_run=Target("mbdkit_contact.treatments:check_run"),
-            lower=Target("mbdkit_contact.acting_contacts:lower_contacts"),
+            acts=ElementForces(
+                check_run=Target("mbdkit_contact.treatments:check_run"),
+                lower=Target("mbdkit_contact.acting_contacts:lower_contacts"),
+                members=Target("mbdkit_contact.acting_contacts:members_of"),
+            ),
             at_start=Target("mbdkit_contact.acting_contacts:check_start"),
-            members=Target("mbdkit_contact.acting_contacts:members_of"),
-            sides=Target("mbdkit_contact.contact_corners:sides"),
-            gradient_doubts=Target("mbdkit_contact.contact_corners:jumps"),
+            derivatives=ElementDerivatives(
+                sides=Target("mbdkit_contact.contact_corners:sides"),
+                doubts=Target("mbdkit_contact.contact_corners:jumps"),
+            ),
         ),
         QuantityKind(
             name="contacts",
@@ -92,7 +90,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=52,
             target=Target("mbdkit_contact.quantities:CONTACTS"),
             word="contacts",
-            of="contacts",
             names=Target("mbdkit_contact.quantities:contact_names"),
             peaks=("normal_force", "-gap"),
             modes="mode",
@@ -164,7 +161,7 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Circles in contact that overlap deeply.",
             order=175,
             stage="rows",
-            find=Target("mbdkit_contact.deep_overlaps:DeepOverlaps.of"),
+            find=Target("mbdkit_contact.deep_overlaps:watch_deep_overlaps"),
             of=frozenset({"run"}),
             criteria=("deep-overlaps",),
             elements="contacts",
@@ -174,7 +171,7 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Rigid bodies that overlap.",
             order=177,
             stage="rows",
-            find=Target("mbdkit_contact.deep_overlaps:RigidOverlaps.of"),
+            find=Target("mbdkit_contact.deep_overlaps:watch_rigid_overlaps"),
             of=frozenset({"run"}),
             criteria=("rigid-overlaps",),
             level="bad",
@@ -185,20 +182,32 @@ def mbdkit_items() -> Iterable[Item]:
             name="event-driven",
             summary="Rigid bodies; impacts and changes between sticking, slipping and separation are located.",
             order=10,
+            of="contacts",
+            reacting=True,
             require=Target("mbdkit_contact.treatments:require_event_driven"),
+            begin=Target("mbdkit_contact.event_driven:with_contact_forces"),
             method=Target("mbdkit_contact.treatments:event_driven"),
-            **rigid,
+            guards=Target("mbdkit_contact.treatments:guards"),
+            guarded_by="event-driven",
+            undecided=undecided,
+            supports=supports,
         ),
         Treatment(
             name="time-stepping",
             summary="Rigid bodies, whose velocities may jump in every step.",
             order=20,
+            of="contacts",
+            reacting=True,
             require=Target("mbdkit_contact.treatments:require_time_stepping"),
+            begin=Target("mbdkit_contact.event_driven:with_contact_forces"),
+            guards=Target("mbdkit_contact.treatments:guards"),
+            guarded_by="event-driven",
             # errors are bounded by a constant times the step, but do not decrease steadily with the step, because
             # impacts fall between the ends of steps
             factors=(4, 16),
             includes_impacts=True,
-            **rigid,
+            undecided=undecided,
+            supports=supports,
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from mbdkit.plugin import SpecError, did_you_mean, listed, quoted, read_data, read_unit, shown
+from mbdkit.plugin.seams import element_files
 from mbdkit.plugin.specs import spec_error
 from mbdkit_contact.contact import PolylineFile
 
@@ -20,6 +21,7 @@ LARGEST_FILE = 16 * 2**20
 """Largest size of a file with points [bytes]."""
 
 
+@element_files
 def read_polylines(contacts: Mapping[str, Any], folder: Path) -> None:
     """Replace polylines that name a file by the points in the file.
 

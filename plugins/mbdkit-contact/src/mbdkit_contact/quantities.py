@@ -8,6 +8,7 @@ import numpy as np
 
 from mbdkit.plugin import Chart, Recorded, name_array, quantity_group
 from mbdkit.plugin.archives import AXIS, TIME, computed
+from mbdkit.plugin.seams import member_names
 from mbdkit_contact.acting_contacts import contact_values
 from mbdkit_contact.ground_reactions import feet, ground_reactions
 
@@ -27,6 +28,7 @@ def rows_of(mechanism: Mechanism) -> list[ContactPair]:
     return [pair for name, contact in mechanism.contacts.items() for pair in contact.pairs(name, mechanism.joints)]
 
 
+@member_names
 def contact_names(mechanism: Mechanism) -> list[str]:
     """Return the names of all possible contact points: ``contact``, or ``contact.a.b`` for two bodies of a group.
 
@@ -35,6 +37,7 @@ def contact_names(mechanism: Mechanism) -> list[str]:
     return [pair.name for pair in rows_of(mechanism)]
 
 
+@member_names
 def feet_of(mechanism: Mechanism) -> list[str]:
     """Return the names of the bodies that may touch the ground."""
     return feet(pair.ordered for pair in rows_of(mechanism))

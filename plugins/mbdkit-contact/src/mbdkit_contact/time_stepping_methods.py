@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from mbdkit.plugin import Claims, Method, Options, Target, Traits
+from mbdkit.plugin.seams import integrator_claims, integrator_method
 
 JEAN = """@article{jean1999,
   author = {Jean, Michel},
@@ -74,11 +75,13 @@ class NonsmoothGeneralizedAlpha(Method):
         return _TRAITS
 
 
+@integrator_method
 def create_moreau_jean(options: MoreauJeanOptions) -> MoreauJean:
     """Return the method of Moreau and Jean."""
     return MoreauJean(options.theta)
 
 
+@integrator_method
 def create_generalized_alpha(options: NonsmoothGeneralizedAlphaOptions) -> NonsmoothGeneralizedAlpha:
     """Return the nonsmooth generalized-alpha method."""
     return NonsmoothGeneralizedAlpha(options.spectral_radius)
@@ -97,11 +100,13 @@ def _claims(order: int, **claims: Any) -> Claims:
     )
 
 
+@integrator_claims
 def claims_of_moreau_jean(options: MoreauJeanOptions) -> Claims:
     """Return the claims of the method of Moreau and Jean."""
     return _claims(1, l_stable=options.theta == 1.0)
 
 
+@integrator_claims
 def claims_of_generalized_alpha(options: NonsmoothGeneralizedAlphaOptions) -> Claims:
     """Return the claims of the nonsmooth generalized-alpha method."""
     return _claims(2)

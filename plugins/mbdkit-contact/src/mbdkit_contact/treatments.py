@@ -8,23 +8,16 @@ from mbdkit.plugin import ExternalMethod, Mechanism, Method, RunSpec, SpecError,
 from mbdkit.plugin.equations import INDEX_1
 from mbdkit.plugin.mechanisms import joint_with_friction
 from mbdkit.plugin.methods import CompiledMethod
+from mbdkit.plugin.seams import run_check, treatment_condition, treatment_guards, treatment_method
 from mbdkit_contact.compiled_events import CompiledEventDriven
 from mbdkit_contact.contact_section import ContactTreatment
-from mbdkit_contact.event_driven import EventDriven, EventDrivenLibrary, with_contact_forces
-
-__all__ = [
-    "check_run",
-    "event_driven",
-    "guards",
-    "require_event_driven",
-    "require_time_stepping",
-    "with_contact_forces",
-]
+from mbdkit_contact.event_driven import EventDriven, EventDrivenLibrary
 
 GUARDS = {"dop853": 4, "dopri5": 16}
 """Explicit methods for comparison runs, and the factors by which their steps are smaller than those of the run."""
 
 
+@run_check
 def check_run(mechanism: Mechanism) -> None:
     """Raise SpecError if contacts are rigid and a joint has friction."""
     if mechanism.reacting is not None and (name := joint_with_friction(mechanism.joints)):
@@ -35,6 +28,7 @@ def check_run(mechanism: Mechanism) -> None:
         )
 
 
+@treatment_condition
 def require_time_stepping(spec: RunSpec, method: Method) -> None:
     """Raise SpecError unless a method is one of time-stepping."""
     if not method.traits.is_time_stepping:
@@ -43,6 +37,7 @@ def require_time_stepping(spec: RunSpec, method: Method) -> None:
     _require_rigid(spec)
 
 
+@treatment_condition
 def require_event_driven(spec: RunSpec, method: Method) -> None:
     """Raise SpecError unless a method can take the steps between events."""
     traits, name = method.traits, spec.integrator_item.name
@@ -76,6 +71,7 @@ def _require_rigid(spec: RunSpec) -> None:
         raise SpecError(message, key="accuracy")
 
 
+@treatment_method
 def event_driven(
     method: Method, treatment: ContactTreatment
 ) -> EventDriven | EventDrivenLibrary | Callable[[CompiledMethod], CompiledMethod]:
@@ -92,6 +88,7 @@ def event_driven(
     return EventDriven(steps, treatment)
 
 
+@treatment_guards
 def guards(method: Method) -> dict[str, int]:
     """Return the methods of comparison runs that are others than the method of the run; see `GUARDS`."""
     tableau = method.traits.tableau

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbdkit.plugin import listed, show, show_json
+from mbdkit.plugin.seams import spec_check
 from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, Set, grouped, output_to, say, silence, stem, tally_bar
 from mbdkit_studies import Cluster, Workers
 
@@ -155,6 +156,7 @@ def _cautions(spec: RunSpec | InverseSpec) -> Iterable[str]:
     return (*problem.warnings, *doubts_before_computation(problem).open)
 
 
+@spec_check
 def validate_design(source: Document, name: str, assignments: list[str]) -> None:
     """Check a design spec, the specs of its scenarios and its expressions, and print
     what would be optimised.

@@ -9,6 +9,7 @@ from typing import Any
 
 from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, parse_path, path_text
 from mbdkit.plugin.files import Path
+from mbdkit.plugin.seams import spec_loader
 from mbdkit.plugin.specs import Document, example_names, kind_of, parse_key, put, read_source, set_value, variable_path
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
@@ -65,6 +66,9 @@ def load_design_spec(source: object, assignments: Iterable[str] = (), **sections
     except SpecError as error:
         raise document.place(error) from None
     return spec
+
+
+spec_loader(load_design_spec)
 
 
 def _document(source: object) -> tuple[Document, FilePath]:

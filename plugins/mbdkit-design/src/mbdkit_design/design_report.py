@@ -40,6 +40,7 @@ from mbdkit_report import (
     methods,
     with_unit,
 )
+from mbdkit_report.seams import report_of_folder
 from mbdkit_studies.compute.executor_pool import Engine
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ COSTS = 2
 """Largest number of loads in the headline. Only loads that the design increases are shown."""
 
 
+@report_of_folder
 @contextmanager
 def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
     """Context manager that provides the report of a design with a result. The archives of its runs are open within the

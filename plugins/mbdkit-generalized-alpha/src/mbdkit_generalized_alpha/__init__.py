@@ -10,14 +10,13 @@ mbdkit_api = 1
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
     """Register the method, whose code is imported when a spec names it."""
-    home = "mbdkit_generalized_alpha.generalized_alpha"
     return [
         IntegratorPlugin(
             name="generalized-alpha",
             summary="Generalized-alpha: implicit, index 3, order 2, adjustable high-frequency damping, fixed steps.",
-            options=Target(f"{home}:GeneralizedAlphaOptions", type),
-            create=Target(f"{home}:GeneralizedAlpha"),
-            claims=Target(f"{home}:claims"),
-            references=Target(f"{home}:REFERENCES", tuple),
+            options=Target("mbdkit_generalized_alpha.generalized_alpha:GeneralizedAlphaOptions"),
+            create=Target("mbdkit_generalized_alpha.generalized_alpha:GeneralizedAlpha"),
+            claims=Target("mbdkit_generalized_alpha.generalized_alpha:claims"),
+            references=Target("mbdkit_generalized_alpha.generalized_alpha:REFERENCES"),
         )
     ]

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
+from mbdkit.plugin.seams import integrator_claims, integrator_method
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,6 +60,7 @@ class GeneralizedAlphaOptions(BaseModel):
     """Largest number of Newton iterations in one step; a step that needs more has failed."""
 
 
+@integrator_method
 class GeneralizedAlpha(mbdkit.StepMethod):
     """The method with the coefficients of Chung and Hulbert, which are optimal for a given spectral radius at infinite
     frequency.
@@ -123,6 +125,7 @@ class GeneralizedAlpha(mbdkit.StepMethod):
         )
 
 
+@integrator_claims
 def claims(options: GeneralizedAlphaOptions) -> mbdkit.Claims:
     """Return the claims of the method."""
     return mbdkit.Claims(

@@ -10,10 +10,10 @@ of all stages; steps end where g is zero. Laws of kinds of elements may have suc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from mbdkit.plugin import ExpressionLaw, FunctionLaw, SpecError
 from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism, bind_law
 from mbdkit.plugin.mechanisms import ARGUMENTS
 from mbdkit.plugin.methods import Seeds
+from mbdkit.plugin.seams import LawCondition, gradient_doubts, law_sides
 
 if TYPE_CHECKING:
     import sympy
@@ -48,7 +49,7 @@ class SidedLaw:
 
 
 @dataclass(frozen=True)
-class LawCondition:
+class ForceCondition:
     """A condition of the law of a force element.
 
     Attributes
@@ -86,19 +87,6 @@ class LawCondition:
         return [self.function(*row[self.element, :2], *numbers[self.parameters])[0] for row in forces]
 
 
-class FurtherCondition(Protocol):
-    """A condition of the laws of a kind of elements, see `ElementKind.sides`, with attributes as in `LawCondition`."""
-
-    force: str
-    side: int
-
-    def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
-        """Return g in T states; see `LawCondition.values`."""
-
-    def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:
-        """Return the derivatives of g in directions of the state: positions (n,), velocities (n,), parameters (L,)."""
-
-
 @dataclass(frozen=True)
 class SidedMechanism:
     """A mechanism with sides; see the description of this module.
@@ -114,7 +102,7 @@ class SidedMechanism:
     """
 
     mechanism: CompiledMechanism
-    conditions: tuple[LawCondition | FurtherCondition, ...]
+    conditions: tuple[ForceCondition | LawCondition, ...]
     places: np.ndarray
 
     def passed(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[str, ...]:
@@ -145,7 +133,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     places = np.zeros(len(top.law_parameters), dtype=np.int64)
     # A load that is an expression of the state shares its parameters with its derivatives.
     begins: dict[int, int] = {}
-    conditions: list[LawCondition | FurtherCondition] = []
+    conditions: list[ForceCondition | LawCondition] = []
     rows, laws = top.laws.copy(), list(mechanism.laws)
     elements = {int(spring[3]): int(top.force_place[k]) for k, spring in enumerate(top.springs) if spring[5] > 0}
     for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):
@@ -176,7 +164,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         places[begin : begin + len(given)] = [first - 1, *(first + own_places).tolist()]
         for i, function in enumerate(own.conditions):
             side = first + names.index(SIDE.format(i))
-            conditions.append(LawCondition(name, elements[row], first + own_places, side, function))
+            conditions.append(ForceCondition(name, elements[row], first + own_places, side, function))
         values += [float(len(held)), *held.tolist()]
 
     def places_of(law: int) -> np.ndarray:
@@ -184,7 +172,8 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         return np.arange(begin, begin + 1 + int(values[begin]))
 
     for handle, kind in mechanism.kinds():
-        conditions += () if kind.sides is None else kind.sides()(handle, places_of)
+        sides = kind.derivatives.sides
+        conditions += () if sides is None else law_sides.of(sides)(handle, places_of)
     if not conditions:
         return None
     without_law = top.states[top.states[:, STATE_ROW.segment] < 0]
@@ -218,8 +207,8 @@ def with_unknown_corners(mechanism: CompiledMechanism) -> tuple[str, ...]:
 
 def doubts_of_kinds(mechanism: CompiledMechanism) -> tuple[str, ...]:
     """Return what the kinds of elements doubt about derivatives of runs."""
-    every = ((handle, kind.gradient_doubts) for handle, kind in mechanism.kinds())
-    return tuple(sentence for handle, doubts in every if doubts is not None for sentence in doubts()(handle))
+    every = ((handle, kind.derivatives.doubts) for handle, kind in mechanism.kinds())
+    return tuple(text for handle, doubts in every if doubts is not None for text in gradient_doubts.of(doubts)(handle))
 
 
 def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:

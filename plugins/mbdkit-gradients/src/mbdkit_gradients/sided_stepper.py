@@ -20,10 +20,11 @@ from mbdkit.kernels import MODIFIED
 from mbdkit.plugin import StepError
 from mbdkit.plugin.equations import StateObserver, Workspace
 from mbdkit.plugin.methods import CompiledMethod, Moment, Seeds, StepTaken, Stretch, Timetable
+from mbdkit.plugin.seams import LawCondition
 from mbdkit_gradients.differentiated_states import DifferentiatedStates
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit_gradients.law_corners import FurtherCondition, LawCondition
+from mbdkit_gradients.law_corners import ForceCondition
 
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""
@@ -99,7 +100,7 @@ class SidedStepper(DifferentiatedStepper):
         workspace: Workspace,
         timetable: Timetable,
         seeds: Seeds,
-        conditions: Sequence[LawCondition | FurtherCondition],
+        conditions: Sequence[ForceCondition | LawCondition],
         *,
         with_nodes: bool,
     ):
@@ -220,7 +221,7 @@ class SidedStepper(DifferentiatedStepper):
         directions = [(here.q[0, :, k], here.v[0, :, k], numbers[:, k]) for k in range(1, width)]
         motion = here.v[0, :, 0], here.observed.acc[0, :, 0], 0.0 * self._numbers
         for condition in self.conditions:
-            if not isinstance(condition, LawCondition):
+            if not isinstance(condition, ForceCondition):
                 values += condition.values(forces[None], state[0][None], state[1][None], self._numbers)
                 *own_slopes, own_rate = condition.slopes(state, [*directions, motion])
                 slopes.append(np.array(own_slopes))

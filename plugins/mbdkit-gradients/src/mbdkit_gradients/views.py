@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from mbdkit_gradients.gradient import Gradient
 from mbdkit_report import Cell, Column, Table, View, columns_of
+from mbdkit_report.notebook.result_views import object_view
 
 
+@object_view
 def gradient_view(found: Gradient) -> View:
     """Return the view of a gradient."""
     columns = [*columns_of("measure; unit; value"), *(Column(f"by {name}") for name in found.parameters)]

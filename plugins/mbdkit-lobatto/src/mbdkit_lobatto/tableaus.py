@@ -14,7 +14,8 @@ import mpmath
 from pydantic import Field
 
 import mbdkit
-from mbdkit.plugin import ImplicitOptions, collocation
+from mbdkit.plugin import ImplicitOptions, Method, collocation
+from mbdkit.plugin.seams import integrator_claims, integrator_method
 
 REFERENCES = (
     """@book{hairer1996,
@@ -81,24 +82,31 @@ def tableau(kind: str, s: int) -> mbdkit.ButcherTableau:
         return mbdkit.ButcherTableau(name, a.tolist(), b, nodes, order, REFERENCES[int(kind == "d")])
 
 
-def _create(kind: str) -> Callable[[LobattoOptions], mbdkit.ImplicitRungeKutta]:
-    return lambda options: mbdkit.ImplicitRungeKutta(
-        tableau(kind, options.stages), options.stage_solver, options.tolerance, options.max_iterations
-    )
+def _create(kind: str) -> Callable[[LobattoOptions], Method]:
+    @integrator_method
+    def create(options: LobattoOptions) -> mbdkit.ImplicitRungeKutta:
+        solver, tolerance = options.stage_solver, options.tolerance
+        return mbdkit.ImplicitRungeKutta(tableau(kind, options.stages), solver, tolerance, options.max_iterations)
+
+    return create
 
 
 def _claims(*, l_stable: bool = False, **claims: Any) -> Callable[[LobattoOptions], mbdkit.Claims]:
-    return lambda options: mbdkit.Claims(
-        order=2 * options.stages - 2,
-        stages=options.stages,
-        drift="constraints hold at acceleration level only: drift of the method's order, growing with time",
-        needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
-        states=True,
-        conserves=("linear-momentum",),
-        a_stable=options.stage_solver == "newton",
-        l_stable=l_stable and options.stage_solver == "newton",
-        **claims,
-    )
+    @integrator_claims
+    def claims_of(options: LobattoOptions) -> mbdkit.Claims:
+        return mbdkit.Claims(
+            order=2 * options.stages - 2,
+            stages=options.stages,
+            drift="constraints hold at acceleration level only: drift of the method's order, growing with time",
+            needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
+            states=True,
+            conserves=("linear-momentum",),
+            a_stable=options.stage_solver == "newton",
+            l_stable=l_stable and options.stage_solver == "newton",
+            **claims,
+        )
+
+    return claims_of
 
 
 create_a, create_b, create_c, create_d = (_create(kind) for kind in "abcd")

@@ -14,8 +14,8 @@ def mbdkit_models() -> list[ModelPlugin]:
         ModelPlugin(
             "opensim",
             "The sagittal plane of an OpenSim model: pins, slides, welds, moving centres, muscles.",
-            options=Target("mbdkit_opensim.model:OpenSimOptions", type),
+            options=Target("mbdkit_opensim.model:OpenSimOptions"),
             build=Target("mbdkit_opensim.model:build"),
-            references=Target("mbdkit_opensim.model:REFERENCES", tuple),
+            references=Target("mbdkit_opensim.model:REFERENCES"),
         )
     ]

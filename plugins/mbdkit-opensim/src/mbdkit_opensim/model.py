@@ -8,6 +8,7 @@ from typing import ClassVar
 from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
+from mbdkit.plugin.seams import model_builder
 from mbdkit_opensim.building import build_mechanism
 
 REFERENCES = (
@@ -36,6 +37,7 @@ class OpenSimOptions(BaseModel):
     """Whether muscles are read, for inverse dynamics with `recruitment`; otherwise, they are ignored."""
 
 
+@model_builder
 def build(options: OpenSimOptions) -> mbdkit.Mechanism:
     """Return the mechanism of the file. Its bodies, joints, markers and coordinates have their names in the file."""
     return build_mechanism(options.file, options.initial, options.speeds, muscles=options.muscles)

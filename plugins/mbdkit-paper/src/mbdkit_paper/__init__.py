@@ -3,35 +3,57 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from mbdkit.plugin import StudyPlugin, Target
 
-
-def _packaged(name: str, summary: str, references: Any = ()) -> StudyPlugin:
-    folder = Path(__file__).parent / name.replace("-", "_")
-    has_verdict = (folder / "verdict.py").is_file()
-    verdict = Target[Any](f"{__name__}.{folder.name}.verdict:verdict") if has_verdict else None
-    return StudyPlugin(name, summary, folder / "study.yaml", verdict, references)
-
+_HERE = Path(__file__).parent
 
 STUDIES = (
-    _packaged(
+    StudyPlugin(
         "paper",
         "Results, claims and predictions of the source paper on RK-Gill and Gauss methods, recomputed and tested.",
-        Target(f"{__name__}.paper.source_paper:REFERENCES", tuple),
+        _HERE / "paper" / "study.yaml",
+        Target("mbdkit_paper.paper.verdict:verdict"),
+        Target("mbdkit_paper.paper.source_paper:REFERENCES"),
     ),
-    _packaged("contact", "Error, work, penetration and creep of compliant, event-driven and time-stepping contact."),
-    _packaged("convergence", "Error and misalignment of the double pendulum against the step, for six methods."),
-    _packaged("drift", "Order, drift, energy and cost of formulations and stabilizations."),
-    _packaged(
+    StudyPlugin(
+        "contact",
+        "Error, work, penetration and creep of compliant, event-driven and time-stepping contact.",
+        _HERE / "contact" / "study.yaml",
+        Target("mbdkit_paper.contact.verdict:verdict"),
+    ),
+    StudyPlugin(
+        "convergence",
+        "Error and misalignment of the double pendulum against the step, for six methods.",
+        _HERE / "convergence" / "study.yaml",
+    ),
+    StudyPlugin(
+        "drift",
+        "Order, drift, energy and cost of formulations and stabilizations.",
+        _HERE / "drift" / "study.yaml",
+        Target("mbdkit_paper.drift.verdict:verdict"),
+    ),
+    StudyPlugin(
         "flexible-slider-crank",
         "Joint forces and misalignment of a slider-crank with a flexible rod, by explicit and implicit methods.",
+        _HERE / "flexible_slider_crank" / "study.yaml",
+        Target("mbdkit_paper.flexible_slider_crank.verdict:verdict"),
     ),
-    _packaged("knee-spring", "Sobol indices of the knee force for stiffness and ends of a support, and body mass."),
-    _packaged("no-drift", "Misalignment over 100,000 steps with projected methods and index-reduced formulations."),
-    _packaged(
+    StudyPlugin(
+        "knee-spring",
+        "Sobol indices of the knee force for stiffness and ends of a support, and body mass.",
+        _HERE / "knee_spring" / "study.yaml",
+    ),
+    StudyPlugin(
+        "no-drift",
+        "Misalignment over 100,000 steps with projected methods and index-reduced formulations.",
+        _HERE / "no_drift" / "study.yaml",
+        Target("mbdkit_paper.no_drift.verdict:verdict"),
+    ),
+    StudyPlugin(
         "textbook-four-bar",
         "The four-bar linkage of a textbook: published loop residuals, and those of mbdkit's methods.",
+        _HERE / "textbook_four_bar" / "study.yaml",
+        Target("mbdkit_paper.textbook_four_bar.verdict:verdict"),
     ),
 )

@@ -22,6 +22,7 @@ from mbdkit.plugin import Mechanism, SpecError, copied, did_you_mean, parse_path
 from mbdkit.plugin.equations import compile_mechanism
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.mechanisms import element_kinds
+from mbdkit.plugin.seams import run_check
 from mbdkit_predict.exported_elements import chosen_equilibria
 
 STEP = 0.25
@@ -127,8 +128,8 @@ class ChosenNumbers:
         """Return a mechanism with the elements that act only in runs."""
         mechanism.is_of_run = True
         for key, kind in element_kinds().items():
-            if kind.check_run is not None and mechanism.elements.get(key):
-                kind.check_run()(mechanism)
+            if kind.acts.check_run is not None and mechanism.elements.get(key):
+                run_check.of(kind.acts.check_run)(mechanism)
         return mechanism
 
     def with_parameters(self, values: Sequence[float]) -> Mechanism:

@@ -8,9 +8,11 @@ from typing import Annotated, Any
 import typer
 
 from mbdkit.plugin import show
+from mbdkit.plugin.seams import spec_check
 from mbdkit.plugin.terminal import MotionSet, Overwrite, Printing, check_new, grouped, output_to, stem, tell
 
 
+@spec_check
 def validate_predict(source: Any, name: str, assignments: list[str]) -> None:
     """Check the spec of a prediction and all its expressions, and print what would be computed."""
     from mbdkit_predict.export import require_casadi

@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from mbdkit.plugin import MbdkitError, Mechanism
+from mbdkit.plugin.seams import mechanism_attribute
 
 if TYPE_CHECKING:
     from mbdkit_predict.casadi_system import CasadiSystem
 
 
+@mechanism_attribute
 def exported(mechanism: Mechanism) -> Callable[..., CasadiSystem]:
     """Return the method `to_casadi` of a mechanism."""
 

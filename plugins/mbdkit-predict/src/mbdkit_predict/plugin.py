@@ -19,17 +19,6 @@ from mbdkit.plugin import (
 )
 
 _HERE = Path(__file__).parent
-_RESULTS = {
-    "objective": "Smallest value of what is minimized.",
-    "objective_error": "Estimated error of the objective.",
-    "mesh": "Intervals and objective of each mesh.",
-    "parameters": "Optimized numbers.",
-    "controls": "Histories of the controls.",
-    "sensitivities": "Derivatives of the optimum from the multipliers.",
-    "starts": "Objectives on the first mesh from several first guesses.",
-    "forward_run": "Differences of a run with the controls from the motion.",
-    "gain": "Difference of the optimum from that of another motion.",
-}
 
 
 @hookimpl
@@ -59,9 +48,65 @@ def mbdkit_items() -> Iterable[Item]:
             order=45,
             target=Target("mbdkit_predict.commands:predict"),
         ),
-        *(
-            Accessor(name=name, summary=summary, of="Run", target=Target(f"mbdkit_predict.run_results:{name}"))
-            for name, summary in _RESULTS.items()
+        Accessor(
+            name="objective",
+            summary="Smallest value of what is minimized.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:objective"),
+        ),
+        Accessor(
+            name="objective_error",
+            summary="Estimated error of the objective.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:objective_error"),
+        ),
+        Accessor(
+            name="mesh",
+            summary="Intervals and objective of each mesh.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:mesh"),
+        ),
+        Accessor(
+            name="parameters",
+            summary="Optimized numbers.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:parameters"),
+        ),
+        Accessor(
+            name="controls",
+            summary="Histories of the controls.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:controls"),
+        ),
+        Accessor(
+            name="sensitivities",
+            summary="Derivatives of the optimum from the multipliers.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:sensitivities"),
+        ),
+        Accessor(
+            name="starts",
+            summary="Objectives on the first mesh from several first guesses.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:starts"),
+        ),
+        Accessor(
+            name="forward_run",
+            summary="Differences of a run with the controls from the motion.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:forward_run"),
+        ),
+        Accessor(
+            name="gain",
+            summary="Difference of the optimum from that of another motion.",
+            of="Run",
+            target=Target("mbdkit_predict.run_results:gain"),
+        ),
+        Accessor(
+            name="to_casadi",
+            summary="Equations of motion and quantities as functions of CasADi.",
+            of="Mechanism",
+            target=Target("mbdkit_predict.export:exported"),
         ),
         SummaryLine(
             name="predict",
@@ -73,12 +118,6 @@ def mbdkit_items() -> Iterable[Item]:
             name="prediction",
             summary="Optimum, meshes and sensitivities of a prediction.",
             make=Target("mbdkit_predict.report_section:section"),
-        ),
-        Accessor(
-            name="to_casadi",
-            summary="Equations of motion and quantities as functions of CasADi.",
-            of="Mechanism",
-            target=Target("mbdkit_predict.export:exported"),
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),

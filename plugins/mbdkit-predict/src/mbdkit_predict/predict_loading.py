@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from mbdkit.plugin import SpecError, copied, did_you_mean, listed, loaded, parse_path, path_text, value_text
+from mbdkit.plugin.seams import spec_loader, spec_schema
 from mbdkit.plugin.specs import DRAFT, Document, Registry, described, model_schema, put, read_source, registry
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
 from mbdkit_studies import base_source
@@ -38,6 +39,9 @@ def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: An
             raise document.place(error) from None
         source, sections = document, {}
     return loaded("predict", PredictSpec, source, overrides, sections)
+
+
+spec_loader(load_predict_spec)
 
 
 def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -98,6 +102,7 @@ def simpler_spec(spec: PredictSpec) -> PredictSpec | None:
     return load_predict_spec(Document(data | given, folder=spec.folder))
 
 
+@spec_schema
 def predict_schema(installed: Registry | None = None) -> dict[str, Any]:
     """Return the JSON schema (draft 2020-12) of the spec of a prediction, with a `base` or with its model, for the
     models and force laws of a registry; by default, for all that are installed.

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.plugin import Run
+from mbdkit.plugin.seams import repeated_run
 from mbdkit.plugin.specs import Document
 from mbdkit_predict.export import require_casadi
 from mbdkit_predict.predict_loading import PredictSource, load_predict_spec
@@ -60,6 +61,7 @@ def compute(
     return predicted(spec, path=path, overwrite=overwrite)
 
 
+@repeated_run
 def repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, progress: object) -> Run:
     """Compute the prediction of an archive again."""
     document = Document(dict(before.spec), folder=archive.parent)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
-from mbdkit.plugin import Run
+from mbdkit.plugin import Mechanism, Run
 from mbdkit_predict.run_results import lines, mesh, sensitivities
 from mbdkit_report import Section, Table, columns_of
+from mbdkit_report.seams import report_sections
 
 _METHOD = (
     "The motion minimizes {minimize}. It was found by direct collocation with the stages of {method} with {points} "
@@ -17,7 +17,8 @@ _METHOD = (
 )
 
 
-def section(run: Run, mechanism: Any) -> Iterator[Section]:
+@report_sections
+def section(run: Run, mechanism: Mechanism | None) -> Iterator[Section]:
     """Yield the section of a prediction; nothing for other runs."""
     if run.kind != "predicted":
         return

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbdkit.plugin import Run, RunError, parse_path
+from mbdkit.plugin.seams import run_attribute, summary_lines
 
 SAME = 1e-4
 """Optima on the first mesh whose relative difference is below this count as one."""
@@ -33,27 +34,32 @@ def _recorded(run: Run, name: str) -> Any:
     return json.loads(value) if isinstance(value, str) else value
 
 
+@run_attribute
 def objective(run: Run) -> float:
     """Return the smallest value of what is minimized, on the last mesh."""
     return float(_recorded(run, "objective"))
 
 
+@run_attribute
 def objective_error(run: Run) -> float:
     """Return the estimated error of the objective; nan if no optimum was found."""
     return float(_recorded(run, "objective_error"))
 
 
+@run_attribute
 def mesh(run: Run) -> list[tuple[int | tuple[int, ...], float]]:
     """Return the number of intervals, of each phase if there are several, and the objective of each mesh."""
     meshes = _recorded(run, "mesh")
     return [(tuple(count) if isinstance(count, list) else int(count), float(value)) for count, value in meshes]
 
 
+@run_attribute
 def parameters(run: Run) -> dict[str, float]:
     """Return the optimized numbers by their key path."""
     return {name: float(value) for name, value in _recorded(run, "optimized").items()}
 
 
+@run_attribute
 def controls(run: Run) -> dict[str, Any]:
     """Return the controls by their key path; `value` (T,) of each is its history."""
     _recorded(run, "objective")
@@ -62,6 +68,7 @@ def controls(run: Run) -> dict[str, Any]:
     return {name: run.states[states.get(name, name)] for name in paths}
 
 
+@run_attribute
 def sensitivities(run: Run) -> dict[str, float]:
     """Return derivatives of the optimum from the multipliers: by the key paths in `sensitivities`, by fixed durations,
     and by the values of conditions at the start and the end, such as ``final: block.x``.
@@ -69,11 +76,13 @@ def sensitivities(run: Run) -> dict[str, float]:
     return dict(_recorded(run, "sensitivities"))
 
 
+@run_attribute
 def starts(run: Run) -> list[float]:
     """Return the objective on the first mesh from each first guess; nan where no optimum was found."""
     return [math.nan if value is None else float(value) for value in _recorded(run, "starts")]
 
 
+@run_attribute
 def forward_run(run: Run) -> dict[str, float]:
     """Return how a run with the controls, by another method, differs from the motion, as a share of its range.
 
@@ -83,6 +92,7 @@ def forward_run(run: Run) -> dict[str, float]:
     return dict(_recorded(run, "forward_run"))
 
 
+@run_attribute
 def gain(run: Run) -> Callable[..., PredictedGain]:
     """Return the function of another prediction that returns the gain of this one; see `PredictedGain`.
 
@@ -100,6 +110,7 @@ def gain(run: Run) -> Callable[..., PredictedGain]:
     return of
 
 
+@summary_lines
 def lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary."""
     counts = " + ".join(map(str, np.atleast_1d(mesh(run)[-1][0])))

@@ -12,7 +12,7 @@ from mbdkit.plugin import Run, SpecError, TableFormat, did_you_mean, file_error,
 from mbdkit.plugin.files import check_folder, check_output, replacing
 from mbdkit.plugin.specs import registry
 from mbdkit_report.group_table import group_names, group_table
-from mbdkit_report.table_formats import ExportedTable
+from mbdkit_report.table_formats import ExportedTable, table_writer
 
 
 def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[Path]:
@@ -91,7 +91,7 @@ def write_tables(
         with ExitStack() as stack:
             for path, table in files.items():
                 temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=source))
-                use(item, lambda table=table, file=temporary: write()(table, file))  # type: ignore[misc]
+                use(item, lambda table=table, file=temporary: table_writer.of(write)(table, file))  # type: ignore[misc]
     except BaseException:
         if is_new:
             folder.rmdir()

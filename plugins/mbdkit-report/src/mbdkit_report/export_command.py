@@ -40,6 +40,7 @@ def archive_export(
     """
     from mbdkit.archive.changed_contents import opened
     from mbdkit.plugin import FileFormat
+    from mbdkit.plugin.seams import exported_files
     from mbdkit.plugin.specs import registry
     from mbdkit_report.export import export
 
@@ -47,7 +48,7 @@ def archive_export(
     formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
     kind = FileFormat.of_folder(archive, formats) if archive.is_dir() else None
     if kind is not None and kind.export is not None:
-        files = kind.export()(archive, folder, to, overwrite=overwrite)
+        files = exported_files.of(kind.export)(archive, folder, to, overwrite=overwrite)
     else:
         with opened(archive) as loaded:
             files = export(loaded, folder, to, overwrite=overwrite)

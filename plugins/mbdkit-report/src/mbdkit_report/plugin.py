@@ -19,18 +19,6 @@ from mbdkit.plugin import (
 )
 
 _HERE = Path(__file__).parent
-_COMMANDS = {
-    "plot": (100, "Plot a run, or one quantity of several runs."),
-    "animate": (110, "Animate a run."),
-    "report": (120, "Write a report on a run, study or design as an HTML page."),
-}
-_FORMATS = {
-    "csv": "Comma-separated values.",
-    "parquet": "Parquet.",
-    "mat": "MATLAB.",
-    "sto": "Storage files of OpenSim.",
-    "json": "JSON.",
-}
 _PLOTS = {
     "trajectory": "paths of free ends and moving joints, first and last pose",
     "drift": "misalignment of the joints on a logarithmic axis",
@@ -49,31 +37,63 @@ def mbdkit_items() -> Iterable[Item]:
         PlotKind(name=name, summary=summary, order=10 * number, module=f"mbdkit_report.plot.{name}_plot")
         for number, (name, summary) in enumerate(_PLOTS.items())
     ]
-    commands = [
-        Command(name=name, summary=summary, order=order, target=Target(f"mbdkit_report.commands:{name}"))
-        for name, (order, summary) in _COMMANDS.items()
-    ]
-    formats = [
-        TableFormat(
-            name=name,
-            summary=summary,
-            order=10 * number,
-            suffix=f".{name}",
-            write=Target(f"mbdkit_report.table_formats:write_{name}"),
-        )
-        for number, (name, summary) in enumerate(_FORMATS.items())
-    ]
     return [
-        *commands,
         Command(
             name="export",
-            group="archive",
             summary="Export a run, or the table of the runs of a study.",
-            order=40,
             target=Target("mbdkit_report.export_command:archive_export"),
+            group="archive",
+            order=40,
+        ),
+        Command(
+            name="plot",
+            summary="Plot a run, or one quantity of several runs.",
+            target=Target("mbdkit_report.commands:plot"),
+            order=100,
+        ),
+        Command(name="animate", summary="Animate a run.", target=Target("mbdkit_report.commands:animate"), order=110),
+        Command(
+            name="report",
+            summary="Write a report on a run, study or design as an HTML page.",
+            target=Target("mbdkit_report.commands:report"),
+            order=120,
+        ),
+        TableFormat(
+            name="csv",
+            summary="Comma-separated values.",
+            order=0,
+            suffix=".csv",
+            write=Target("mbdkit_report.table_formats:write_csv"),
+        ),
+        TableFormat(
+            name="parquet",
+            summary="Parquet.",
+            order=10,
+            suffix=".parquet",
+            write=Target("mbdkit_report.table_formats:write_parquet"),
+        ),
+        TableFormat(
+            name="mat",
+            summary="MATLAB.",
+            order=20,
+            suffix=".mat",
+            write=Target("mbdkit_report.table_formats:write_mat"),
+        ),
+        TableFormat(
+            name="sto",
+            summary="Storage files of OpenSim.",
+            order=30,
+            suffix=".sto",
+            write=Target("mbdkit_report.table_formats:write_sto"),
+        ),
+        TableFormat(
+            name="json",
+            summary="JSON.",
+            order=40,
+            suffix=".json",
+            write=Target("mbdkit_report.table_formats:write_json"),
         ),
         *plots,
-        *formats,
         Accessor(
             name="plot",
             summary="Draws a kind of plot on axes.",

@@ -16,6 +16,7 @@ import numpy as np
 from mbdkit.plugin import MbdkitError, shown
 from mbdkit.plugin.archives import TEXT
 from mbdkit.plugin.files import json_text
+from mbdkit.plugin.seams import Seam
 from mbdkit.plugin.terminal import csv_cell
 from mbdkit_report.group_table import TableColumn
 
@@ -49,6 +50,13 @@ class ExportedTable(Protocol):
         """Return the table without its columns of text."""
 
 
+@Seam
+def table_writer(table: ExportedTable, path: Path, /) -> None:
+    """Write a table to a file."""
+    raise NotImplementedError
+
+
+@table_writer
 def write_csv(table: ExportedTable, path: Path) -> None:
     """Write comma-separated values in UTF-8: one line with names and units, such as ``knee.force_x [N]``, then rows.
 
@@ -62,6 +70,7 @@ def write_csv(table: ExportedTable, path: Path) -> None:
             writer.writerow([csv_cell(cell) if isinstance(cell, str) else repr(cell) for cell in row])
 
 
+@table_writer
 def write_json(table: ExportedTable, path: Path) -> None:
     """Write one JSON object with the name of the group, columns with units and descriptions, and rows.
 
@@ -77,6 +86,7 @@ def write_json(table: ExportedTable, path: Path) -> None:
         file.write("\n ]}\n")
 
 
+@table_writer
 def write_sto(table: ExportedTable, path: Path) -> None:
     """Write a storage file of OpenSim: a header, and numbers separated by tabulators with the time first.
 
@@ -100,6 +110,7 @@ def write_sto(table: ExportedTable, path: Path) -> None:
             file.write("\t".join(map(repr, row)) + "\n")
 
 
+@table_writer
 def write_mat(table: ExportedTable, path: Path) -> None:
     """Write a MATLAB file, version 5: ``time`` and a column vector for each column, such as ``knee_force_x``.
 
@@ -119,6 +130,7 @@ def write_mat(table: ExportedTable, path: Path) -> None:
         savemat(file, named, long_field_names=True, oned_as="column", do_compression=True)
 
 
+@table_writer
 def write_parquet(table: ExportedTable, path: Path) -> None:
     """Write a Parquet file, whose columns have units and descriptions as metadata of their fields.
 

@@ -9,18 +9,28 @@ from mbdkit.plugin import ForceLawPlugin, ModelPlugin, Target, hookimpl
 mbdkit_api = 1
 
 
-def _model(name: str, summary: str, options: str, build: str) -> ModelPlugin:
-    home = "mbdkit_robots.models"
-    return ModelPlugin(name, summary, Target(f"{home}:{options}", type), Target(f"{home}:{build}"))
-
-
 @hookimpl
 def mbdkit_models() -> list[ModelPlugin]:
     """Register the models, whose code is imported when a spec names them."""
     return [
-        _model("urdf", "The planar motion of a robot in a URDF file.", "UrdfOptions", "of_urdf"),
-        _model("mjcf", "The planar motion of a model in an MJCF file of MuJoCo.", "MjcfOptions", "of_mjcf"),
-        _model("pylinkage", "A linkage of pins that pylinkage wrote as JSON.", "LinkageOptions", "of_linkage"),
+        ModelPlugin(
+            "urdf",
+            "The planar motion of a robot in a URDF file.",
+            options=Target("mbdkit_robots.models:UrdfOptions"),
+            build=Target("mbdkit_robots.models:of_urdf"),
+        ),
+        ModelPlugin(
+            "mjcf",
+            "The planar motion of a model in an MJCF file of MuJoCo.",
+            options=Target("mbdkit_robots.models:MjcfOptions"),
+            build=Target("mbdkit_robots.models:of_mjcf"),
+        ),
+        ModelPlugin(
+            "pylinkage",
+            "A linkage of pins that pylinkage wrote as JSON.",
+            options=Target("mbdkit_robots.models:LinkageOptions"),
+            build=Target("mbdkit_robots.models:of_linkage"),
+        ),
     ]
 
 
@@ -31,7 +41,7 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:
         ForceLawPlugin(
             "dry-friction",
             "Dry friction of constant magnitude, as of joints in URDF and MJCF files.",
-            options=Target("mbdkit_robots.models:DryFrictionOptions", type),
+            options=Target("mbdkit_robots.models:DryFrictionOptions"),
             law=Target("mbdkit_robots.models:LAW"),
         )
     ]

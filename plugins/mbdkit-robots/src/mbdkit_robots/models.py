@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
 from mbdkit.plugin import regularised_friction
+from mbdkit.plugin.seams import model_builder
 from mbdkit_robots.linkages import read_linkage
 from mbdkit_robots.mjcf import read_mjcf
 from mbdkit_robots.planar import PlanarMechanism, Plane, SpatialModel
@@ -89,12 +90,14 @@ def _no_potential() -> sympy.Expr:
     return Integer(0)
 
 
+@model_builder
 def of_urdf(options: UrdfOptions) -> mbdkit.Mechanism:
     """Return the planar mechanism of the file."""
     model = read_urdf(options.file, floating=options.floating)
     return _projected(model, options)
 
 
+@model_builder
 def of_mjcf(options: MjcfOptions) -> mbdkit.Mechanism:
     """Return the planar mechanism of the file."""
     return _projected(read_mjcf(options.file), options)
@@ -107,6 +110,7 @@ def _projected(model: SpatialModel, options: MjcfOptions) -> mbdkit.Mechanism:
     return planar.mechanism(options.initial, options.speeds)
 
 
+@model_builder
 def of_linkage(options: LinkageOptions) -> mbdkit.Mechanism:
     """Return the planar mechanism of the file."""
     rate, mass = options.steps_per_second, options.mass_per_length

@@ -7,6 +7,7 @@ import numpy as np
 from mbdkit.plugin import Mechanism
 from mbdkit.plugin.mechanisms import beam_of
 from mbdkit_report import Cell, Illustration, NamedPose, Picture, Table, View, columns_of, drawing
+from mbdkit_report.notebook.result_views import object_view
 from mbdkit_statics.equilibrium import Equilibrium
 from mbdkit_statics.mechanics_summary import (
     beam_ends,
@@ -22,6 +23,7 @@ from mbdkit_statics.mode_shapes import modes_figure
 from mbdkit_statics.modes import Modes
 
 
+@object_view
 def equilibrium_view(rest: Equilibrium) -> View:
     """Return the view of an equilibrium."""
     bodies: list[tuple[Cell, ...]] = [
@@ -57,6 +59,7 @@ def _posed(mechanism: Mechanism | None, position: np.ndarray, time: float) -> Il
     return drawing(NamedPose.of(mechanism, list(mechanism.bodies), position, np.array([time])))
 
 
+@object_view
 def modes_view(shown: Modes) -> View:
     """Return the view of modes."""
     rows: list[tuple[Cell, ...]] = []

@@ -13,6 +13,7 @@ from typer.core import TyperCommand
 
 from mbdkit.cli.common_options import PLAIN
 from mbdkit.plugin import show, show_json
+from mbdkit.plugin.seams import spec_check
 from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, count_bar, grouped, output_to, say, silence, stem
 from mbdkit_studies.command_options import BaseSet, Cluster, StudyName, Workers
 
@@ -173,6 +174,7 @@ def study(
         raise typer.Exit(STOPPED_EARLY)
 
 
+@spec_check
 def validate_study(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a study spec, the expressions of its measures and the specs of its runs, and print what it defines."""
     from mbdkit_studies.compute.study_plan import plan_study

@@ -21,7 +21,8 @@ from sksundae.cvode import CVODE
 from sksundae.ida import IDA
 
 import mbdkit
-from mbdkit.plugin import SciPySolver
+from mbdkit.plugin import Method, SciPySolver
+from mbdkit.plugin.seams import integrator_claims, integrator_method
 
 REFERENCES = (
     """@article{hindmarsh2005,
@@ -153,7 +154,8 @@ class Ida(SundialsSolver):
         self.solver.init_step(self.t, y0, self.fun(self.t, y0))
 
 
-def _create(solver: type[SundialsSolver]) -> Callable[[SundialsOptions], SciPySolver]:
+def _create(solver: type[SundialsSolver]) -> Callable[[SundialsOptions], Method]:
+    @integrator_method
     def create(chosen: SundialsOptions) -> SciPySolver:
         family = getattr(chosen, "family", "BDF")
         configured: Any = partial(solver, family=family, max_order=chosen.max_order)
@@ -165,6 +167,7 @@ def _create(solver: type[SundialsSolver]) -> Callable[[SundialsOptions], SciPySo
 create_cvode, create_ida = _create(Cvode), _create(Ida)
 
 
+@integrator_claims
 def claims(chosen: SundialsOptions) -> mbdkit.Claims:
     """Return the claims of both solvers."""
     return mbdkit.Claims(

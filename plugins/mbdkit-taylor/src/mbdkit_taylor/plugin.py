@@ -12,10 +12,10 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
         IntegratorPlugin(
             name="taylor",
             summary="Taylor series of any order: explicit, fixed or adaptive steps, for trees of revolute joints.",
-            options=Target("mbdkit_taylor.taylor:TaylorOptions", type),
+            options=Target("mbdkit_taylor.taylor:TaylorOptions"),
             create=Target("mbdkit_taylor.taylor:create"),
             claims=Target("mbdkit_taylor.taylor:claims"),
-            references=Target("mbdkit_taylor.taylor:REFERENCES", tuple),
+            references=Target("mbdkit_taylor.taylor:REFERENCES"),
             dense_output=True,
             order=50,
         )

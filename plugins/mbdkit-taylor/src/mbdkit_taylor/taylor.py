@@ -17,6 +17,7 @@ from pydantic import Field
 from mbdkit.plugin import Claims, Method, Target, Tolerances, Traits
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.methods import ControlledOptions, LocalError
+from mbdkit.plugin.seams import integrator_claims, integrator_method
 from mbdkit_taylor.known_series import require_series
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ class TaylorOptions(ControlledOptions):
         return FIXED_ORDER if tolerances is None else math.ceil(LEAST - PER_DIGIT * elementary.log(tolerances.rtol))
 
 
+@integrator_claims
 def claims(options: TaylorOptions) -> Claims:
     """Return the claims of the method."""
     return Claims(
@@ -98,6 +100,7 @@ def claims(options: TaylorOptions) -> Claims:
     )
 
 
+@integrator_method
 def create(options: TaylorOptions) -> TaylorSeries:
     """Return the method."""
     return TaylorSeries(options.chosen_order(), options.tolerances())

@@ -133,7 +133,7 @@ class Report:
     @property
     def missing(self) -> str:
         """The group of checks that `REQUIRED_GROUP` names, if none of its checks was run; otherwise empty."""
-        group = REQUIRED_GROUP[self.kind]
+        group = REQUIRED_GROUP.get(self.kind, "contract")
         done = any(result.group == group and result.outcome != "skip" for result in self.results)
         return "" if done else group
 

@@ -35,9 +35,11 @@ def listing_text(installed: Registry) -> str:
     return table(rows)
 
 
-def find(name: str, installed: Registry | None = None, further: Iterable[Kind] = ()) -> list[Registered]:
+def find(
+    name: str, installed: Registry | None = None, further: Iterable[Kind] = (), *, without_options: bool = False
+) -> list[Registered]:
     """Return the items with options, and those of `further` kinds, that have a short name or full id; several may have
-    the same short name.
+    the same short name. With `without_options`, the result may be items of other kinds if there are none of these.
 
     Raises
     ------
@@ -54,6 +56,8 @@ def find(name: str, installed: Registry | None = None, further: Iterable[Kind] =
     items = [item for item in installed.items if name in (item.id, item.name) and item.kind in kinds]
     if not items:
         if others := [item for item in installed.items if name in (item.id, item.name)]:
+            if without_options:
+                return others
             kind = KINDS[others[0].kind].label()
             raise SpecError(f"'{name}' is a {kind} without options; `mbdkit plugins where {name}` says where it is")
         names = list(dict.fromkeys(name for kind in kinds for name in installed.names(kind)))

@@ -19,6 +19,7 @@ import numpy as np
 from mbdkit import resume
 from mbdkit.plugin import (
     GROUND,
+    Element,
     ElementKind,
     EquationsOfMotion,
     Kind,
@@ -134,7 +135,7 @@ def spec(kind: ElementUnderTest) -> Result:
     for name, one in data[kind.key].items():
         again.add(kind.key, name, **one)
         for option, value in one.items():
-            units = described_units(description(kind.kind.model(), option))
+            units = described_units(description(cast("type[Element]", kind.kind.model()), option))
             if isinstance(value, float) and len(units) == 1:
                 with_units[kind.key][name][option] = f"{value!r} {units[0]}"
     if again.to_spec()[kind.key] != data[kind.key]:

@@ -106,19 +106,20 @@ def places(item: Registered) -> list[Place]:
     Modules behind targets are read, not imported, unless they import the object from elsewhere.
     """
     found = []
-    for field, value in vars(item.plugin).items():
+    for field, value in {**vars(item.plugin), **item.plugin.targets()}.items():
         place = _of_target(value) if isinstance(value, Target) else _of_object(value)
         if place is not None and field != "references":
             found.append(Place(field, *place))
     return found
 
 
-def _of_target(target: Target[Any]) -> tuple[str, int] | None:
-    spec = importlib.util.find_spec(target.module)
+def _of_target(target: Target) -> tuple[str, int] | None:
+    module, _, name = target.where.partition(":")
+    spec = importlib.util.find_spec(module)
     if spec is not None and spec.origin is not None and spec.origin.endswith(".py"):
         tree = ast.parse(Path(spec.origin).read_bytes())
         for node in tree.body:
-            if target.name in _defined(node):
+            if name in _defined(node):
                 return spec.origin, node.lineno
     return _of_object(target())
 

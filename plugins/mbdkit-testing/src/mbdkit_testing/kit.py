@@ -8,7 +8,7 @@ from typing import Any
 
 from mbdkit.base.logs import to_stderr
 from mbdkit.plugin import SpecError
-from mbdkit.plugin.specs import Registered, Registry, registry
+from mbdkit.plugin.specs import Plugin, Registered, Registry, registry
 from mbdkit.registry.catalogue import Kind
 from mbdkit_testing import (
     conservation_checks,
@@ -21,6 +21,7 @@ from mbdkit_testing import (
     force_law_checks,
     inside_step_checks,
     invariant_checks,
+    item_checks,
     measure_checks,
     model_checks,
     newton_checks,
@@ -58,14 +59,15 @@ CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "force-law": (*force_law_checks.CHECKS, *option_effect_checks.CHECKS),
     "study": study_checks.CHECKS,
     "measure": measure_checks.CHECKS,
-    "element-kind": element_checks.CHECKS,
+    "element-kind": (*item_checks.CHECKS, *element_checks.CHECKS),
 }
+"""Checks of the kinds that have some of their own."""
 Watch = Callable[[int, int, str], None]
 
 
 def checks_of(kind: Kind, *, quick: bool = False) -> Iterator[Check[Any]]:
     """Yield the checks of a kind of plugin in order, without the slow ones if `quick`."""
-    return (check for check in CHECKS[kind] if not (quick and check.slow))
+    return (check for check in CHECKS.get(kind, item_checks.CHECKS) if not (quick and check.slow))
 
 
 def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], installed: Registry | None = None) -> Any:
@@ -78,9 +80,10 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], install
     """
     installed = installed or registry()
     item = installed.get(kind, name)
-    if kind == "element-kind" and options:
-        raise SpecError("a kind of elements has no options", key=next(iter(options)))
-    chosen = {} if kind == "element-kind" else plain_options(item, options)
+    has_options = isinstance(item.plugin, Plugin)
+    if options and not has_options:
+        raise SpecError(f"a {item.plugin.label()} has no options", key=next(iter(options)))
+    chosen = plain_options(item, options) if has_options else {}
     types: dict[Kind, Callable[[Registered, dict[str, Any], Registry], Any]] = {
         "integrator": IntegratorUnderTest,
         "model": model_checks.ModelUnderTest,
@@ -89,7 +92,7 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], install
         "measure": measure_checks.MeasureUnderTest,
         "element-kind": element_checks.ElementUnderTest,
     }
-    return types[kind](item, chosen, installed)
+    return types.get(kind, item_checks.ItemUnderTest)(item, chosen, installed)
 
 
 def verify(

@@ -14,8 +14,8 @@ def mbdkit_models() -> list[ModelPlugin]:
         ModelPlugin(
             "walker",
             "A pair of legs on a treadmill: hips, and if wanted knees, driven by measured angles.",
-            options=Target("mbdkit_walker.walker:WalkerOptions", type),
+            options=Target("mbdkit_walker.walker:WalkerOptions"),
             build=Target("mbdkit_walker.walker:build"),
-            references=Target("mbdkit_walker.walker:REFERENCES", tuple),
+            references=Target("mbdkit_walker.walker:REFERENCES"),
         )
     ]

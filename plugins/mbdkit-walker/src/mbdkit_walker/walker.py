@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
+from mbdkit.plugin.seams import model_builder
 
 REFERENCES = (
     """@book{winter2009,
@@ -128,6 +129,7 @@ def angle(degrees: list[float], period: float, ahead: float) -> tuple[str, float
     return " + ".join(terms), start
 
 
+@model_builder
 def build(options: WalkerOptions) -> mbdkit.Mechanism:
     """Return the mechanism: bodies `left_thigh`, `left_shank`, ..., joints `left_hip`, `left_knee`, ..., and their
     drivers.

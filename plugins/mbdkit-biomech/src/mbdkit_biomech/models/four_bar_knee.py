@@ -46,6 +46,7 @@ from pydantic import Field
 
 from mbdkit.plugin import Mechanism, NotNegative, Number, Point, Positive, SpecError, StrictModel
 from mbdkit.plugin.mechanisms import PinFriction, Points
+from mbdkit.plugin.seams import model_builder
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
 from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
 from mbdkit_biomech.models._segments import FRACTIONS, GAIT2D, WINTER, BodySegments
@@ -138,6 +139,7 @@ def linkage(height: float, links: KneeLinks, pitches: KneePitches) -> CrossedFou
     return CrossedFourBar(**lengths, tibial_pitch=pitches.tibial, femoral_pitch=pitches.femoral)
 
 
+@model_builder
 def build(options: FourBarKneeOptions) -> Mechanism:
     """Return a mechanism with bodies `acl`, `pcl`, `shank` and joints `A`, `B`, `C`, `D`, at the given flexion.
 

@@ -52,6 +52,7 @@ from pydantic import Field
 
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, Number, Point, Positive, SpecError, listed, quoted
 from mbdkit.plugin.mechanisms import Force, Marker, MechanismData, NamedCoordinate, PinFriction
+from mbdkit.plugin.seams import model_builder
 from mbdkit_biomech.models._knee_linkage import MovingFrame, xy
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
 from mbdkit_biomech.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, BodySegments
@@ -131,6 +132,7 @@ class LegFourBarOptions(LegOptions):
     """Dry friction in each pin of the knee, ``{coefficient: number, radius: length}``; by default, there is none."""
 
 
+@model_builder
 def build(options: LegOptions) -> Mechanism:
     """Return one or two legs.
 
@@ -147,6 +149,7 @@ def build(options: LegOptions) -> Mechanism:
     return _mechanism("leg", options, pinned_leg)
 
 
+@model_builder
 def build_four_bar(options: LegFourBarOptions) -> Mechanism:
     """Return one or two legs as `build`, but with bodies `acl` and `pcl`, and joints `A` to `D` in place of `knee`.
 

@@ -16,6 +16,16 @@ from mbdkit.plugin import Finding, Joint, Mechanism, QuantityNames, Segment, Spe
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.measures import Program
 from mbdkit.plugin.mechanisms import curve_of, is_of_state
+from mbdkit.plugin.seams import (
+    element_forces,
+    expression_lowering,
+    lowering,
+    obstacle_clause,
+    run_check,
+    spec_criterion,
+    start_values,
+    stiffness_clause,
+)
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.hill_laws import (
     LAW_ID,
@@ -211,11 +221,13 @@ class ActingMuscle:
     excitation: tuple[Program, list[tuple[str, str, str]]] | None = None
 
 
+@element_forces
 def forces_of(muscles: Mapping[str, Muscle]) -> dict[str, MuscleForce]:
     """Return muscles as force elements by name."""
     return {name: MuscleForce(name, muscle) for name, muscle in muscles.items()}
 
 
+@lowering
 def lower(
     _muscles: Mapping[str, Muscle], _lowering: Lowering, acting: tuple[ActingForce, ...]
 ) -> tuple[ActingMuscle, ...]:
@@ -223,6 +235,7 @@ def lower(
     return tuple(ActingMuscle(cast("MuscleForce", one.force), one.state, one.place) for one in acting)
 
 
+@expression_lowering
 def lower_excitations(muscles: tuple[ActingMuscle, ...], lowering: Lowering) -> tuple[ActingMuscle, ...]:
     """Replace the rates of activations by expressions, for excitations that are expressions of the state."""
     return tuple(_with_excitation(muscle, lowering) for muscle in muscles)
@@ -237,6 +250,7 @@ def _with_excitation(one: ActingMuscle, lowering: Lowering) -> ActingMuscle:
     return one
 
 
+@start_values
 def fibers_at_start(
     muscles: tuple[ActingMuscle, ...], mechanism: Mechanism, t0: float, q: np.ndarray
 ) -> dict[int, float]:
@@ -250,6 +264,7 @@ def fibers_at_start(
     return found
 
 
+@obstacle_clause
 def torn_path(muscles: tuple[ActingMuscle, ...], workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray) -> str:
     """Return a clause that names a muscle whose path cannot pass a circle at a position; empty if there is none.
 
@@ -274,6 +289,7 @@ def torn_path(muscles: tuple[ActingMuscle, ...], workspace: Workspace, t: float,
     return f"muscle '{torn[0]}' would pass a circle on its other side, or a point of its path is inside of a circle"
 
 
+@stiffness_clause
 def stiffest(muscles: tuple[ActingMuscle, ...]) -> str:
     """Return a clause that names the muscle with the shortest elastic tendon, relative to the speed of its fibres.
 
@@ -290,6 +306,7 @@ def stiffest(muscles: tuple[ActingMuscle, ...]) -> str:
     return f"the fibres of muscle '{name}' are stiff: they need smaller steps, or an implicit method (radau-iia)"
 
 
+@run_check
 def check_acting(mechanism: Mechanism) -> None:
     """Raise a SpecError for the first muscle with a property that runs do not support, or without an excitation."""
     for name, muscle in mechanism.muscles.items():
@@ -344,6 +361,7 @@ def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
         )
 
 
+@spec_criterion
 def excitations(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a warning for each muscle whose excitation leaves the range 0 to 1 as a function of time."""
     for name, muscle in forces_of(spec.mechanism().muscles).items():

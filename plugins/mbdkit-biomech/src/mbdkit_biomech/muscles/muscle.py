@@ -12,7 +12,6 @@ from mbdkit.mechanism.coordinate_function import names_of, value_and_slopes
 from mbdkit.plugin import (
     CoordinateFunction,
     Element,
-    Mechanism,
     NotNegative,
     Number,
     Point,
@@ -36,6 +35,7 @@ from mbdkit.plugin.mechanisms import (
     pair,
     sequence,
 )
+from mbdkit.plugin.seams import ElementsByName, element_check
 
 MOST_CIRCLES = 4
 """Largest number of circles between two points of a path. It is limited because all patterns of touched circles are
@@ -175,7 +175,7 @@ class Muscle(Element):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics")
-    equilibrium: ClassVar[Target[Any]] = Target("mbdkit_biomech.muscles.fiber_equilibrium:equilibrium_of")
+    equilibrium: ClassVar[Target] = Target("mbdkit_biomech.muscles.fiber_equilibrium:equilibrium_of")
 
     path: Annotated[list[PathItem], Field(min_length=2)]
     """Points and circles from origin to insertion; the first and the last item are points without `when`."""
@@ -285,7 +285,8 @@ class Muscle(Element):
         return [] if self.excitation is None else of_state([("excitation", self.excitation)])
 
 
-def check_moving_points(muscles: Mapping[str, Muscle], mechanism: Mechanism, prefix: str = "") -> None:
+@element_check
+def check_moving_points(muscles: Mapping[str, Muscle], mechanism: ElementsByName, prefix: str = "") -> None:
     """Raise SpecError for the first point with an unknown name, or whose offset z depends on a coordinate.
 
     Parameters

@@ -8,13 +8,15 @@ import numpy as np
 
 from mbdkit.mechanism.coordinate_function import names_of, value_and_slopes
 from mbdkit.plugin import CoordinateFunction, Mechanism, QuantityNames
+from mbdkit.plugin.seams import element_lines
 from mbdkit_biomech.muscles.muscle import Muscle
 
 Place = tuple[str, tuple[float, float]]
 """Body, and point in its frame [m]."""
 
 
-def muscle_lines(mechanism: Mechanism, muscle: Muscle) -> list[list[Place]]:
+@element_lines
+def muscle_lines(muscle: Muscle, mechanism: Mechanism) -> list[list[Place]]:
     """Return the line of a muscle, from its origin to its insertion.
 
     Moving points are drawn at their initial positions; conditional points are left out. On a circle, the point farthest

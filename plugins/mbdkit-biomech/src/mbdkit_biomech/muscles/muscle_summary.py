@@ -9,6 +9,7 @@ import numpy as np
 
 from mbdkit.plugin import Headline, MbdkitError, plus_minus
 from mbdkit.plugin.archives import JOINTS_NAMED, few, largest_of, peak_errors, ranked
+from mbdkit.plugin.seams import run_headlines, summary_lines
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -17,6 +18,7 @@ PULLING = (0.4, 1.6)
 """Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero."""
 
 
+@summary_lines
 def muscle_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary about muscles, each with its label; texts may be empty."""
     return [
@@ -26,6 +28,7 @@ def muscle_lines(run: Run) -> list[tuple[str, str]]:
     ]
 
 
+@run_headlines
 def activations(run: Run) -> list[Headline]:
     """Return the two largest activations of muscles."""
     if not run.records("muscles/activation"):

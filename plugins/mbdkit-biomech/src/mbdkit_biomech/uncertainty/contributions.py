@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.plugin import SpecError, UnknownNameError, listed, plus_minus, table
+from mbdkit.plugin.seams import excluded_words, run_attribute, summary_lines
 from mbdkit_biomech.uncertainty.sources import ADVICE
 from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS
 
@@ -29,6 +30,7 @@ PERSON_MODEL_ERROR = "muscles that the model lacks, and motion out of the plane"
 """What error bars of persons do not include otherwise."""
 
 
+@excluded_words
 def excluded_error(run: Run) -> str:
     """Return what the error bars of a person do not include; empty for other runs of inverse dynamics."""
     if "subject" not in run.spec:
@@ -111,6 +113,7 @@ def contributions(run: Run, joint: str, at: float | None = None) -> Contribution
     return Contributions(joint, float(time[row]), float(force[row]), float(accuracy.reaction_error[row, place]), shares)
 
 
+@run_attribute
 def contributions_of(run: Run) -> Callable[..., Contributions]:
     """Return the function that computes contributions of a run."""
     return MethodType(contributions, run)
@@ -133,6 +136,7 @@ def largest_joints(run: Run) -> list[str]:
     return [run.joint_names[index] for index in order]
 
 
+@summary_lines
 def uncertainty_lines(run: Run) -> list[tuple[str, str]]:
     """Return lines of the summary with the sources of the error bars at the largest forces."""
     texts = [f"{joint}: {contributions(run, joint).sentence}" for joint in largest_joints(run)]

@@ -15,6 +15,7 @@ from mbdkit_biomech.uncertainty.contributions import (
     largest_joints,
 )
 from mbdkit_report import Axis, Cell, Figure, Line, Section, Table, columns_of
+from mbdkit_report.seams import report_charts, report_sections
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -23,6 +24,7 @@ DRAWN = 6
 """Number of sources of a chart; those that are left out have smaller shares."""
 
 
+@report_sections
 def uncertainty_sections(run: Run, _mechanism: Mechanism | None) -> tuple[Section, ...]:
     """Return the section with the sources of the error bars at the largest forces; empty without uncertainty."""
     if not has_contributions(run):
@@ -43,6 +45,7 @@ def uncertainty_sections(run: Run, _mechanism: Mechanism | None) -> tuple[Sectio
     return (Section("uncertainty", "Uncertainty", (first, *sentences), None, (shown,)),)
 
 
+@report_charts
 def uncertainty_charts(run: Run) -> list[Figure]:
     """Return a chart of the shares over time for the joints with the largest forces; empty without uncertainty."""
     accuracy, time, found = run.accuracy, np.asarray(run.time), []

@@ -16,6 +16,7 @@ from mbdkit_contact.modes import STICK
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_paper.wording import reported
 from mbdkit_report import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of, exceeds, together
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import STEP, family, value
 
 if TYPE_CHECKING:
@@ -117,6 +118,7 @@ class Touched:
         return f"{self.case}, {self.method}" + (f", {self.step:g} s" if self.step else "")
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `contact`."""
     touches = [_of(study, point) for point in study.points if point.family != "painleve"]

@@ -10,6 +10,7 @@ from mbdkit_paper.drift.combination import Combination, Undetermined, combinatio
 from mbdkit_paper.drift.drift_figures import energies, errors
 from mbdkit_paper.wording import reported
 from mbdkit_report import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together
+from mbdkit_studies.results.judge import study_verdict
 
 if TYPE_CHECKING:
     from mbdkit_studies.study import Study
@@ -51,6 +52,7 @@ NOTE = (
 )
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `drift`.
 

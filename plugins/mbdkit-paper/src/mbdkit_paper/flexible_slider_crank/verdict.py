@@ -16,6 +16,7 @@ import numpy as np
 from mbdkit_paper.drift.combination import state_of, two
 from mbdkit_paper.wording import reported
 from mbdkit_report import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict, columns_of, exceeds
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ class CrankRun:
         return max(self.errors, default=math.nan)
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `flexible-slider-crank`."""
     joints, cranks = _runs(study)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_paper.wording import reported
 from mbdkit_report import Answer, Claim, Table, Verdict, columns_of, exceeds
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import value
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class HeldJoints:
         return f"{self.mechanism}, {self.method}"
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `no-drift`.
 

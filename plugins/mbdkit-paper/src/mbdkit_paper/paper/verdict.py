@@ -12,6 +12,7 @@ from mbdkit_paper.paper.published_results import METHODS, magnitudes, ranking, t
 from mbdkit_paper.paper.source_paper import TITLE
 from mbdkit_paper.wording import UNDECIDED, least_most, reported
 from mbdkit_report import Answer, Cell, Claim, Table, Verdict, columns_of
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ NOTES = (
 )
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `paper`.
 

@@ -32,6 +32,7 @@ from mbdkit_report import (
     together,
 )
 from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies.results.judge import study_verdict
 from mbdkit_studies.results.point_selection import METHOD, STEP, family, value
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def loop_residual(run: Run) -> np.ndarray:
     return np.asarray(total - (GROUND, 0.0))
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `textbook-four-bar`.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
+from mbdkit.plugin.seams import run_attribute
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.pages.animate import animate, page
 
@@ -57,3 +58,6 @@ class Animation:
 
     def __repr__(self) -> str:
         return f"<Animation of run {self._run.run_id}>"
+
+
+run_attribute(Animation)

@@ -6,7 +6,7 @@ import base64
 import html
 from dataclasses import dataclass, replace
 from functools import singledispatch
-from typing import cast
+from typing import Never, cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from mbdkit.archive.run_summary import answer_lines, summary_lines
 from mbdkit.plugin import Accuracy, MbdkitError, Mechanism, Run, ViewItem, shown
 from mbdkit.plugin.archives import JointHistories
+from mbdkit.plugin.seams import OwnSeam
 from mbdkit.plugin.specs import registry
 from mbdkit.plugin.terminal import HtmlView
 from mbdkit_report.figures.curves import take
@@ -89,6 +90,12 @@ _CHART = (5.4, 3.3)
 """Width and height of a chart of a run [inch]."""
 
 
+@OwnSeam
+def object_view(result: Never, /) -> View:
+    """Return what notebooks show of an object."""
+    raise NotImplementedError
+
+
 def html_of(thing: HtmlView) -> str:
     """Return the HTML of an object; if it cannot be read, like a closed run, the HTML states the reason."""
     try:
@@ -104,7 +111,7 @@ def view(thing: HtmlView) -> View:
     for item in registry().of_kind("view"):
         made = cast(ViewItem, item.plugin)
         if made.of in classes:
-            return cast(View, made.make()(thing))
+            return object_view.of(made.make)(thing)
     raise TypeError(f"there is no view for a {type(thing).__name__}: a plugin can add an item `ViewItem`")
 
 

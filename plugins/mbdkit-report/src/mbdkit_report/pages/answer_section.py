@@ -19,6 +19,7 @@ from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration
 from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
 from mbdkit_report.plot.beams_plot import beam_peak
 from mbdkit_report.plot.element_quantity import ElementQuantity, reaction_force, reaction_torque
+from mbdkit_report.seams import report_sections
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Mechanism, Run
@@ -36,6 +37,7 @@ OF_ROWS = (
 _WORDS = {"N": "force", "N m": "torque"}
 
 
+@report_sections
 def standard_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:
     """Return the sections that every run may have: on the largest forces, on beams and on gradients."""
     sections = (answer_section(run), beam_section(run, mechanism), gradient_section(run))

@@ -18,6 +18,7 @@ from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import run_report
 from mbdkit_report.pages.verdict_text import markdown_text
 from mbdkit_report.plot.charts import image_files, write_chart_images
+from mbdkit_report.seams import report_of_folder
 
 SUFFIXES = (".html", ".htm", ".md")
 
@@ -110,7 +111,7 @@ def _document(source: Path, kind: FileFormat | None, workers: int) -> Iterator[R
         files = ", ".join(f"no {one.file}" for one in _formats())
         raise SpecError(f"this folder contains {phrases}: {files}", file=source)
     else:
-        with kind.report()(source, workers) as page:
+        with report_of_folder.of(kind.report)(source, workers) as page:
             yield page
 
 

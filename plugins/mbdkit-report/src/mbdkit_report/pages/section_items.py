@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 from mbdkit.plugin import ReportSection, use
 from mbdkit.plugin.specs import Registered, registry
 from mbdkit_report.figures.page_model import Figure, Section
+from mbdkit_report.seams import film_data, report_charts, report_sections
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Mechanism, Run
@@ -23,7 +24,7 @@ def added_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:
     return [
         use(item, lambda section=section: section, of=Section)  # type: ignore[misc]
         for item, own in _items()
-        for section in use(item, lambda own=own: list(own.make()(run, mechanism)))  # type: ignore[misc]
+        for section in use(item, lambda own=own: list(report_sections.of(own.make)(run, mechanism)))  # type: ignore[misc]
     ]
 
 
@@ -33,7 +34,7 @@ def added_charts(run: Run) -> list[Figure]:
         use(item, lambda chart=chart: chart, of=Figure)  # type: ignore[misc]
         for item, own in _items()
         if own.charts is not None
-        for chart in use(item, lambda charts=own.charts: list(charts()(run)))  # type: ignore[misc]
+        for chart in use(item, lambda charts=own.charts: list(report_charts.of(charts)(run)))  # type: ignore[misc]
     ]
 
 
@@ -41,5 +42,5 @@ def with_additions(run: Run, film: dict[str, Any]) -> dict[str, Any]:
     """Return the data of the player with what plugins add to them."""
     for item, own in _items():
         if own.film is not None:
-            film = use(item, lambda add=own.film, film=film: add()(run, film), of=dict)  # type: ignore[misc]
+            film = use(item, lambda add=own.film, film=film: film_data.of(add)(run, film), of=dict)  # type: ignore[misc]
     return film

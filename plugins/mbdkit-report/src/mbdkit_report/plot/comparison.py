@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 
 from mbdkit.plugin import MbdkitError, RunSpec, SpecError, counted, did_you_mean, listed, path_text
 from mbdkit.plugin.files import Path as SpecPath
+from mbdkit.plugin.seams import run_attribute
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.plot.caption import method, plain_name
 from mbdkit_report.plot.charts import draw_on
@@ -100,6 +101,7 @@ def compare(
     return draw_on(ax, chart, heading, vary_dashes=len(found) > 1)
 
 
+@run_attribute
 def drawing(run: Run) -> Callable[..., Axes]:
     """Return the function that draws a plot of a run, of the given kind, on axes or on those of a new figure, and
     returns the axes; see `Run.plot`.

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.plugin import Array, SpecError
 from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT
+from mbdkit.plugin.seams import exported_files
 from mbdkit_report import TableColumn, write_tables
 from mbdkit_report.group_table import BLOCK_VALUES
 from mbdkit_studies.study import Study
@@ -87,6 +88,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
     return write_tables({"runs": RunsTable(columns[0], tuple(columns[1:]), values)}, folder, to, overwrite=overwrite)
 
 
+@exported_files
 def export_study(folder: Path, output: Path, to: str, *, overwrite: bool = False) -> list[Path]:
     """Export the table of runs of the study in a folder; see `export_runs`."""
     from mbdkit_studies.compute.carry_out import load_study

@@ -28,7 +28,9 @@ from mbdkit_report import (
     methods,
 )
 from mbdkit_report.figures.quantity_text import count
+from mbdkit_report.notebook.result_views import object_view
 from mbdkit_report.pages.run_verdict import mechanism_size
+from mbdkit_report.seams import report_of_folder
 from mbdkit_studies.points.sample_groups import sample_groups
 from mbdkit_studies.report.sample_figures import sample_figures, sample_tables
 from mbdkit_studies.report.study_figures import measure_columns, study_figures, with_slope_guides
@@ -102,6 +104,7 @@ def study_report(study: Study) -> ReportPage:
     )
 
 
+@object_view
 def study_view(study: Study) -> View:
     """Return the view of a study."""
     title = " ".join(study.spec.title.split()) or study.folder.resolve().name
@@ -274,6 +277,7 @@ def _environment(study: Study) -> Table:
     return environment({name: listed(found) for name, found in said.items()}, {"study": Path(study.folder).name})
 
 
+@report_of_folder
 @contextmanager
 def study_page(folder: Path, workers: int) -> Iterator[ReportPage]:
     """Yield the report of the study in a folder; it is made by one process, so that `workers` has no effect."""

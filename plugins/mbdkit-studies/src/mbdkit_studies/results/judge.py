@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.plugin import PluginError, SpecError, StudyPlugin, did_you_mean, listed, with_place
+from mbdkit.plugin.seams import Seam
 from mbdkit.plugin.specs import registry
 
 if TYPE_CHECKING:
@@ -13,6 +14,12 @@ if TYPE_CHECKING:
     from mbdkit_report import Verdict
     from mbdkit_studies.spec.study_spec import StudySpec
     from mbdkit_studies.study import Study
+
+
+@Seam
+def study_verdict(study: Study, /) -> Verdict:
+    """Return the verdict on the results of a packaged study, which may be incomplete."""
+    raise NotImplementedError
 
 
 def judge(study: Study) -> Verdict:

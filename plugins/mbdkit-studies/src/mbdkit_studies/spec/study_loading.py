@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 from mbdkit.plugin import SpecError, StudyPlugin, copied, did_you_mean, listed, path_text
 from mbdkit.plugin.files import Path
+from mbdkit.plugin.seams import packaged_spec, spec_loader
 from mbdkit.plugin.specs import (
     Document,
     Registered,
@@ -84,6 +85,9 @@ def load_study_spec(source: object, assignments: Iterable[str] = ()) -> StudySpe
     return spec
 
 
+spec_loader(load_study_spec)
+
+
 def _override(document: Document, assignment: str) -> None:
     """Set a key of the sample, or a key of the base of every run.
 
@@ -129,6 +133,7 @@ def _check_axes(axes: Any, path: Path, assignment: str) -> None:
                     raise SpecError(message, file=f"--set {assignment}")
 
 
+@packaged_spec
 def is_study_name(name: str) -> bool:
     """Return whether a name is that of a packaged study, but not of a packaged spec of runs or of inverse dynamics."""
     return name not in {*example_names("run"), *example_names("inverse")} and _packaged(name) is not None

@@ -38,6 +38,7 @@ from mbdkit.plugin.archives import (
 )
 from mbdkit.plugin.doubts import LEVELS
 from mbdkit.plugin.files import read_files
+from mbdkit.plugin.seams import file_problems
 from mbdkit.plugin.specs import parse_key, put
 from mbdkit_studies.folder.columns import read_column
 from mbdkit_studies.store.block_writer import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
@@ -387,6 +388,7 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+@file_problems
 def block_problems(path: Path) -> list[str] | None:
     """Return the problems of a block of runs, for `mbdkit archive check`; None if the file is no readable block."""
     try:

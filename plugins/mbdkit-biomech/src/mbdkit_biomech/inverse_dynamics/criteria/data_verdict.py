@@ -12,6 +12,7 @@ import numpy as np
 from mbdkit.plugin import Evidence, Finding, Judgement, accepted_doubts, findings, judge, open_doubts
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit
+from mbdkit_biomech.inverse_dynamics.criteria.data_criterion import data_criterion
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts, units_of_loads
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
 from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints, model_doubts, spec_doubts
@@ -49,6 +50,7 @@ def doubts_about_data(result: Inverse, bars: ResultBars | None) -> DataDoubts:
     return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
 
 
+@data_criterion
 def doubts_of_columns(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about columns of the motion and their smoothing, and remarks on columns."""
     return [
@@ -59,11 +61,13 @@ def doubts_of_columns(result: Inverse, bars: ResultBars | None) -> list[Finding]
     ]
 
 
+@data_criterion
 def doubts_of_loads(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about loads, and remarks on forces without a point."""
     return [*load_doubts(result, bars), *_remarks(forces_at_centres(result.problem))]
 
 
+@data_criterion
 def doubts_of_model(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the model, about forces without a point, and about turns and signs of angles."""
     mechanism = result.problem.names.mechanism
@@ -78,11 +82,13 @@ def doubts_of_model(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     ]
 
 
+@data_criterion
 def doubts_of_record(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the record, the units of loads, and errors."""
     return [*record_doubts(result, bars), *units_of_loads(result.problem), *large_errors(result, bars)]
 
 
+@data_criterion
 def doubts_of_person(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the person and remarks on it."""
     uncertain = None if bars is None else bars.uncertain

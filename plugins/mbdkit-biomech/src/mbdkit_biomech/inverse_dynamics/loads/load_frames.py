@@ -15,6 +15,7 @@ from mbdkit.plugin import Mechanism
 from mbdkit_biomech.inverse_dynamics.signals.cycles import crossings
 from mbdkit_report import Canvas, Drawing, Illustration, NamedPose, draw_sketch, mechanism_of
 from mbdkit_report.figures.scene import nearest_rows
+from mbdkit_report.seams import film_data
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -61,6 +62,7 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
     return Illustration(wide, narrow, "The mechanism at several times with arrows of its forces", text)
 
 
+@film_data
 def film_with_arrows(run: Run, film: dict[str, Any]) -> dict[str, Any]:
     """Return the data of the player of a run, with arrows of forces if it is one of inverse dynamics."""
     return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film

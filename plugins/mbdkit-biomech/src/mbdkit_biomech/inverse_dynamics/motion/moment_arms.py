@@ -12,6 +12,7 @@ from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit.plugin import QuantityNames, Run, SpecError, UnknownNameError
 from mbdkit.plugin.equations import product
 from mbdkit.plugin.runs import AssembledMechanism
+from mbdkit.plugin.seams import run_attribute
 from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Manifold
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.muscles.muscle_path import MusclePath
@@ -85,6 +86,7 @@ def _independent(rates: np.ndarray) -> list[int]:
     return rows
 
 
+@run_attribute
 def arms_of(run: Run) -> Callable[[str, str], np.ndarray]:
     """Return the function that computes moment arms of a run, of a muscle and about a coordinate."""
     return MethodType(moment_arms, run)

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.plugin import Headline, counted, plus_minus
 from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, few, largest_of, ranked
+from mbdkit.plugin.seams import run_headlines, summary_lines
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import known_rows
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
 
@@ -24,6 +25,7 @@ PERSON = ("subject", "centres", "plane", "plates")
 """Entries of the provenance of a person."""
 
 
+@summary_lines
 def inverse_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary that only inverse dynamics has, each with its label; texts may be empty."""
     return [
@@ -39,6 +41,7 @@ def inverse_lines(run: Run) -> list[tuple[str, str]]:
     ]
 
 
+@run_headlines
 def largest_actuators(run: Run) -> list[Headline]:
     """Return the two largest values of actuators, without residual loads."""
     if run.kind != "inverse" or not run.records("actuators/value"):

@@ -29,6 +29,7 @@ from mbdkit_report import (
     short_name,
     svg_of,
 )
+from mbdkit_report.seams import report_charts, report_sections
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -41,6 +42,7 @@ _POINTS = 1_000
 _TIME = Axis("time", "s")
 
 
+@report_sections
 def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ...]:
     """Return the sections of a run of inverse dynamics that has at least two rows; empty for other runs."""
     if run.kind != "inverse" or len(run.time) < 2:
@@ -54,6 +56,7 @@ def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ..
     )
 
 
+@report_charts
 def inverse_charts(run: Run) -> list[Figure]:
     """Return the charts of a run of inverse dynamics; empty for other runs.
 

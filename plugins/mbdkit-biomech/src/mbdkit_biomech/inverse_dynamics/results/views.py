@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from mbdkit_biomech.inverse_dynamics.results.workload import Workload
 from mbdkit_report import Cell, Table, View, columns_of
+from mbdkit_report.notebook.result_views import object_view
 
 
+@object_view
 def workload_view(found: Workload) -> View:
     """Return the view of a workload."""
     rows: list[tuple[Cell, ...]] = [

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 from mbdkit.plugin import loaded
 from mbdkit.plugin.files import Path as KeyPath
+from mbdkit.plugin.seams import spec_loader
 from mbdkit.plugin.specs import Document, put
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
@@ -30,6 +31,9 @@ def load_inverse_spec(source: InverseSource | Document, overrides: Iterable[str]
         If the spec is not valid, with the file, line and key path if known.
     """
     return loaded("inverse", InverseSpec, source, overrides, sections)
+
+
+spec_loader(load_inverse_spec)
 
 
 def is_inverse(data: Mapping[str, object]) -> bool:

@@ -1,0 +1,16 @@
+"""What functions that judge measured data take and return."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from mbdkit.plugin import Finding
+from mbdkit.plugin.seams import Seam
+from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
+
+
+@Seam
+def data_criterion(result: Inverse, bars: ResultBars | None, /) -> Iterable[str | Finding]:
+    """Return what is doubtful in measured data, from the result of inverse dynamics and its error bars, if any."""
+    raise NotImplementedError
