@@ -178,16 +178,11 @@ class _Assembly:
         values = dict(zip(self.compiled.motions, scratch.u, strict=False))
         for key, motion in written:
             if motion is not None and not np.all(np.isfinite(values[motion][: 3 if key.endswith("motion") else 1])):
-                if isinstance(motion, Table):
-                    raise SpecError(
-                        "the spline through this table is not finite: its values are too large or its times too close",
-                        key=key,
-                    )
-                raise SpecError(
+                sentence = (
                     f"{motion!r} is not finite at the start, t = {self.t0:g} s; a driver also needs finite first and "
-                    "second time derivatives",
-                    key=key,
+                    "second time derivatives"
                 )
+                raise SpecError(_not_finite_table("times") if isinstance(motion, Table) else sentence, key=key)
         self.check_centers()
 
     def check_centers(self) -> None:
@@ -202,16 +197,11 @@ class _Assembly:
         first = len(u) - OF_CENTER * len(top.centers)
         for (key, function), jets in zip(functions, u[first:].reshape(-1, 2, 3), strict=True):
             if not np.all(np.isfinite(jets)):
-                if isinstance(function, Table):
-                    raise SpecError(
-                        "the spline through this table is not finite: its values are too large or its angles too close",
-                        key=key,
-                    )
-                raise SpecError(
+                sentence = (
                     f"{function!r} is not finite at the initial angle of the joint, or its first three derivatives are "
-                    "not",
-                    key=key,
+                    "not"
                 )
+                raise SpecError(_not_finite_table("angles") if isinstance(function, Table) else sentence, key=key)
 
     def failure(self, residual: np.ndarray, tolerance: float, what: str) -> SpecError:
         """Return the error that names up to six joints with residuals above the tolerance, largest first."""
@@ -242,6 +232,10 @@ class _Assembly:
             moves[:] = moved, change[:, 2], speed, change[:, 5]
         position, angle, velocity, spin = (dict(zip(self.mechanism.bodies, row, strict=True)) for row in moves.tolist())
         return AssembledState(q, v, changed, position, angle, velocity, spin, _largest(phi), _largest(rate))
+
+
+def _not_finite_table(arguments: str) -> str:
+    return f"the spline through this table is not finite: its values are too large or its {arguments} too close"
 
 
 def _largest(x: np.ndarray) -> float:

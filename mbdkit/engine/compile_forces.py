@@ -137,14 +137,7 @@ class Lowering:
             case Torque() | PointForce():
                 self._add_load(name, force.load)
 
-    def _add_spring(
-        self,
-        name: str,
-        key: str,
-        pathway: Any,
-        linear: Numbers,
-        law: int = -1,
-    ) -> None:
+    def _add_spring(self, name: str, key: str, pathway: Any, linear: Numbers, law: int = -1) -> None:
         segments = pathway.segments(self.joints)
         first, count = self.first_segments.setdefault(key, len(self.springs)), len(segments)
         for index, segment in enumerate(segments):

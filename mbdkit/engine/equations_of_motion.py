@@ -174,38 +174,20 @@ class EquationsOfMotion(EvaluatedEquations):
 
     @overload
     def iteration_matrix(
-        self,
-        t: float,
-        q: np.ndarray,
-        v: np.ndarray,
-        a: np.ndarray,
-        lam: np.ndarray,
-        z: None = None,
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, z: None = None,
         **coefficients: Unpack[Coefficients],
-    ) -> IterationMatrix: ...
+    ) -> IterationMatrix: ...  # fmt: skip
 
     @overload
     def iteration_matrix(
-        self,
-        t: float,
-        q: np.ndarray,
-        v: np.ndarray,
-        a: np.ndarray,
-        lam: np.ndarray,
-        z: np.ndarray,
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, z: np.ndarray,
         **coefficients: Unpack[Coefficients],
-    ) -> IterationMatrixWithStates: ...
+    ) -> IterationMatrixWithStates: ...  # fmt: skip
 
     def iteration_matrix(
-        self,
-        t: float,
-        q: np.ndarray,
-        v: np.ndarray,
-        a: np.ndarray,
-        lam: np.ndarray,
-        z: np.ndarray | None = None,
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, z: np.ndarray | None = None,
         **coefficients: Unpack[Coefficients],
-    ) -> IterationMatrix | IterationMatrixWithStates:
+    ) -> IterationMatrix | IterationMatrixWithStates:  # fmt: skip
         """Return the factorized matrix of a Newton iteration.
 
         ::
@@ -340,7 +322,7 @@ class EquationsOfMotion(EvaluatedEquations):
         """Return the pivots of all iteration matrices used so far, as plain values for a checkpoint."""
         return self._matrices.stored()
 
-    def restore_pivots(self, state: Any) -> None:
+    def restore_pivots(self, state: object) -> None:
         """Use stored pivots; raise ValueError if they are not valid."""
         self._matrices.restore(state)
 

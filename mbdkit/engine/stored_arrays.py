@@ -24,13 +24,10 @@ _PIVOTED = ("pivoted", "pattern", "factors", "scatter")
 
 def stored(bundle: Any) -> dict[str, Any]:
     """Return the arrays of a bundle by name, nested as in the bundle; they are not copied."""
-    return {
-        name: stored(value) if isinstance(value, tuple) else value
-        for name, value in zip(bundle._fields, bundle, strict=True)
-    }
+    return {name: stored(value) if isinstance(value, tuple) else value for name, value in bundle._asdict().items()}
 
 
-def restore(arrays: Mapping[str, np.ndarray], state: Any) -> None:
+def restore(arrays: Mapping[str, np.ndarray], state: object) -> None:
     """Copy stored values into arrays by name; raise ValueError if names, shapes or types differ, or an integer is
     negative.
     """
@@ -40,7 +37,7 @@ def restore(arrays: Mapping[str, np.ndarray], state: Any) -> None:
         fill(array, state[name])
 
 
-def fill(array: np.ndarray, values: Any) -> None:
+def fill(array: np.ndarray, values: object) -> None:
     """Copy stored values into an array; raise ValueError if shape or type differ, or an integer is negative."""
     if not isinstance(values, np.ndarray) or values.shape != array.shape or values.dtype != array.dtype:
         raise ValueError("an array has another shape or type")
@@ -49,7 +46,7 @@ def fill(array: np.ndarray, values: Any) -> None:
     array[...] = values
 
 
-def pattern_of(state: Any, unknowns: int) -> Pattern:
+def pattern_of(state: object, unknowns: int) -> Pattern:
     """Return the stored pattern of a matrix with `unknowns` rows, or the empty one; raise ValueError if it is
     invalid.
     """
@@ -81,7 +78,7 @@ def pattern_of(state: Any, unknowns: int) -> Pattern:
 _INTEGERS = frozenset(Pattern._fields) - {"row_scale", "column_scale", "weight"}
 
 
-def _vector(state: Any, name: str) -> np.ndarray:
+def _vector(state: object, name: str) -> np.ndarray:
     values = state.get(name) if isinstance(state, Mapping) else None
     kind = np.int64 if name in _INTEGERS else np.float64
     if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype != kind:
@@ -89,7 +86,7 @@ def _vector(state: Any, name: str) -> np.ndarray:
     return values
 
 
-def scatter_of(state: Any, sources: int, places: int) -> Scatter:
+def scatter_of(state: object, sources: int, places: int) -> Scatter:
     """Return stored lists that map `sources` terms to `places` entries; raise ValueError if they are invalid."""
     if not isinstance(state, Mapping) or state.keys() != set(Scatter._fields):
         raise ValueError("a matrix has other terms")
@@ -108,7 +105,7 @@ def stored_solver(solver: Solver) -> dict[str, Any]:
     return {name: stored(solver)[name] for name in _PIVOTED}
 
 
-def solver_of(workspace: Workspace, state: Any) -> Solver:
+def solver_of(workspace: Workspace, state: object) -> Solver:
     """Return the solver of a workspace with stored pivots and factors; raise ValueError if they are invalid."""
     if not isinstance(state, Mapping) or state.keys() != set(_PIVOTED):
         raise ValueError("a solver has other parts")

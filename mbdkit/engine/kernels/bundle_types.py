@@ -14,7 +14,7 @@ axes. Compiled code then computes the addresses of elements with constants, whic
 
 from __future__ import annotations
 
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import numpy as np
 
@@ -31,12 +31,14 @@ ComplexMatrix = Annotated[np.ndarray, np.complex128, 2]
 NumberVector = Annotated[np.ndarray, None, 1]
 """Vector of real or complex numbers; the dtype is the same for all such fields of a bundle."""
 
+Bundle = TypeVar("Bundle", bound=tuple[object, ...])
+
 STATE, RECORD = "state", "record"
 State = Annotated[np.ndarray, STATE]
 Record = Annotated[np.ndarray, RECORD]
 
 
-def example_of(bundle: Any, number: type = np.float64) -> Any:
+def example_of(bundle: type[Bundle], number: type = np.float64) -> Bundle:
     """Return a bundle of empty arrays with the declared types.
 
     Parameters

@@ -67,17 +67,17 @@ load_complex_factors = bundle_loader(lambda: example_of(ColumnFactors, np.comple
 
 
 @subkernel
-def _reach(f, k):
+def _reach(factors, k):
     """Write the rows of column k of the factors into ``search[top:, REACHED]``, and return `top`."""
-    s, place, l_start, l_row = f.search, f.place, f.l_start, f.l_row
-    column = f.column_of[k]
+    s, place, l_start, l_row = factors.search, factors.place, factors.l_start, factors.l_row
+    column = factors.column_of[k]
     top = len(s)
-    for e in range(f.start[column], f.start[column + 1]):
-        if s[f.row[e], MARK] == k:
+    for e in range(factors.start[column], factors.start[column + 1]):
+        if s[factors.row[e], MARK] == k:
             continue
         depth = 0
-        s[0, STACK] = f.row[e]
-        s[f.row[e], MARK] = k
+        s[0, STACK] = factors.row[e]
+        s[factors.row[e], MARK] = k
         s[0, PLACE] = 0
         while depth >= 0:
             row = s[depth, STACK]
@@ -106,36 +106,36 @@ def _size(x):
 
 
 @subkernel
-def _factorize(f, threshold):
-    """Factorize the matrix with its columns in the order ``f.column_of``.
+def _factorize(factors, threshold):
+    """Factorize the matrix with its columns in the order ``factors.column_of``.
 
     The pivot of a column is its diagonal entry if this has at least the share `threshold` of the largest entry that is
     available, otherwise the first of the largest entries. Returns DONE; NO_ROOM, if `lower` or `upper` is too short; or
     the pivot position at which all entries are zero or one is not a number.
     """
-    s, place, w, lower, upper = f.search, f.place, f.work, f.lower, f.upper
+    s, place, w, lower, upper = factors.search, factors.place, factors.work, factors.lower, factors.upper
     n, l_count, u_count = len(place), 0, 0
     for i in range(n):
         place[i] = s[i, MARK] = -1
-    f.l_start[0] = f.u_start[0] = 0
+    factors.l_start[0] = factors.u_start[0] = 0
     for k in range(n):
-        top, column = _reach(f, k), f.column_of[k]
+        top, column = _reach(factors, k), factors.column_of[k]
         if l_count + n - top > len(lower) or u_count + n - top > len(upper):
             return NO_ROOM
         for x in range(top, n):
             w[s[x, REACHED]] = 0.0
         # several terms may have the same entry
-        for e in range(f.start[column], f.start[column + 1]):
-            w[f.row[e]] += f.value[e]
+        for e in range(factors.start[column], factors.start[column + 1]):
+            w[factors.row[e]] += factors.value[e]
         best, largest, is_sound = -1, 0.0, True
         for x in range(top, n):
             row = s[x, REACHED]
             p, entry = place[row], w[row]
             if p >= 0:
-                f.u_place[u_count], upper[u_count] = p, entry
+                factors.u_place[u_count], upper[u_count] = p, entry
                 u_count += 1
-                for e in range(f.l_start[p], f.l_start[p + 1]):
-                    w[f.l_row[e]] -= lower[e] * entry
+                for e in range(factors.l_start[p], factors.l_start[p + 1]):
+                    w[factors.l_row[e]] -= lower[e] * entry
             else:
                 size = _size(entry)
                 if size > largest:
@@ -147,67 +147,67 @@ def _factorize(f, threshold):
         # the diagonal is preferred: it keeps the fill that the order of the columns was chosen for
         if s[column, MARK] == k and place[column] < 0 and w[column] != 0.0 and _size(w[column]) >= threshold * largest:
             best = column
-        f.row_of[k], place[best], f.pivot[k] = best, k, w[best]
+        factors.row_of[k], place[best], factors.pivot[k] = best, k, w[best]
         for x in range(top, n):
             row = s[x, REACHED]
             if place[row] < 0:
-                f.l_row[l_count], lower[l_count] = row, w[row] / w[best]
+                factors.l_row[l_count], lower[l_count] = row, w[row] / w[best]
                 l_count += 1
-        f.l_start[k + 1], f.u_start[k + 1] = l_count, u_count
+        factors.l_start[k + 1], factors.u_start[k + 1] = l_count, u_count
     return DONE
 
 
 @subkernel
-def _solve(f, b):
-    w, row_of = f.work, f.row_of
+def _solve(factors, right):
+    w, row_of = factors.work, factors.row_of
     n = len(row_of)
     for k in range(n):
-        x = b[row_of[k]]
-        for e in range(f.l_start[k], f.l_start[k + 1]):
-            b[f.l_row[e]] -= f.lower[e] * x
+        x = right[row_of[k]]
+        for e in range(factors.l_start[k], factors.l_start[k + 1]):
+            right[factors.l_row[e]] -= factors.lower[e] * x
     for k in range(n - 1, -1, -1):
-        x = b[row_of[k]] / f.pivot[k]
+        x = right[row_of[k]] / factors.pivot[k]
         w[k] = x
-        for e in range(f.u_start[k], f.u_start[k + 1]):
-            b[row_of[f.u_place[e]]] -= f.upper[e] * x
+        for e in range(factors.u_start[k], factors.u_start[k + 1]):
+            right[row_of[factors.u_place[e]]] -= factors.upper[e] * x
     for k in range(n):
-        b[f.column_of[k]] = w[k]
+        right[factors.column_of[k]] = w[k]
 
 
 @subkernel
-def _solve_each(f, b):
-    for row in range(len(b)):
-        _solve(f, b[row])
+def _solve_each(factors, right):
+    for row in range(len(right)):
+        _solve(factors, right[row])
 
 
 @subkernel
-def _solve_refined(f, right, x, r):
+def _solve_refined(factors, right, x, r):
     n = len(x)
     for i in range(n):
         x[i], r[i] = right[i], right[i]
-    _solve(f, x)
+    _solve(factors, x)
     for j in range(n):
-        for e in range(f.start[j], f.start[j + 1]):
-            r[f.row[e]] -= f.value[e] * x[j]
-    _solve(f, r)
+        for e in range(factors.start[j], factors.start[j + 1]):
+            r[factors.row[e]] -= factors.value[e] * x[j]
+    _solve(factors, r)
     for i in range(n):
         x[i] += r[i]
 
 
 @subkernel
-def _solve_transposed(f, b):
-    w, row_of = f.work, f.row_of
+def _solve_transposed(factors, right):
+    w, row_of = factors.work, factors.row_of
     n = len(row_of)
     for k in range(n):
-        x = b[f.column_of[k]]
-        for e in range(f.u_start[k], f.u_start[k + 1]):
-            x -= f.upper[e] * w[f.u_place[e]]
-        w[k] = x / f.pivot[k]
+        x = right[factors.column_of[k]]
+        for e in range(factors.u_start[k], factors.u_start[k + 1]):
+            x -= factors.upper[e] * w[factors.u_place[e]]
+        w[k] = x / factors.pivot[k]
     for k in range(n - 1, -1, -1):
-        for e in range(f.l_start[k], f.l_start[k + 1]):
-            w[k] -= f.lower[e] * w[f.place[f.l_row[e]]]
+        for e in range(factors.l_start[k], factors.l_start[k + 1]):
+            w[k] -= factors.lower[e] * w[factors.place[factors.l_row[e]]]
     for k in range(n):
-        b[row_of[k]] = w[k]
+        right[row_of[k]] = w[k]
 
 
 @kernel

@@ -6,7 +6,7 @@ from mbdkit.engine.native.functions import subkernel
 
 
 @subkernel
-def fade(theta):
+def fade(theta: float) -> float:
     """Return ``3 theta^2 - 2 theta^3``, which rises from 0 to 1 and has zero slope at both ends."""
     return theta * theta * (3.0 - 2.0 * theta)
 

@@ -57,17 +57,18 @@ class Factors(NamedTuple):
 
 
 @inlined
-def factorize(p, f):
-    """Factorize the scaled matrix with the values ``f.a``; return the position of a pivot that is too small, or -1.
+def factorize(pattern, factors):
+    """Factorize the scaled matrix in ``factors.a``; return the position of a pivot that is too small, or -1.
 
-    Row-wise elimination (IKJ order): each row is expanded into the dense array ``f.work``, all earlier rows that it
-    depends on are subtracted, and the result is stored in the patterns of L and U. These patterns include the fill-in,
-    so the entries to be used are set to zero first. The size of a complex number is taken as ``|re| + |im|``, which
-    needs no root.
+    Row-wise elimination (IKJ order): each row is expanded into the dense array ``factors.work``, all earlier rows that
+    it depends on are subtracted, and the result is stored in the patterns of L and U. These patterns include the
+    fill-in, so the entries to be used are set to zero first. The size of a complex number is taken as ``|re| + |im|``,
+    which needs no root.
     """
-    a_start, a_column = p.a_start, p.a_column
-    l_start, l_column, u_start, u_column = p.l_start, p.l_column, p.u_start, p.u_column
-    a, lower, upper, pivot, reference, w = f.a, f.lower, f.upper, f.pivot, f.reference, f.work
+    a_start, a_column = pattern.a_start, pattern.a_column
+    l_start, l_column, u_start, u_column = pattern.l_start, pattern.l_column, pattern.u_start, pattern.u_column
+    a, lower, upper, pivot = factors.a, factors.lower, factors.upper, factors.pivot
+    reference, w = factors.reference, factors.work
     for i in range(len(pivot)):
         for x in range(l_start[i], l_start[i + 1]):  # clear only the entries in the pattern of this row
             w[l_column[x]] = 0.0
@@ -96,11 +97,12 @@ def factorize(p, f):
 
 
 @inlined
-def substitute(p, f, b, x):
+def substitute(pattern, factors, b, x):
     """Solve A x = b with the factors; `b` and `x` (n,) are unscaled, in original order, and may be the same array."""
-    l_start, l_column, u_start, u_column = p.l_start, p.l_column, p.u_start, p.u_column
-    row_of, column_of, row_scale, column_scale = p.row_of, p.column_of, p.row_scale, p.column_scale
-    lower, upper, pivot, w = f.lower, f.upper, f.pivot, f.work
+    l_start, l_column, u_start, u_column = pattern.l_start, pattern.l_column, pattern.u_start, pattern.u_column
+    row_of, column_of = pattern.row_of, pattern.column_of
+    row_scale, column_scale = pattern.row_scale, pattern.column_scale
+    lower, upper, pivot, w = factors.lower, factors.upper, factors.pivot, factors.work
     n = len(pivot)
     for i in range(n):
         # scales are powers of two, so that solving the scaled system costs no accuracy
@@ -117,7 +119,7 @@ def substitute(p, f, b, x):
 
 
 @inlined
-def residual(p, f, b, x, r):
+def residual(pattern, factors, b, x, r):
     """Write b - A x into `r` (n,) and return the largest residual of a row relative to the largest row sum.
 
     The row sum is the sum of the absolute values of all terms of a row, including b. Residuals and row sums are those
@@ -125,17 +127,17 @@ def residual(p, f, b, x, r):
     """
     worst = 0.0
     largest = 0.0
-    for i in range(len(p.row_of)):
-        row = p.row_of[i]
-        t = b[row] * p.row_scale[row]
+    for i in range(len(pattern.row_of)):
+        row = pattern.row_of[i]
+        t = b[row] * pattern.row_scale[row]
         size = abs(t)
-        for k in range(p.a_start[i], p.a_start[i + 1]):
-            column = p.column_of[p.a_column[k]]
+        for k in range(pattern.a_start[i], pattern.a_start[i + 1]):
+            column = pattern.column_of[pattern.a_column[k]]
             # terms of the scaled system, which is the one that was factorized
-            term = f.a[k] * (x[column] / p.column_scale[column])
+            term = factors.a[k] * (x[column] / pattern.column_scale[column])
             t -= term
             size += abs(term)
-        r[row] = t / p.row_scale[row]
+        r[row] = t / pattern.row_scale[row]
         largest = max(largest, size)
         if not abs(t) <= worst:  # unlike `max`, this keeps a NaN
             worst = abs(t)
@@ -143,15 +145,15 @@ def residual(p, f, b, x, r):
 
 
 @inlined
-def solve_refined(p, f, b, x, r):
+def solve_refined(pattern, factors, b, x, r):
     """Solve A x = b with one step of iterative refinement; return the largest relative residual, see `residual`.
 
     The refinement compensates for pivots that are no longer optimal for the current values. `b`, `x` and the scratch
     array `r` are (n,), in original order; `r` holds the final residual on return.
     """
-    substitute(p, f, b, x)
-    residual(p, f, b, x, r)
-    substitute(p, f, r, r)
+    substitute(pattern, factors, b, x)
+    residual(pattern, factors, b, x, r)
+    substitute(pattern, factors, r, r)
     for i in range(len(x)):
         x[i] += r[i]
-    return residual(p, f, b, x, r)
+    return residual(pattern, factors, b, x, r)

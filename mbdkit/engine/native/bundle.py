@@ -24,22 +24,25 @@ ARRAY_FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "str
 ARRAY_WORDS = 5
 """Number of words of an array without dimensions."""
 
+Bundle = tuple[Any, ...]
+"""A NamedTuple of arrays, and of NamedTuples of arrays."""
+
 _Address, HEAD = ctypes.c_ssize_t, object.__basicsize__
 _PYTHON_BUNDLES: dict[int, Any] = {}
 """Bundles by the address of their block; used only with ``MBDKIT_KERNELS=python``."""
 
-LOADERS: list[tuple[Callable[[int], Any], Callable[[], tuple[Any, ...]]]] = []
+LOADERS: list[tuple[Callable[[int], Any], Callable[[], Bundle]]] = []
 """The functions made by `bundle_loader`, and their examples."""
 
 
 @cache
-def fields_of(bundle: Any) -> tuple[Any, ...]:
+def fields_of(bundle: type) -> tuple[Any, ...]:
     """Return the annotations of the fields of a bundle, which take long to evaluate."""
     return tuple(get_type_hints(bundle, include_extras=True).values())
 
 
 @cache
-def axes_of(bundle: Any) -> tuple[dict[int, int], ...]:
+def axes_of(bundle: type) -> tuple[dict[int, int], ...]:
     """Return the sizes that the class of a bundle declares for each of its fields, by axis.
 
     ``Annotated[RealMatrix, 3]`` declares that the second axis has size 3; see `mbdkit.engine.kernels.bundle_types`.
@@ -51,7 +54,7 @@ def axes_of(bundle: Any) -> tuple[dict[int, int], ...]:
     return tuple(found)
 
 
-def bundle_loader(example: Callable[[], tuple[Any, ...]]) -> Any:
+def bundle_loader(example: Callable[[], Bundle]) -> Any:
     """Return a function for compiled code that turns an address into the bundle stored there.
 
     Parameters
@@ -76,7 +79,7 @@ class ArrayType(NamedTuple):
 
 
 @cache
-def arrays_in(bundle: Any) -> tuple[ArrayType, ...]:
+def arrays_in(bundle: type) -> tuple[ArrayType, ...]:
     """Return the types of the arrays of a bundle of a class, nested bundles included."""
     found: list[ArrayType] = []
     for kind, sizes in zip(fields_of(bundle), axes_of(bundle), strict=True):
@@ -88,7 +91,7 @@ def arrays_in(bundle: Any) -> tuple[ArrayType, ...]:
     return tuple(found)
 
 
-def arrays_of(bundle: Any) -> list[Any]:
+def arrays_of(bundle: Bundle) -> list[Any]:
     """Return the arrays of a bundle in the order of `arrays_in`."""
     arrays: list[Any] = []
     for x in bundle:
@@ -108,7 +111,7 @@ def array_words(x: np.ndarray) -> tuple[int, ...]:
     return (0, 0, x.size, x.itemsize, _data_address(x), *x.shape, *x.strides)
 
 
-def words_of(bundle: Any) -> list[int]:
+def words_of(bundle: Bundle) -> list[int]:
     """Return a bundle as words: the members of each of its arrays.
 
     Raises
@@ -119,7 +122,7 @@ def words_of(bundle: Any) -> list[int]:
     words: list[int] = []
     for x in bundle:
         words += words_of(x) if isinstance(x, tuple) else array_words(x)
-    kind: Any = type(bundle)
+    kind = type(bundle)
     for field, axis, size in _declared(kind):
         if (shape := bundle[field].shape)[axis] != size:
             raise TypeError(f"an array of {kind.__name__} has shape {shape}; axis {axis} must have {size}")
@@ -127,7 +130,7 @@ def words_of(bundle: Any) -> list[int]:
 
 
 @cache
-def _declared(bundle: Any) -> tuple[tuple[int, int, int], ...]:
+def _declared(bundle: type) -> tuple[tuple[int, int, int], ...]:
     """Return the declared sizes of a class of bundles as (field, axis, size), without those of nested bundles."""
     axes = enumerate(axes_of(bundle))
     return tuple((field, axis, size) for field, sizes in axes for axis, size in sizes.items())
@@ -154,11 +157,11 @@ class PinnedBundle:
         A NamedTuple of arrays, and of NamedTuples of arrays.
     """
 
-    def __init__(self, bundle: Any):
+    def __init__(self, bundle: Bundle):
         self._block = np.zeros(0, dtype=np.int64)
         self.replace(bundle)
 
-    def replace(self, bundle: Any) -> None:
+    def replace(self, bundle: Bundle) -> None:
         """Store another bundle of the same type; `address` may change."""
         self.bundle = bundle
         words = words_of(bundle)

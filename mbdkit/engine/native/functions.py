@@ -9,12 +9,12 @@ and those that only the compiler can express by `placeholder`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from mbdkit.engine.native.kernel import MODULES, Entry, Kernel, LawFunction
 from mbdkit.engine.native.machine_code import CORE
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., object])
 
 
 class DeclaredFunctions(NamedTuple):
@@ -24,13 +24,13 @@ class DeclaredFunctions(NamedTuple):
     """Functions with machine code of their own, by the name of its symbol; so are the next two."""
     entries: dict[str, Entry]
     laws: dict[str, LawFunction]
-    subkernels: dict[Callable[..., Any], bool]
+    subkernels: dict[Callable[..., object], bool]
     """Functions that only compiled code calls, and whether they are copied into their callers."""
-    separate: set[Callable[..., Any]]
+    separate: set[Callable[..., object]]
     """Subkernels that are not copied into their callers."""
-    overloads: list[tuple[Callable[..., Any], Callable[..., Any]]]
+    overloads: list[tuple[Callable[..., object], Callable[..., object]]]
     """Overloaded functions, each with a function that returns its source for given types of arguments."""
-    placeholders: set[Callable[..., Any]]
+    placeholders: set[Callable[..., object]]
     """Functions that only the compiler can express; in Python, they are not called or have a body of their own."""
 
 
@@ -60,7 +60,7 @@ def separate(function: Function) -> Function:
     return subkernel(function)
 
 
-def overload(function: Callable[..., Any]) -> Callable[[Function], Function]:
+def overload(function: Callable[..., object]) -> Callable[[Function], Function]:
     """Declare how the source of a function depends on the types of its arguments.
 
     The decorated function gets these types and returns a function with the same arguments, or None. In Python, the
@@ -80,7 +80,7 @@ def placeholder(function: Function) -> Function:
     return function
 
 
-def kernel(function: Callable[..., Any]) -> Kernel:
+def kernel(function: Callable[..., object]) -> Kernel:
     """Declare a function that Python calls.
 
     Its arguments and its result are annotated; see `mbdkit.engine.native.kernel`. It releases the global interpreter
@@ -89,12 +89,12 @@ def kernel(function: Callable[..., Any]) -> Kernel:
     return DECLARED.kernels.setdefault(_symbol(function), Kernel(_symbol(function), function))
 
 
-def entry(function: Callable[..., Any]) -> Entry:
+def entry(function: Callable[..., object]) -> Entry:
     """Declare a function that kernels call by its address; see `mbdkit.engine.native.kernel`."""
     return DECLARED.entries.setdefault(_symbol(function), Entry(_symbol(function), function))
 
 
-def law_function(function: Callable[..., Any]) -> LawFunction:
+def law_function(function: Callable[..., object]) -> LawFunction:
     """Declare a function of force laws, which kernels call by its address; see `mbdkit.engine.native.calls`.
 
     Its arguments are the program, length, rate, time, and the addresses of the parameters and of the results.
@@ -102,7 +102,7 @@ def law_function(function: Callable[..., Any]) -> LawFunction:
     return DECLARED.laws.setdefault(_symbol(function), LawFunction(_symbol(function), function))
 
 
-def _symbol(function: Callable[..., Any]) -> str:
+def _symbol(function: Callable[..., object]) -> str:
     MODULES[function.__module__] = function.__globals__
     package, _, path = function.__module__.partition(".")
     symbol = f"{path.rpartition('.')[2]}__{function.__name__}"

@@ -19,7 +19,7 @@ from array import array
 from collections.abc import Callable, Iterable
 from functools import cached_property
 from types import BuiltinFunctionType, SimpleNamespace
-from typing import Any, get_args, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 import numpy as np
 
@@ -31,9 +31,10 @@ _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
 DTYPES = (np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.complex128))
 """Types of the elements of arrays, in the order in which the block of a kernel names them."""
 _CODES = {int: "q", bool: "q", float: "d"}
+Called = TypeVar("Called", bound=Callable[..., object])
 MODULES: dict[str, dict[str, Any]] = {}
 """Global names of the modules of kernels."""
-_ENTRIES: dict[int, Callable[..., Any]] = {}
+_ENTRIES: dict[int, Callable[..., object]] = {}
 """Entries by address; used only with ``MBDKIT_KERNELS=python``."""
 
 
@@ -49,7 +50,7 @@ class Kernel:
         ``Annotated[np.ndarray, np.float64, 1]``, and its result with int, float, bool, None or a tuple of these.
     """
 
-    def __init__(self, symbol: str, function: Callable[..., Any]):
+    def __init__(self, symbol: str, function: Callable[..., object]):
         self.symbol, self.function = symbol, function
         self.__doc__, self.__name__ = function.__doc__, function.__name__
 
@@ -74,7 +75,7 @@ class Kernel:
         return self._call(*arguments)
 
 
-def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
+def _in_python(function: Called) -> Called:
     """Return a function after replacing `math` by our elementary functions in all modules of kernels.
 
     In machine code, the builder replaces them, and finds them by their names.
