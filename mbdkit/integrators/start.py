@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.formulation import FORMULATIONS
@@ -81,7 +80,8 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
             return StepHost(between, workspace, timetable)
     if traits.compiled is None:
         method.require_formulation(FORMULATIONS[workspace.formulation])
-        steps: Any = method if traits.steps is None else traits.steps()(method)
+        steps = method if traits.steps is None else traits.steps()(method)
+        assert isinstance(steps, StepMethod | ExternalMethod)
         return StepHost(steps, workspace, timetable)
     compiled, control = compiled_method(method, workspace)
     return CompiledStepper(compiled if between is None else between(compiled), workspace, timetable, control)

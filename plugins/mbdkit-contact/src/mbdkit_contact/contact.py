@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
@@ -28,6 +28,9 @@ from mbdkit.plugin import (
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.mechanisms import Attachment, BodyPair, Weld, sequence
 from mbdkit_contact.polylines import check_polyline, surface_of
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Mechanism
 
 Pair = tuple[float, float]
 
@@ -559,7 +562,7 @@ def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
     return tuple(edges)
 
 
-def check_contacts(contacts: Mapping[str, Contact], mechanism: Any, prefix: str) -> None:
+def check_contacts(contacts: Mapping[str, Contact], mechanism: Mechanism, prefix: str) -> None:
     """Raise SpecError for the first contact whose bodies a weld, or a pin between two moving bodies, holds together.
 
     Two bodies overlap around their pin. A body that is pinned to the ground may touch other parts of the ground.
