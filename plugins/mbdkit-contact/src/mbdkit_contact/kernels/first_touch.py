@@ -19,16 +19,7 @@ import numpy as np
 
 from mbdkit.kernels import copy, cosine_and_sine, separate, subkernel
 from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN
-from mbdkit_contact.kernels.kinematics import (
-    CIRCLES,
-    LINE,
-    POLYGONS,
-    ROUND,
-    SINGLE,
-    choose,
-    gap_of,
-    height_over_edge,
-)
+from mbdkit_contact.kernels.kinematics import CIRCLES, LINE, POLYGONS, ROUND, SINGLE, choose, gap_of, height_over_edge
 from mbdkit_contact.kernels.uneven_ground import (
     COLOR,
     CORNER_COLOR,
