@@ -14,7 +14,7 @@ from mbdkit.integrators.interface import SAME_INSTANT, SAME_TIME, Timetable
 from mbdkit.integrators.run.kept_state import kept, protect
 from mbdkit.integrators.run.reached import Planned, Reached, RejectedError
 from mbdkit.integrators.run.splitting import margin_of_stops
-from mbdkit.integrators.run.step_control import fitted_size
+from mbdkit.integrators.run.step_control import SOLVER_FAILURE_FACTOR, fitted_size
 from mbdkit.integrators.run.step_results import Inside, StepResults, called
 from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState, Why
 
@@ -245,4 +245,4 @@ class StepAttempts:
         """Return the exception for a step that could not be taken; a controlled one is repeated with a smaller size."""
         if self.control is None or error.code not in _REPEATED:
             return error
-        return RejectedError(self.control.after_failure(h), error)
+        return RejectedError(SOLVER_FAILURE_FACTOR * h, error)

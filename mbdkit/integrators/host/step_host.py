@@ -318,10 +318,9 @@ class StepHost:
         last = self._last
         assert last is not None
         there = self._shortened(last, theta)
-        if self.timetable.nodes:
-            self._nodes.drop_last()
-            if theta > 0.0:
-                self._keep_nodes(last, there, theta)
+        self._nodes.drop_last()
+        if theta > 0.0:
+            self._keep_nodes(last, there, theta)
         if self.rows.inner and self.rows.inner[0] < there.time:  # that row has the counts of the step
             there = there._replace(interval=IntervalSoFar())
         self._go_to(there)
@@ -341,8 +340,7 @@ class StepHost:
             is_start = t - step.t0 <= close
             there = before if is_start else self._shortened(last, theta)
             self.finished, self.failure = False, None
-            if self.timetable.nodes:
-                self._nodes.drop_last()
+            self._nodes.drop_last()
             taken = []
             if not is_start:
                 there = there._replace(whole=before.whole, passed=before.passed, restart=t, is_event=True, event=None)
