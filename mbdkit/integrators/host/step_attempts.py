@@ -209,11 +209,12 @@ class StepAttempts:
         method, name, what = self.method, self.name, "advance" if self._is_external else "step"
         protect(state)
         try:
+            given: Step | StepState
             if isinstance(method, ExternalMethod):
-                new = called(f"{name}.advance", method.advance)
+                given = called(f"{name}.advance", method.advance)
             else:
-                new = called(f"{name}.step", method.step, self.equations, t, state, h)
-            made, new = self.results.step(new, what)
+                given = called(f"{name}.step", method.step, self.equations, t, state, h)
+            made, new = self.results.step(given, what)
         except StepError as error:
             raise self._unsolved(h, error) from None
         self._judged = math.inf, 0.0
