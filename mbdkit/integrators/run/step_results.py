@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 Inside = Callable[[float], "tuple[np.ndarray, ...] | None"]
 """Dense output of a step: function of the share of the step that returns (q, v, z), and possibly work and energy; None
