@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Never
+from typing import Never
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.formulation import FORMULATIONS
@@ -95,7 +95,8 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
             return StepHost(between, workspace, timetable)
     if traits.compiled is None:
         method.require_formulation(FORMULATIONS[workspace.formulation])
-        steps: Any = method if traits.steps is None else traits.steps()(method)
+        steps = method if traits.steps is None else traits.steps()(method)
+        assert isinstance(steps, StepMethod | ExternalMethod)
         return StepHost(steps, workspace, timetable)
     compiled, control = compiled_method(method, workspace)
     return CompiledStepper(compiled if between is None else between(compiled), workspace, timetable, control)

@@ -33,7 +33,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         nearest_positions as nearest_positions, nearest_velocities as nearest_velocities,
     )
     from mbdkit.engine.observed_states import GivenForces as GivenForces, StateObserver as StateObserver
-    from mbdkit.engine.repeated_call import RepeatedCall as RepeatedCall
     from mbdkit.engine.spanning_tree import is_tree_of_pins as is_tree_of_pins, spanning_tree as spanning_tree
     from mbdkit.engine.stabilization import NONE as NONE, Stabilization as Stabilization
     from mbdkit.engine.stored_arrays import fill as fill, pattern_of as pattern_of, stored as stored

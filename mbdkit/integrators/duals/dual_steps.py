@@ -8,7 +8,8 @@ continues until the derivatives of the stages no longer change.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -310,11 +311,11 @@ def _constrained_changes(c, n, m, k, t, h):
 class _Formulation(NamedTuple):
     """The parts of a formulation that `_step` calls; Numba compiles `_step` once for each of these records."""
 
-    changes: Any
+    changes: Callable[..., int]
     """``(c, n, m, k, t, h)``: write the changes of the derivatives by one iteration; return a status."""
-    sizes: Any
+    sizes: Callable[..., tuple[float, float]]
     """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
-    powers: Any
+    powers: Callable[..., int]
     """``(c, m, t, h)``: evaluate the powers of the stages; return a status."""
 
 

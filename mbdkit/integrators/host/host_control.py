@@ -10,7 +10,6 @@ import numpy as np
 from mbdkit.integrators.run.reached import Reached, RejectedError
 from mbdkit.integrators.run.step_control import (
     MIN_LAST_ERROR,
-    SOLVER_FAILURE_FACTOR,
     Control,
     ControlData,
     control_data,
@@ -98,10 +97,6 @@ class HostControl:
             raise RejectedError(h * float(factor_after_rejection(data, math.isfinite(error), error)))
         factor = float(factor_after_acceptance(data, max(error, 1e-10), begin.error, int(retrying)))
         return self._limited(h * factor), max(error, MIN_LAST_ERROR)
-
-    def after_failure(self, h: float) -> float:
-        """Return the size of the next attempt after a step that could not be taken [s]."""
-        return SOLVER_FAILURE_FACTOR * h
 
     def _limited(self, size: float) -> float:
         return min(size, self._longest)

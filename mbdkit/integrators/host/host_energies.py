@@ -120,8 +120,8 @@ class HostNodes:
         self._steps: list[Nodes] = []
 
     def drop_last(self) -> None:
-        """Discard the nodes of the last step, which is repeated or shortened."""
-        self._steps.pop()
+        """Discard the nodes of the last step, which is repeated or shortened, if they are stored."""
+        del self._steps[-1:]
 
     def taken(self) -> Nodes:
         """Return the nodes of the steps since the last call."""

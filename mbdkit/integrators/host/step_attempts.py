@@ -14,7 +14,7 @@ from mbdkit.integrators.interface import SAME_INSTANT, SAME_TIME, Timetable
 from mbdkit.integrators.run.kept_state import kept, protect
 from mbdkit.integrators.run.reached import Planned, Reached, RejectedError
 from mbdkit.integrators.run.splitting import margin_of_stops
-from mbdkit.integrators.run.step_control import fitted_size
+from mbdkit.integrators.run.step_control import SOLVER_FAILURE_FACTOR, fitted_size
 from mbdkit.integrators.run.step_results import Inside, StepResults, called
 from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState, Why
 
@@ -209,11 +209,12 @@ class StepAttempts:
         method, name, what = self.method, self.name, "advance" if self._is_external else "step"
         protect(state)
         try:
+            given: Step | StepState
             if isinstance(method, ExternalMethod):
-                new = called(f"{name}.advance", method.advance)
+                given = called(f"{name}.advance", method.advance)
             else:
-                new = called(f"{name}.step", method.step, self.equations, t, state, h)
-            made, new = self.results.step(new, what)
+                given = called(f"{name}.step", method.step, self.equations, t, state, h)
+            made, new = self.results.step(given, what)
         except StepError as error:
             raise self._unsolved(h, error) from None
         self._judged = math.inf, 0.0
@@ -245,4 +246,4 @@ class StepAttempts:
         """Return the exception for a step that could not be taken; a controlled one is repeated with a smaller size."""
         if self.control is None or error.code not in _REPEATED:
             return error
-        return RejectedError(self.control.after_failure(h), error)
+        return RejectedError(SOLVER_FAILURE_FACTOR * h, error)

@@ -30,7 +30,7 @@ from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.run.splitting import Change, margin_of_stops
 from mbdkit.integrators.run.step_guards import GuardState
 from mbdkit.integrators.run.step_results import called
-from mbdkit.methods.step_methods import ExternalMethod, StepMethod, StepState
+from mbdkit.methods.step_methods import ExternalMethod, StepMethod, StepState, Why
 
 
 class StepHost:
@@ -139,7 +139,7 @@ class StepHost:
         """Apply an event at which the last step has ended; at a discontinuity, apply an impulse and begin anew."""
         self.apply_event()
         if self.now.why:
-            self._begin_anew()
+            self._begin_anew(self.now.why)
 
     def apply_event(self) -> None:
         """Apply the event at which the last step has ended, if there is one, such as an impact."""
@@ -150,9 +150,9 @@ class StepHost:
             gained = np.array([state.work or 0.0, state.dissipated or 0.0])
             self.now = now._replace(state=state, energy=now.energy + gained, event=None)
 
-    def _begin_anew(self) -> None:
+    def _begin_anew(self, why: Why) -> None:
         now, table, t = self.now, self.timetable, self.now.begin
-        state, energy, why = now.state, now.energy, now.why
+        state, energy = now.state, now.energy
         if why == "stop":
             self.workspace.clamp_motions(*table.sides(now.passed))
             stop = table.stops[now.passed - 1]
@@ -318,10 +318,9 @@ class StepHost:
         last = self._last
         assert last is not None
         there = self._shortened(last, theta)
-        if self.timetable.nodes:
-            self._nodes.drop_last()
-            if theta > 0.0:
-                self._keep_nodes(last, there, theta)
+        self._nodes.drop_last()
+        if theta > 0.0:
+            self._keep_nodes(last, there, theta)
         if self.rows.inner and self.rows.inner[0] < there.time:  # that row has the counts of the step
             there = there._replace(interval=IntervalSoFar())
         self._go_to(there)
@@ -341,8 +340,7 @@ class StepHost:
             is_start = t - step.t0 <= close
             there = before if is_start else self._shortened(last, theta)
             self.finished, self.failure = False, None
-            if self.timetable.nodes:
-                self._nodes.drop_last()
+            self._nodes.drop_last()
             taken = []
             if not is_start:
                 there = there._replace(whole=before.whole, passed=before.passed, restart=t, is_event=True, event=None)

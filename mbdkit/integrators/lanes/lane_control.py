@@ -10,7 +10,8 @@ step fails for other reasons than its error or the divergence of its stage equat
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,13 +54,13 @@ ENDED, FULL = 0, 1
 class LaneStep(NamedTuple):
     """The parts of a method that `drive_controlled` calls; `s` is the `LaneControl`."""
 
-    attempt: Any
+    attempt: Callable[..., bool]
     """``(s, t, h, running)``: write the increments of the steps of size `h` from `t`, the estimates of their errors,
     and the distance to singularity if joints close a loop. Counts change only where `running`. Return in which lanes
     the stage equations have not been solved, so that single runs reject the step."""
-    evaluate_further: Any
+    evaluate_further: Callable[..., None]
     """``(s, t, h, due)``: evaluate what only dense output needs, and count it where it is `due`."""
-    evaluate_point: Any
+    evaluate_point: Callable[..., None]
     """``(c, m, t, h, theta, s)``: write the state of the run at the share `theta` of its step into arrays of `s`."""
 
 

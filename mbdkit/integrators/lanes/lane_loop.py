@@ -24,13 +24,7 @@ from mbdkit.engine.native.functions import inlined, kernel, subkernel
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.integrators.lanes.lane_run import load_guards, load_lane_run
 from mbdkit.integrators.run.run_state import ITERATIONS, add_increments
-from mbdkit.integrators.run.step_guards import (
-    begin_energy,
-    distance_by_pivots,
-    energy_jump,
-    note_jump,
-    watch_branch,
-)
+from mbdkit.integrators.run.step_guards import begin_energy, distance_by_pivots, energy_jump, note_jump, watch_branch
 from mbdkit.integrators.stages.explicit import add_up_stages, evaluate_stages
 
 

@@ -50,7 +50,7 @@ class LaneWatch(NamedTuple):
 class InLanes(NamedTuple):
     """The vectorized form of a family of methods."""
 
-    drive: Callable[[int], Any]
+    drive: Callable[[int], int]
     """Loop over fixed steps, and over controlled ones."""
     drive_controlled: Callable[[int], Any]
     bundle: Callable[..., Any]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -18,19 +18,22 @@ if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
 
-Inside = Callable[[float], "tuple[Any, ...] | None"]
+P = ParamSpec("P")
+T = TypeVar("T")
+
+Inside = Callable[[float], "tuple[np.ndarray, ...] | None"]
 """Dense output of a step: function of the share of the step that returns (q, v, z), and possibly work and energy; None
 if the step has no dense output, or if that raises StepError."""
 
 
-def called(name: str, function: Callable[..., Any], *given: Any) -> Any:
+def called(name: str, function: Callable[P, T], *given: P.args, **more: P.kwargs) -> T:
     """Return what a function of a method returns; `name` is that of the function.
 
     StepError and ordinary exceptions are passed on. Other errors of mbdkit, and exits, become RuntimeError.
     """
     try:
         with in_this_process():
-            return function(*given)
+            return function(*given, **more)
     except (KeyboardInterrupt, StepError):
         raise
     except BaseException as error:  # a plugin may raise any exception, including SystemExit
@@ -59,7 +62,7 @@ class StepResults:
     def __init__(self, name: str, equations: EquationsOfMotion, states: int, multipliers: bool):
         self._name, self._equations, self._states, self._multipliers = name, equations, states, multipliers
 
-    def state(self, new: Any, what: str) -> StepState:
+    def state(self, new: StepState, what: str) -> StepState:
         """Return a state with copies of its arrays.
 
         Raises TypeError or ValueError if it is invalid, and StepError if its multipliers have overflowed.
@@ -76,7 +79,7 @@ class StepResults:
                 raise StepError("not-finite", "multipliers overflowed")
         return StepState(q, v, multipliers, kept(new.memory), new.work, new.dissipated, kept(new.low), z)
 
-    def step(self, new: Any, what: str) -> tuple[Step, StepState]:
+    def step(self, new: object, what: str) -> tuple[Step, StepState]:
         """Return a checked step, and its checked state, which replaces that of the step; see `state`."""
         if isinstance(new, StepState):
             return Step(new), self.state(new, what)
@@ -94,7 +97,7 @@ class StepResults:
     def inside(self, made: Step) -> Inside:
         """Return the checked dense output of a step."""
 
-        def inside(theta: float) -> tuple[Any, ...] | None:
+        def inside(theta: float) -> tuple[np.ndarray, ...] | None:
             if made.dense is None:
                 return None
             try:

@@ -52,12 +52,7 @@ from mbdkit.engine.kernels.tree_displacements import displace_bodies, take_arms
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.native.functions import entry, inlined, separate, subkernel
 from mbdkit.integrators.run.run_state import RHS, load_run_state
-from mbdkit.integrators.stages.collocation_stages import (
-    StageKernels,
-    is_shifted,
-    load_stages,
-    solves_positions_only,
-)
+from mbdkit.integrators.stages.collocation_stages import StageKernels, is_shifted, load_stages, solves_positions_only
 from mbdkit.integrators.stages.collocation_step import (
     choose_tangent_state,
     every_change_is_idle,
@@ -273,14 +268,7 @@ def estimate_side(c, m, z, b):
 
 
 KERNELS = StageKernels(
-    _tangents,
-    _changes,
-    move_stages,
-    _sizes,
-    every_change_is_idle,
-    round_off,
-    stage_powers,
-    estimate_side,
+    _tangents, _changes, move_stages, _sizes, every_change_is_idle, round_off, stage_powers, estimate_side
 )
 
 

@@ -173,16 +173,7 @@ def stage_powers(c, m, t, h):
     return evaluate_accelerations(c, m, t, h, True, True)
 
 
-KERNELS = StageKernels(
-    _tangents,
-    _changes,
-    move_stages,
-    _sizes,
-    every_change_is_idle,
-    _round_off,
-    stage_powers,
-    lift,
-)
+KERNELS = StageKernels(_tangents, _changes, move_stages, _sizes, every_change_is_idle, _round_off, stage_powers, lift)
 
 
 @entry

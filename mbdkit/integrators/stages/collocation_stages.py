@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
@@ -41,26 +42,26 @@ class StageKernels(NamedTuple):
     each element of a SIMD vector.
     """
 
-    tangents: Any
+    tangents: Callable[..., int]
     """``(c, m, t, h, at_start, wanted)``: evaluate and factorize the stage matrices, if there are any. The state is
     that at the start of the step, with the multipliers of all pairs, or the mean of the stages. In lanes, matrices
     change only where `wanted`."""
-    changes: Any
+    changes: Callable[..., int]
     """``(c, m, t, h, before)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
     unknowns are changed in place. `before` is the relative change by the previous iteration, infinite in the first."""
-    move: Any
+    move: Callable[..., None]
     """``(c, m, h, active)``: change the accelerations, in lanes only where `active`, and evaluate the stages."""
-    sizes: Any
+    sizes: Callable[..., tuple[float, float]]
     """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
-    counts_as_idle: Any
+    counts_as_idle: Callable[..., bool]
     """``(now)``: return whether a change that no longer decreases, of this relative size, counts as idle, that is, as
     possible round-off."""
-    round_off: Any
+    round_off: Callable[..., bool]
     """``(c, m, h, now, moved, idle)``: return whether a change that no longer decreases is round-off. `now` is the
     relative change, `moved` that of the positions, and `idle` the number of idle changes so far."""
-    powers: Any = None
+    powers: Callable[..., int] | None = None
     """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
-    estimate_side: Any = None
+    estimate_side: Callable[..., None] | None = None
     """``(c, m, z, b)``: write the right-hand side of the system that filters an estimate `z` of the error of
     velocities."""
 

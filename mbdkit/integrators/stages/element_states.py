@@ -17,13 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.kernels.applied_forces import (
-    applied_forces,
-    expression_value,
-    law_value,
-    path_rate,
-    pathway_lengths,
-)
+from mbdkit.engine.kernels.applied_forces import applied_forces, expression_value, law_value, path_rate, pathway_lengths
 from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
 from mbdkit.engine.kernels.table_rows import STATE_ROW, STATE_USE
 from mbdkit.engine.native.arithmetic import is_lanes

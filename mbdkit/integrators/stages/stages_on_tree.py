@@ -29,15 +29,7 @@ from mbdkit.engine.kernels.vectors import copy, fill_rows
 from mbdkit.engine.native.functions import inlined, separate, subkernel
 from mbdkit.integrators.run.run_state import AT_END_OF_LAST
 from mbdkit.integrators.stages.collocation_stages import NEWTON, solves_multipliers
-from mbdkit.integrators.stages.relative import (
-    BASE,
-    BASE_RATES,
-    V_STAGE,
-    Y_RATES,
-    Y,
-    end_of_step,
-    errors_of_bodies,
-)
+from mbdkit.integrators.stages.relative import BASE, BASE_RATES, V_STAGE, Y_RATES, Y, end_of_step, errors_of_bodies
 from mbdkit.integrators.stages.stage_polynomials import stage_mean, stage_mean_of_pairs
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
@@ -29,6 +29,9 @@ from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.mechanisms import Attachment, BodyPair, Weld, sequence
 from mbdkit.plugin.seams import ElementsByName, element_check
 from mbdkit_contact.polylines import check_polyline, surface_of
+
+if TYPE_CHECKING:
+    pass
 
 Pair = tuple[float, float]
 

@@ -61,7 +61,7 @@ class DeepOverlaps:
         self._time = np.where(depth > self._depth, time[row], self._time)
         self._depth = np.maximum(self._depth, depth)
 
-    def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, Any]) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, object]) -> tuple[str, ...]:
         """Return a sentence for each circle that overlaps too much."""
         sentences = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):

@@ -166,7 +166,7 @@ class EventStep:
         if (dense := made.dense) is None:
             return made
 
-        def inside(theta: float) -> Any:
+        def inside(theta: float) -> tuple[np.ndarray, ...]:
             with self.events.acting():
                 return dense(theta)
 

@@ -298,7 +298,7 @@ class ContactEvents:
         bundle.t[0], bundle.q[:n], bundle.v[:n] = t, q, v
         bundle.z[:] = self.contacts.all_states(own)
 
-    def called(self, kernel: Callable[..., Any], *given: float) -> None:
+    def called(self, kernel: Callable[..., int], *given: float) -> None:
         """Call a kernel at the point that returns a status; raise StepError if there is no solution."""
         reacting = self.workspace.scratch.reacting
         acts = int(reacting.acts[0])

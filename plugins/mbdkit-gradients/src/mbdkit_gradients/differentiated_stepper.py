@@ -223,7 +223,7 @@ class DifferentiatedStepper(CompiledStepper):
         return (*super()._memory(), *own)
 
     def begin_after_stop(self) -> None:
-        """Begin again after a stop at an event; derivatives continue from the state there."""
+        """See `CompiledStepper.begin_after_stop`: the values that controllers hold have derivatives too."""
         super().begin_after_stop()
         progress = self.run_state.progress
         if self._steps is not None and progress.after_stop[0] and not progress.pending[0]:

@@ -153,7 +153,7 @@ class SidedStepper(DifferentiatedStepper):
             self._recall(self._before)
             self.recorded, self.finished, self.failure = recorded, False, None
             del self.sizes_taken[taken:]
-            self._count()
+            self.count()
             if theta > SAME:
                 self.stop_at(step.time(theta))
                 stretch = super().advance()

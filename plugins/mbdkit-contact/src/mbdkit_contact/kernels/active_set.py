@@ -99,6 +99,7 @@ def factorize(s, count, share):
         s.order[a] = a
         for b in range(count):
             f[a, b] = s.matrix[a, b]
+        # redundant contacts make the equations singular; the share is taken out again by the refinement
         f[a, a] += share
     for j in range(count):
         best = j
@@ -245,6 +246,7 @@ def solve_active_set(s, w, k):
     size = find_scales(s, w, k)
     for i in range(2 * k):
         w.forces[i] = s.start[i]
+    # changing all contradicted modes at once is fast but may cycle; without progress, the path method takes over
     least, patience = k + 1, PATIENCE
     for _ in range(MOST_CHANGES):
         if not solve_modes(s, w, k, size):

@@ -122,6 +122,7 @@ def find_directions(s, k):
     last, count = -1, k
     for j in range(k):
         i = s.chosen[j]
+        # a closed contact stays at its feature, although another one may be nearer by rounding errors
         if s.shapes.held[i] >= 0:
             s.shapes.features[i], s.shapes.least[i] = s.shapes.held[i], NOWHERE
         elif s.shapes.contacts[i, 3] != last:
@@ -172,6 +173,7 @@ def find_answers(still, w, solver, s, count, refine):
         fill_rows(w.gamma, 0.0)
     for j in range(count):
         a, b, acc = s.sites[j, 0], s.sites[j, 1], s.moved[j]
+        # the pivoted solver has no factors of the Schur complement, so that each force is a load of its own
         if solver.pivoted[0] != 0:
             fill(w.force, 0.0)
             for d in range(3):
@@ -244,6 +246,7 @@ def _assemble_few(still, w, schur, s, k, basis):
     complement of the joints.
     """
     rank, pairs, diagonal = basis[0], len(w.gamma), schur.diagonal
+    # the equations need products with the factors only; accelerations would cost a second substitution per force
     if pairs > 0:
         for i in range(rank):
             at = basis[1 + i]
@@ -315,6 +318,7 @@ def find_few_forces(still, w, solver, s, k, count, basis, acc, lam):
     unknown, and these equations. They are eliminated after the joints, whose factors are those of the last solution.
     """
     a, b, rank, largest = s.matrix, s.sizes, basis[0], 0.0
+    # equations that were independent before may no longer be so: the caller then finds all forces anew
     if rank == 0 or rank > count or solver.pivoted[0] != 0:
         return False
     for i in range(rank):
@@ -328,6 +332,7 @@ def find_few_forces(still, w, solver, s, k, count, basis, acc, lam):
             return False
         largest = max(largest, a[i, i])
     for i in range(rank):
+        # without exchange of rows, a small pivot would lose the digits of the forces
         if not a[i, i] > WEAK * largest:
             return False
         s.weights[i] = 1.0 / a[i, i]
@@ -417,10 +422,13 @@ def find_forces(s, k, count, free, basis, shares):
     _balance(s, k, free)
     assemble(s, count)
     for j in range(k):
+        # Painleve: pressing such a contact makes it approach faster, so that no normal force keeps it closed
         if s.matrix[j, j] <= 0.0 and s.share[j] != 0.0:
             return j
     rank = least_squares(s, count)
     _note_basis(s, k, count, rank, basis, shares)
+    # the solution of least norm may load contacts with friction that are hardly pressed; weights by the normal forces
+    # prefer those that are
     if rank < count and count > k:
         largest = 0.0
         for j in range(k):

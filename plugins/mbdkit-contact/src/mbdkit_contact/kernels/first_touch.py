@@ -19,16 +19,7 @@ import numpy as np
 
 from mbdkit.kernels import copy, cosine_and_sine, separate, subkernel
 from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN
-from mbdkit_contact.kernels.kinematics import (
-    CIRCLES,
-    LINE,
-    POLYGONS,
-    ROUND,
-    SINGLE,
-    choose,
-    gap_of,
-    height_over_edge,
-)
+from mbdkit_contact.kernels.kinematics import CIRCLES, LINE, POLYGONS, ROUND, SINGLE, choose, gap_of, height_over_edge
 from mbdkit_contact.kernels.uneven_ground import (
     COLOR,
     CORNER_COLOR,
@@ -67,6 +58,8 @@ def set_piece(m, q0, v0, q1, v1, h):
     for d in range(len(q0)):
         begin, end, change = h * v0[d], h * v1[d], q1[d] - q0[d]
         c[0, d], c[1, d], c[2, d], c[3, d] = q0[d], begin, 3.0 * change - 2.0 * begin - end, begin + end - 2.0 * change
+    # a polynomial stays between its control points in Bezier's form, so that these bound its derivatives for the whole
+    # piece
     for b in range(len(bounds) - 1):
         x, y, r = 3 * b, 3 * b + 1, 3 * b + 2
         largest = turning = 0.0
@@ -104,6 +97,7 @@ def find_near(m, before, after):
             way += bound[0]
             if bound[3] > 0.0:
                 way += bound[3] * c.arms[i, side]
+        # a touch within the piece takes both gaps out of the way of the bodies; a gap that is nan counts as near
         if not before[i] + after[i] > CLEAR * way:
             c.near[i], any_near = 1, True
     return any_near
@@ -156,6 +150,7 @@ def _enclose(m, frame, body, x, y, w):
     hull[0, 0], hull[0, 1], hull[3, 0], hull[3, 1] = x0, y0, x1, y1
     hull[1, 0], hull[1, 1] = x0 + w * u0 / 3.0, y0 + w * v0 / 3.0
     hull[2, 0], hull[2, 1] = x1 - w * u1 / 3.0, y1 - w * v1 / 3.0
+    # the cubic of Hermite through both ends differs from the path by at most h^4/384 times its fourth derivative
     f, b, arm = c.bounds[frame], c.bounds[body], sqrt(x * x + y * y)
     fourth = arm * b[6]
     if f[3] > 0.0:  # derivatives of a product: of the distance, and of the rotation of the frame

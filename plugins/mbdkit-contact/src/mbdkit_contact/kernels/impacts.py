@@ -78,6 +78,8 @@ def stronge(s):
     normal, slip, p, tangential, work, goal = s.before[0], s.before[1], 0.0, 0.0, 0.0, np.inf
     for _ in range(8):  # slip ends at most once, and so does compression
         ratio = -friction if slip > 0.0 else friction
+        # friction holds a contact that sticks if its limit permits, else it slips on with the smallest friction against
+        # it
         if slip == 0.0:
             ratio = min(max(-r[1, 0] / r[1, 1], -friction), friction)
         along, across = r[0, 0] + r[0, 1] * ratio, r[1, 0] + r[1, 1] * ratio
@@ -92,6 +94,7 @@ def stronge(s):
         work += more * (normal + 0.5 * along * more)
         p, tangential = p + more, tangential + ratio * more
         normal, slip = normal + along * more, slip + across * more
+        # set exactly: a rounding error would let the slip end again and again
         if more == ends:
             slip = 0.0
         if more == turns:
@@ -116,6 +119,8 @@ def _by_law(s, k, law):
         s.impulses[i] = c.forces[i]
     if law == NEWTON:
         return True
+    # Poisson: in restitution, each contact gets a share of its impulse of compression, and what the laws of contact
+    # need beyond that
     for i in range(k):
         c.pressed[i] = s.restitution[i] * c.forces[i]
         s.impulses[i] += c.pressed[i]
@@ -153,6 +158,8 @@ def strike(s, k, law):
         return UNSOLVED
     if not _gains(s, k):
         return AS_ASKED
+    # the law of Stronge is one for a single contact; several are reduced until no energy is gained, with plastic
+    # impacts at the latest
     if k == 1:
         stronge(s)
     while _gains(s, k):
@@ -229,6 +236,7 @@ def find_ordered(x, k, law):
             x.u[i] = x.all.before[i]
         if not _strike_in_turn(x, k, law, start, step, size):
             return
+        # a sequence that is cut off has not reached its end, so that this much of a difference means nothing
         unfinished, any_differs = 0.0, False
         for i in range(k):
             unfinished = max(unfinished, -x.u[i])

@@ -72,6 +72,8 @@ def _sweep(c, m, most, tolerance):
             p, r = m.normal[j], m.tangent[j]
             normal = rate_of(m, j, ALONG, m.after) + m.more[j] - nn * p - nt * r
             push = rub = 0.0
+            # the laws of one contact with two unknowns have a closed form: it opens, sticks, or slips one way or the
+            # other
             if normal < 0.0 and mu == 0.0:
                 push = -normal / nn
             elif normal < 0.0:
@@ -183,6 +185,7 @@ def _solve(c, m, velocities, size):
     for _ in range(MOST_RESTARTS):
         if _residual(c, m, velocities, r) <= 0.1 * EXACT * size:
             return True
+        # the recursion loses the true residual to rounding errors, so that each restart computes it anew
         for i in range(2 * k):
             first[i] = p[i] = r[i]
             x[i] = 0.0
@@ -259,6 +262,7 @@ def _agree(c, m, velocities, size):
     _take_modes(m)
     for j in range(m.number[0]):  # redundant contacts share their impulses as before, not as sweeps have left them
         m.normal[j], m.tangent[j] = m.krylov[8, j], m.krylov[8, m.number[0] + j]
+    # changing all contradicted modes at once may cycle; patience ends that
     least, patience = len(m.states) + 1, PATIENCE
     for _ in range(MOST_CHANGES):
         if not _solve(c, m, velocities, size):
@@ -287,6 +291,7 @@ def _agree_by_path(c, m, velocities):
         _move(c, m, j, at, 1.0, m.x)
         for i in range(k):
             w.response[i, column], w.response[k + i, column] = rate_of(m, i, ALONG, m.x), rate_of(m, i, ACROSS, m.x)
+    # from the impulses of the sweeps, which the attempt before has changed
     for j in range(k):
         m.normal[j], m.tangent[j] = m.krylov[7, j], m.krylov[7, k + j]
     _take_modes(m)
@@ -318,6 +323,7 @@ def push_many(c, m, velocities, precision):
     for j in range(k):
         before[j], before[k + j] = m.normal[j], m.tangent[j]
     _find_after(c, m, velocities)
+    # rough results suffice for the projection of positions, which the next step repeats
     is_rough, is_exact = precision > PRECISION, False
     worst = _sweep(c, m, SWEEPS if is_rough else FIRST_SWEEPS, precision * size)
     for turn in range(0 if is_rough else 2):

@@ -177,6 +177,7 @@ def _follow(s, w, k, eps, size, most):
         if last >= 0:  # the new mode of the contact holds in the direction in which the value grows
             slope = _margin(s, w, k, last, _way_back(s.modes[last], before), 1)
             forward = 1.0 if slope > 0.0 else -1.0
+        # the line ends where the first contact reaches a limit of its mode, or where the shift vanishes
         length = 1.0 - t if forward > 0.0 else np.inf
         last, way = -1, 1
         for i in range(k):
@@ -207,6 +208,7 @@ def solve_by_path(s, w, k):
     for row in range(2 * k):
         p[_FORCES, row], p[_START, row] = w.forces[row], s.start[row]
         p[_MODES, row] = s.modes[row % k]
+    # a small eps first, because it changes the forces least; larger ones have simpler paths
     for attempt in range(len(FACTORS)):
         for row in range(2 * k):
             w.forces[row], s.start[row] = p[_FORCES, row], p[_START, row]

@@ -101,6 +101,7 @@ def _leaving_row(w, n, entering, tiny):
                 return i
             w.able[count] = i
             count += 1
+    # the lexicographic rule: without it, ties of contacts on one surface make the method cycle
     place = 0
     while count > 1 and place < n:
         least = np.inf
@@ -150,6 +151,7 @@ def _pivoted(w, n, tiny):
                 for j in range(last + 1):
                     t[i, j] -= factor * t[row, j]
         leaving, w.basis[row] = w.basis[row], entering
+        # without the artificial variable, the basis is a solution of the problem itself
         if leaving == artificial:
             for i in range(n):
                 if w.basis[i] >= n:
@@ -209,6 +211,7 @@ def _assemble(w, k):
     """
     m = 0
     for i in range(k):
+        # masses of the bodies may differ by many orders; with unit diagonals, one threshold serves all rows
         size = sqrt(max(w.response[i, i], w.response[k + i, k + i]))
         w.scale[i] = 1.0 / size if size > 0.0 else 1.0
         w.sticks[i] = -1
@@ -254,6 +257,7 @@ def solve_cones(w, k):
     """Find the forces of the first k contacts; return whether there is a solution."""
     m, largest = _assemble(w, k)
     n = k + 3 * m
+    # solutions are proportional to the right side, whose size has no meaning for the thresholds
     if largest == 0.0:
         largest = 1.0
     for i in range(n):

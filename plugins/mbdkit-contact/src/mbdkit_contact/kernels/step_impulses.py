@@ -114,6 +114,7 @@ def find_responses(c, m):
     a status.
     """
     k, is_small = m.number[0], m.number[0] <= MOST_PIVOTED
+    # an impulse on bodies without joints moves only these two, which needs no solution of equations
     free = True
     for j in range(k):
         free &= all_free(m, j)
@@ -171,6 +172,7 @@ def push_apart(c, m, velocities, precision):
         s.start[j], s.start[k + j] = m.normal[j], m.tangent[j]
         mode = m.now.modes[m.some[j]]
         s.modes[j] = STICK if mode == OPEN or m.friction[j] == 0.0 else int(mode)
+    # in the order of cost: contacts mostly keep the modes of the last step
     if not (solve_active_set(s, w, k) or solve_by_path(s, w, k) or solve_cones(w, k)):
         return False
     copy(velocities, m.after)
@@ -221,6 +223,7 @@ def _strike(c, m):
     if not bounces or not _gains(m):
         return True
     m.other_law[0] = 1
+    # a single contact that still approaches without impulses has an impact by the law of Stronge
     if k == 1 and rate_of(m, 0, ALONG, m.free) < 0.0:
         s = m.impacts.alone
         for a in range(2):
@@ -380,6 +383,7 @@ def _find_impulses(c, m, h, length):
         if not _strike(c, m):
             return DIVERGED
         negligible = _negligible(m, m.error[0])
+        # static friction holds up to its limit only: what slips beyond it has kinetic friction, and is solved again
         again = False
         for j in range(k):
             i, slip = m.some[j], _slip(m, j, negligible, False)
@@ -398,6 +402,7 @@ def _find_impulses(c, m, h, length):
         if _find_pressed(m, h, length) > 0:
             is_new = True
             continue
+        # an impact breaks static friction of the contacts that it presses: their friction impulse is a kinetic one
         strikes = begins = False
         for j in range(k):
             strikes |= m.normal[j] > 0.0 and rate_of(m, j, ALONG, m.v) < -AT_REST * _gained(m, j, h)
@@ -435,6 +440,7 @@ def apply_impulses(c, m, h, length):
     if count == 0:
         copy(m.free, m.after)
     else:
+        # the search for further pressed contacts is left out for so many, so that those of the last step are taken
         if count > MANY:
             find_rows(m, m.end, m.middle, m.v, True)
             _find_still_pressed(m, h)
