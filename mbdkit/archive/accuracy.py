@@ -154,10 +154,10 @@ class Accuracy(HtmlView):
             ):
                 if values.shape[1]:
                     errors.append((largest_known(values[:count]), unit, what))
-            told = ", ".join(f"{what} {size:.2g} {unit}" for size, unit, what in errors)
+            largest = ", ".join(f"{what} {size:.2g} {unit}" for size, unit, what in errors)
             arrays = (self.position_error, self.reaction_error, self.torque_error)
             partly = any(np.any(np.isnan(values[:count])) for values in arrays)
-            lines.append(f"largest errors  {told}{', where they are known' if partly else ''}")
+            lines.append(f"largest errors  {largest}{', where they are known' if partly else ''}")
         return "\n".join(lines)
 
     @property

@@ -333,7 +333,7 @@ class _Checker:
 
     def names(self) -> None:
         homes = {kind.axis: f"{kind.group}/{kind.axis}" for kind in self.kinds.values()}
-        for path, array in ((one.path, one) for kind in self.kinds.values() for one in kind.arrays):
+        for path, array in ((described.path, described) for kind in self.kinds.values() for described in kind.arrays):
             if path not in self.file or not array.is_scale or array.dtype != TEXT:
                 continue
             names = list(self.file[path].asstr()[:])

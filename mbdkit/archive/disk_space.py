@@ -72,12 +72,12 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
         free = shutil.disk_usage(path.parent).free
     if free is None or needed <= free:
         return
-    place = "available in memory" if path is None else f"free in {path.parent.resolve()}"
+    where = "available in memory" if path is None else f"free in {path.parent.resolve()}"
     setting = "interval" if every is None else "every"
     times = 2 * needed // max(free, 1) + 1
     less = f"`interval` {times:,} times as long" if every is None else f"`every: {_round_up(every * times)}`"
     message = (
-        f"{rows:,} rows of {row:,} bytes take {in_bytes(needed)}, but only {in_bytes(free)} are {place}: "
+        f"{rows:,} rows of {row:,} bytes take {in_bytes(needed)}, but only {in_bytes(free)} are {where}: "
         f"record less often, such as {less}, or fewer `quantities`"
     )
     if path is not None and free < NEARLY_NOTHING:

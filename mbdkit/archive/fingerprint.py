@@ -127,7 +127,7 @@ def attributes_sha256(
     unread
         Known lines of arrays and of groups with all that they contain, by path; these objects are not opened.
     """
-    lines = [one for known_lines in unread.values() for one in known_lines]
+    lines = [line for known_lines in unread.values() for line in known_lines]
     for path, item in _identifiers(h5o.open(file.id, b"/"), "", unread):
         if isinstance(item, h5d.DatasetID) and not is_hashed(path):
             lines.append(known.get(path) or _line_of(path, item))

@@ -49,12 +49,14 @@ class FinishedRun(Ending):
 
     def rows(self, dim: str) -> int:
         """Return the number of rows along a growing axis of the layout; 0 if there is no such array."""
-        return next((len(self.arrays[one.key]) for one in self.layout if one.dims[0] == dim and one.grows), 0)
+        return next((len(self.arrays[array.key]) for array in self.layout if array.dims[0] == dim and array.grows), 0)
 
     def write(self, writer: ArchiveWriter) -> None:
         """Append the rows of all arrays to an archive that was begun for them; the caller finishes the archive."""
         for dim in GROWING:
-            growing = {one.key: self.arrays[one.key] for one in self.layout if one.grows and one.dims[0] == dim}
+            growing = {
+                array.key: self.arrays[array.key] for array in self.layout if array.grows and array.dims[0] == dim
+            }
             if growing:
                 writer.take(dim, growing)
 

@@ -191,7 +191,7 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
 
 
 def _added(run: Run) -> list[Headline]:
-    return [one for item in _of_groups(run) for one in use(item, partial(_taken, item, run))]
+    return [headline for item in _of_groups(run) for headline in use(item, partial(_taken, item, run))]
 
 
 def _of_groups(run: Run) -> list[Registered]:
@@ -212,8 +212,8 @@ def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[s
         Sign between a number and its error.
     """
     every = headlines(run, most)
-    pairs = [(one.label, one.answer(sign)) for one in every]
-    if (excluded := excluded_error(run)) and any(math.isfinite(one.error) for one in every):
+    pairs = [(headline.label, headline.answer(sign)) for headline in every]
+    if (excluded := excluded_error(run)) and any(math.isfinite(headline.error) for headline in every):
         pairs.append(("error bars", f"without {excluded}"))
     return pairs
 
@@ -254,18 +254,20 @@ def largest_torques(run: Run) -> list[Headline]:
     torque = np.abs(run.array("joints/reaction_torque"))
     errors = _errors(run, "torque_error", torque)
     missed = missed_between_rows(run, "joints.torque", run.joint_names, torque)
-    found = largest_of("torque of", run, run.joint_names, torque, "N m", errors, missed)
-    return _as_measured(run, "joints.torque", found)
+    torques = largest_of("torque of", run, run.joint_names, torque, "N m", errors, missed)
+    return _as_measured(run, "joints.torque", torques)
 
 
 def _as_measured(run: Run, quantity: str, found: list[Headline]) -> list[Headline]:
     """Return headlines in which a number that is also a measure does not depend on rows."""
     known = measures_of_largest(run.spec.get("measures") or {}, quantity, run.joint_names).keys() & {
-        one.element for one in found if math.isfinite(one.error) and math.isfinite(one.missed)
+        headline.element for headline in found if math.isfinite(headline.error) and math.isfinite(headline.missed)
     }
     return [
-        one._replace(value=one.largest, error=one.error - one.missed, missed=0.0) if one.element in known else one
-        for one in found
+        headline._replace(value=headline.largest, error=headline.error - headline.missed, missed=0.0)
+        if headline.element in known
+        else headline
+        for headline in found
     ]
 
 

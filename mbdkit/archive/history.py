@@ -242,7 +242,7 @@ class Events(Sequence[Event]):
 
     def __getitem__(self, index: int | slice) -> Event | Sequence[Event]:
         if isinstance(index, slice):
-            return [self[place] for place in range(*index.indices(len(self)))]
+            return [self[number] for number in range(*index.indices(len(self)))]
         return Event(str(self.names[index]), float(self.time[index]), int(self.direction[index]))
 
     def __repr__(self) -> str:

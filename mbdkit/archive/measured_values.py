@@ -102,13 +102,13 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         ValueError
             If the text is not such an attribute.
         """
-        found = json.loads(text)
+        measures = json.loads(text)
         try:
-            values = {name: _number(one["value"]) for name, one in found.items()}
-            units = {name: str(one["unit"]) for name, one in found.items()}
-            reasons = {name: str(one["reason"]) for name, one in found.items() if "reason" in one}
-            errors = {name: _number(one["error"]) for name, one in found.items() if "error" in one}
-            remarks = {name: str(one["remark"]) for name, one in found.items() if "remark" in one}
+            values = {name: _number(measure["value"]) for name, measure in measures.items()}
+            units = {name: str(measure["unit"]) for name, measure in measures.items()}
+            reasons = {name: str(measure["reason"]) for name, measure in measures.items() if "reason" in measure}
+            errors = {name: _number(measure["error"]) for name, measure in measures.items() if "error" in measure}
+            remarks = {name: str(measure["remark"]) for name, measure in measures.items() if "remark" in measure}
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the attribute measures has no values and units by name") from error
         return cls(values, units, reasons, errors, remarks)

@@ -201,12 +201,12 @@ def jumps(run: Run) -> np.ndarray:
     assumed to change halfway between two rows.
     """
     named = [name for name, event in (run.spec.get("events") or {}).items() if event.get("set")]
-    found = [run.impacts.time, *(run.events.of_name(name).time for name in named)]
+    times = [run.impacts.time, *(run.events.of_name(name).time for name in named)]
     for path in mode_arrays():
         if run.records(path):
             changed = np.flatnonzero(np.any(np.diff(run.array(path), axis=0), axis=1))
-            found.append(0.5 * (run.time[changed] + run.time[changed + 1]))
-    return np.unique(np.concatenate(found))
+            times.append(0.5 * (run.time[changed] + run.time[changed + 1]))
+    return np.unique(np.concatenate(times))
 
 
 def measures_of_largest(measures: Mapping[str, object], quantity: str, names: Sequence[str]) -> dict[str, str]:
@@ -282,9 +282,9 @@ def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
         before, after = np.diff(size, axis=0)[:-1] / left, np.diff(size, axis=0)[1:] / right
         curvature = (after - before) / (left + right)
         slope = (before * right + after * left) / (left + right)  # slope in the middle row
-        place = -0.5 * slope / curvature
+        vertex = -0.5 * slope / curvature
         height = size[1:-1] - 0.25 * slope**2 / curvature
-    is_between = (curvature < 0) & (place > -left) & (place < right)  # false for nan, and for rows at equal times
+    is_between = (curvature < 0) & (vertex > -left) & (vertex < right)  # false for nan, and for rows at equal times
     return np.asarray(np.max(np.where(is_between, height, size[1:-1]), axis=0))
 
 
@@ -294,6 +294,6 @@ def _above_spline(time: np.ndarray, size: np.ndarray) -> np.ndarray:
     a, b, c, d = CubicSpline(time, size).c
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b**2 - 3.0 * a * c)
-        place = -c / (b + np.where(b < 0, -root, root)), -(b + np.where(b < 0, -root, root)) / (3.0 * a)
-        inside = [np.where((x > 0) & (x < np.diff(time)[:, None]), x, 0.0) for x in place]
+        stationary = -c / (b + np.where(b < 0, -root, root)), -(b + np.where(b < 0, -root, root)) / (3.0 * a)
+        inside = [np.where((x > 0) & (x < np.diff(time)[:, None]), x, 0.0) for x in stationary]
     return np.asarray(np.max([d + x * (c + x * (b + x * a)) for x in inside], axis=(0, 1)))

@@ -102,9 +102,9 @@ def check_shapes(file: h5py.File, kinds: Iterable[Kind]) -> None:
             if crashed and dim in GROWING:
                 continue
             # All groups have the same rows, bodies and joints, except that events and impacts have their own times.
-            place = f"events/{dim}" if array.group in ("events", "impacts") and dim in GROWING else dim
-            if lengths.setdefault(place, length) != length:
-                raise ValueError(f"axis {dim} of {path} has the length {length}, elsewhere {lengths[place]}")
+            axis = f"events/{dim}" if array.group in ("events", "impacts") and dim in GROWING else dim
+            if lengths.setdefault(axis, length) != length:
+                raise ValueError(f"axis {dim} of {path} has the length {length}, elsewhere {lengths[axis]}")
     for dim, fixed in (("coordinate", len(COORDINATES)), ("axis", len(AXES))):
         if lengths.get(dim, fixed) != fixed:
             raise ValueError(f"the axis {dim} has the length {lengths[dim]}")

@@ -245,7 +245,7 @@ def _energy(run: Run) -> str:
         return ""
     drift = float(np.max(np.abs(run.energy.balance)))
     most = float(np.max(run.energy.kinetic))
-    largest = max(drift, *(float(np.max(np.abs(run.array(f"energy/{one}")))) for one in ("potential", "work")))
+    largest = max(drift, *(float(np.max(np.abs(run.array(f"energy/{kind}")))) for kind in ("potential", "work")))
     # The verdict also uses the kinetic energy in steps that are not recorded, and states the share if it is large.
     recorded = "" if len(run.time) > run.stats.get("steps", 0) else "recorded "
     is_stated = recorded and any("of the largest kinetic energy" in reason for reason in run.verdict_reasons)
@@ -257,11 +257,14 @@ def _drivers(run: Run) -> str:
     if not run.drivers or not run.records("joints/reaction_torque") or len(run.time) == 0:
         return ""
     forces, torques = largest_forces(run), largest_torques(run)
-    floor = ROUND_OFF * max((one.largest for one in (*forces, *torques)), default=0.0)
+    floor = ROUND_OFF * max((headline.largest for headline in (*forces, *torques)), default=0.0)
     parts = []
     for largest in (torques, forces):
-        own = [one for one in largest if one.element in run.drivers and one.largest > floor]
-        parts += [f"{one.label} {one.text()}{'' if one.misses else f' at {one.time:.4g} s'}" for one in own[:1]]
+        own = [headline for headline in largest if headline.element in run.drivers and headline.largest > floor]
+        parts += [
+            f"{headline.label} {headline.text()}{'' if headline.misses else f' at {headline.time:.4g} s'}"
+            for headline in own[:1]
+        ]
     return "; ".join(parts)
 
 
@@ -313,8 +316,8 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
             text = Headline(name, value, run.measures.units[name], run.measure_errors[name]).text()
         remark = f" ({run.measures.remarks[name]})" if name in run.measures.remarks else ""
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
-    told = "; ".join(f"{one.label} {one.answer()}" for one in headlines(run)) if not lines else ""
-    lines = lines or ([("answer", told)] if told else [])
+    answer = "; ".join(f"{headline.label} {headline.answer()}" for headline in headlines(run)) if not lines else ""
+    lines = lines or ([("answer", answer)] if answer else [])
     if (excluded := excluded_error(run)) and any(" +- " in text for _, text in lines):
         lines.append(("", f"error bars do not include {excluded}"))
     if lines and len(run.time) and run.status in ("failed", "interrupted"):

@@ -262,4 +262,4 @@ def name_line(path: str, text: tuple[str, ...]) -> str:
 def name_lines(names: ArchiveNames, arrays: tuple[Array, ...]) -> tuple[str, ...]:
     """Return the lines of the arrays of names for `data_sha256`."""
     texts = layout.name_texts(names)
-    return tuple(name_line(one.path, tuple(texts[one.path])) for one in arrays if not one.grows)
+    return tuple(name_line(array.path, tuple(texts[array.path])) for array in arrays if not array.grows)

@@ -60,9 +60,9 @@ class Skeleton:
     def file(self, values: Mapping[str, np.ndarray]) -> h5py.File:
         """Return a new file in memory with the values of the arrays over time, by path."""
         image = bytearray(self.image)
-        for path, place in self.places.items():
+        for path, offset in self.places.items():
             data = values[path].tobytes()
-            image[place : place + len(data)] = data
+            image[offset : offset + len(data)] = data
         file = memory_file(image)
         for array in self.texts:
             fill_text(file, array, values[array.path])
@@ -136,7 +136,7 @@ def skeleton_of(
     """
     sizes = sizes_of(names) | dict(rows)
     values = sum(math.prod([sizes[dim] for dim in array.dims]) for array in arrays if array.grows)
-    shared = tuple(one for one in provenance.items() if one[0] != _VARYING)
+    shared = tuple(entry for entry in provenance.items() if entry[0] != _VARYING)
     return (_cached if 8 * values <= LARGEST else _made)(names, arrays, rows, shared)
 
 
@@ -164,7 +164,7 @@ def _made(
                 unread[one.path if one.group in opened else one.group] += lines
         known = add_attributes(file, "provenance", dict(provenance))
         file.flush()
-        filled = {path: place for path, place in places.items() if place is not None}  # empty arrays have no offset
+        filled = {path: offset for path, offset in places.items() if offset is not None}  # empty arrays have no offset
         return Skeleton(file.id.get_file_image(), texts, filled, unread, known)
 
 

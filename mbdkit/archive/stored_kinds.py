@@ -63,7 +63,7 @@ def reasons_for_missing(file: h5py.File) -> Mapping[str, str]:
     }
     if "provenance" not in file:
         return parts
-    needed = {one.group: one.advice for one in missing_plugins(dict(file["provenance"].attrs)) if one.group}
+    needed = {plugin.group: plugin.advice for plugin in missing_plugins(dict(file["provenance"].attrs)) if plugin.group}
     return parts | {group: needed[group] for group in present if group in needed}
 
 

@@ -166,8 +166,8 @@ class _Inspection:
 
         def visit(name: bytes, link: h5l.LinkInfo) -> int | None:
             if link.type != h5l.TYPE_HARD:
-                place = f"{path}/{name.decode(errors='replace')}".lstrip("/")
-                others.append(f"{place} is {words.get(link.type, 'a link of unknown type')}")
+                below = f"{path}/{name.decode(errors='replace')}".lstrip("/")
+                others.append(f"{below} is {words.get(link.type, 'a link of unknown type')}")
                 return 1
             links.append((name, 0))
             return None
@@ -192,14 +192,14 @@ class _Inspection:
             attribute = h5a.open(item, index=index)
             if attribute.name in _OF_SCALES:
                 continue  # attributes of dimension scales are never read
-            place = f"the attribute {attribute.name.decode(errors='replace')} of {path}"
+            which = f"the attribute {attribute.name.decode(errors='replace')} of {path}"
             space, kind = attribute.get_space(), attribute.get_type()
-            is_text = self.kind(place, kind, space)
+            is_text = self.kind(which, kind, space)
             number = space.get_simple_extent_npoints()
             if number * kind.get_size() > self.size:
-                raise self.refused(f"{place} declares more values than the file holds")
+                raise self.refused(f"{which} declares more values than the file holds")
             if is_text and number > _FEW and number * self.size > TEXT and number * self.largest_heap() > TEXT:
-                raise self.refused(f"{place} has {number:,} strings that may be too large for the memory")
+                raise self.refused(f"{which} has {number:,} strings that may be too large for the memory")
 
     def largest_heap(self) -> int:
         """Return the size of the largest string collection (global heap) [bytes], found by searching the file for

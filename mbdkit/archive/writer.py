@@ -147,8 +147,8 @@ class ArchiveWriter(RunWriter):
         return tuple(sorted(self._grown(timings=False).values()))
 
     def _grown(self, *, timings: bool) -> dict[str, str]:
-        every = ((one.array.path, one) for table in self._tables.values() for one in table.series)
-        return {path: one.line() for path, one in every if layout.is_timing(path) is timings}
+        every = ((series.array.path, series) for table in self._tables.values() for series in table.series)
+        return {path: series.line() for path, series in every if layout.is_timing(path) is timings}
 
     def keep_checkpoint(self, state: StoredState) -> None:
         """Write the buffered rows, and the state from which a run can continue after them."""
@@ -157,7 +157,7 @@ class ArchiveWriter(RunWriter):
             self._write_more()
             self._target.sync()  # before the checkpoint is written, which counts these rows
             origin = self.origin
-            series = [one for table in self._tables.values() for one in table.series]
+            series = [array for table in self._tables.values() for array in table.series]
             checkpoint = Checkpoint(
                 head={
                     "spec": origin.spec_json,
@@ -169,7 +169,9 @@ class ArchiveWriter(RunWriter):
                 file=os.stat(self._target.part).st_ino,
                 rows={dim: table.written for dim, table in self._tables.items()},
                 lines=self.lines,
-                arrays={one.array.path: StoredRows.of(one.dataset) for one in series if one.dataset is not None},
+                arrays={
+                    array.array.path: StoredRows.of(array.dataset) for array in series if array.dataset is not None
+                },
                 state=state,
             )
             checkpoint.write(self._target.part)

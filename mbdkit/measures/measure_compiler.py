@@ -113,10 +113,10 @@ class MeasureCompiler(RunCompiler):
         """Return the integrals, extrema and values at times in the expression, except those computed from recorded
         rows.
         """
-        found: tuple[Functional, ...] = ()
+        compiled: tuple[Functional, ...] = ()
         for text, reduction, program, when in self._functionals:
-            found += (Functional(text, reduction, program, tuple(self.quantities), found, when),)
-        return found
+            compiled += (Functional(text, reduction, program, tuple(self.quantities), compiled, when),)
+        return compiled
 
     def series(self) -> tuple[Program, _Value]:
         """Return the program and its value, which is one number in each recorded row; raise SpecError otherwise."""
@@ -215,8 +215,8 @@ class MeasureCompiler(RunCompiler):
         unit = value.unit
         if name == "integral" and unit is not None:
             unit = unit.times(_SECOND)
-        place = self._place_of_functional(name, program, node, tuple(when)) if name in OF_FUNCTIONAL else 0
-        return _Code([*program, *when, (REDUCE + name, float(place))], _Value(unit, is_vector=value.is_vector))
+        number = self._place_of_functional(name, program, node, tuple(when)) if name in OF_FUNCTIONAL else 0
+        return _Code([*program, *when, (REDUCE + name, float(number))], _Value(unit, is_vector=value.is_vector))
 
     def _place_of_functional(self, name: str, program: Code, node: ast.Call, when: Program) -> int:
         """Return the index of a reduction among the functionals, from 1; 0 if it is computed from the recorded rows."""
@@ -224,10 +224,10 @@ class MeasureCompiler(RunCompiler):
         if (
             _is_of_rows(program)
             or _is_of_rows(_without_end(when))
-            or any(not one.is_over_time or one.recorded.array.accumulates for one in read)
+            or any(not quantity.is_over_time or quantity.recorded.array.accumulates for quantity in read)
         ):
             return 0
-        if name not in INTEGRALS and any(one.recorded.array.is_of_steps for one in read):
+        if name not in INTEGRALS and any(quantity.recorded.array.is_of_steps for quantity in read):
             return 0
         text, whole = ast.unparse(node.args[0]), tuple(program)
         if name not in INTEGRALS:
@@ -335,12 +335,12 @@ def _known(program: Code) -> _Value:
 
 
 def _is_of_rows(program: Sequence[tuple[str, float]]) -> bool:
-    return any(operation.startswith(REDUCE) and not place for operation, place in program)
+    return any(operation.startswith(REDUCE) and not number for operation, number in program)
 
 
 def _without_end(program: Program) -> Program:
-    ends = [place for place in range(1, len(program)) if program[place - 1 : place + 1] == _END]
-    return tuple(one for place, one in enumerate(program) if place not in ends)
+    ends = [index for index in range(1, len(program)) if program[index - 1 : index + 1] == _END]
+    return tuple(instruction for index, instruction in enumerate(program) if index not in ends)
 
 
 def _is_constant(program: Code) -> bool:

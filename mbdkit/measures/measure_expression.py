@@ -129,26 +129,26 @@ class MeasureExpression:
         """Return a remark, as a clause, for each extremum of the continuous motion that recorded rows exceed, and for
         each at the end of the run, which a longer run may exceed.
         """
-        told: list[str] = []
-        if not len(run.time) or not any(one.is_extremum for one in self.functionals):
-            return told
+        remarks: list[str] = []
+        if not len(run.time) or not any(functional.is_extremum for functional in self.functionals):
+            return remarks
 
         def compared(name: str, found: np.ndarray, values: np.ndarray) -> None:
             sign, spread = -1.0 if name == "min" else 1.0, float(np.max(values) - np.min(values))
             row = int(np.argmax(sign * values))
             if sign * (values[row] - found[0]) > BEYOND * spread:
-                told.append(
+                remarks.append(
                     f"the recorded row at t = {run.time[row]:.6g} s has {values[row]:.6g}, beyond the {name} of the "
                     f"motion between the ends of steps, {found[0]:.6g}: states between steps are less accurate there"
                 )
             if sign * (found[0] - values[-1]) <= BEYOND * spread and is_at_end(sign * values):
-                told.append(AT_END_OF_RUN.format(name))
+                remarks.append(AT_END_OF_RUN.format(name))
 
         try:
             self._values(run, compared)
         except NotRecordedError:
             return []
-        return list(dict.fromkeys(told))
+        return list(dict.fromkeys(remarks))
 
     def _values(
         self, run: Run, compared: Callable[[str, np.ndarray, np.ndarray], None] = lambda name, found, values: None

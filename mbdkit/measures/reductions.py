@@ -122,7 +122,7 @@ class Functional:
 
         Where the form changes, the quantity or its derivative may be discontinuous.
         """
-        return not any(one.recorded.array.is_of_steps for one in self.read) and any(
+        return not any(quantity.recorded.array.is_of_steps for quantity in self.read) and any(
             operation in OF_PARTS or (operation in OPERATIONS and OPERATIONS[operation].switch != "")
             for operation, _ in self.program
         )

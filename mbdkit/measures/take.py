@@ -101,7 +101,7 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: ModelSpec) -
     mechanism, duration = spec.mechanism(), float(run.time[-1] - run.time[0])
     mass = max((body.mass for body in mechanism.bodies.values()), default=0.0)
     scales = natural_scales(characteristic_length(mechanism), mass, mechanism.gravity, duration)
-    return measure_error(value, [one / unit.factor for one in compared], natural_size(unit, *scales))
+    return measure_error(value, [number / unit.factor for number in compared], natural_size(unit, *scales))
 
 
 def _why_undecided(run: Run, spec: ModelSpec) -> str:
@@ -122,9 +122,9 @@ def take_all(run: Run, spec: ModelSpec) -> MeasuredValues:
         try:
             values[measure.name] = take(measure, run, spec)
             errors[measure.name] = error_of(measure, values[measure.name], run, spec)
-            told = [*_of_extrema(measure, run, spec), *_why_unknown(measure, errors[measure.name], run, spec)]
-            if told and math.isfinite(values[measure.name]):
-                remarks[measure.name] = "; ".join(told)
+            clauses = [*_of_extrema(measure, run, spec), *_why_unknown(measure, errors[measure.name], run, spec)]
+            if clauses and math.isfinite(values[measure.name]):
+                remarks[measure.name] = "; ".join(clauses)
         except PluginError as error:
             values[measure.name], reasons[measure.name] = math.nan, message_of(error)
     return MeasuredValues(values, units, reasons, errors, remarks)
@@ -148,7 +148,7 @@ def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: ModelSpe
         return [f"its error is unknown: {why}"]
     compared = () if run.accuracy is None else run.accuracy.compared_measures.get(measure.expression, ())
     if len(compared) == 3 and all(map(math.isfinite, compared)):
-        values = listed([f"{one:.6g}" for one in compared], "and")
+        values = listed([f"{number:.6g}" for number in compared], "and")
         return [f"its error is unknown: its values in the comparison runs, {values} in SI units, do not converge"]
     return ["its error is unknown: a comparison run failed or has no value"]
 

@@ -302,9 +302,9 @@ class Kind:
         """Return the index of an object along the axis, or the indices of its elements."""
         texts = next(array.texts for array in self.arrays if array.path == self.named_by)
         assert texts is not None
-        found = list(texts(names))
-        first = found.index(name)
-        return slice(first, first + found.count(name)) if self.owner else first
+        owners = list(texts(names))
+        first = owners.index(name)
+        return slice(first, first + owners.count(name)) if self.owner else first
 
     @cached_property
     def attributes(self) -> Mapping[str, Attribute]:

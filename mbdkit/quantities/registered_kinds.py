@@ -169,7 +169,9 @@ def peaks_of(names: ArchiveNames) -> list[Peaks]:
     items = (cast(QuantityKind, item.plugin) for item in added_kinds().values())
     return [
         Peaks(
-            item.of, tuple(f"{'-' * one.startswith('-')}{item.word}.{one.lstrip('-')}" for one in item.peaks), members
+            item.of,
+            tuple(f"{'-' * peak.startswith('-')}{item.word}.{peak.lstrip('-')}" for peak in item.peaks),
+            members,
         )
         for item in items
         if item.peaks and (members := names.names_of(item.of))

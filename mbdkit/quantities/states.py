@@ -112,13 +112,13 @@ class States:
         """(T, J) friction torque [N m] or force [N] of each joint on its second body, along the joint's coordinate."""
         known = self.mechanism
         first = known.first_friction
-        found = np.zeros_like(self.coordinate)
-        for place, joint in enumerate(known.friction, first):
+        torques = np.zeros_like(self.coordinate)
+        for column, joint in enumerate(known.friction, first):
             # The value of an angle is the torque on the second body. That of a length is a tension, which pulls the
             # second body back.
             sign = 1.0 if known.joint_units[joint] == "rad" else -1.0
-            found[:, joint] = sign * self.observed.forces[:, place, 2]
-        return found
+            torques[:, joint] = sign * self.observed.forces[:, column, 2]
+        return torques
 
     def of(self, compute: Callable[[States], V]) -> V:
         """Return what a function or class computes from these states; it is called once."""

@@ -198,7 +198,7 @@ def _angles(
     elif isinstance(value, list | tuple):
         if is_angle and len(value) == 2 and all(isinstance(column, list | tuple) for column in value):
             yield (*path, 0), value[0]
-        elif not _is_flat(value) or (is_angle and any(abs(one) > 2.0 * math.pi for one in value)):
+        elif not _is_flat(value) or (is_angle and any(abs(angle) > 2.0 * math.pi for angle in value)):
             for index, item in enumerate(value):
                 yield from _angles(item, (*path, index), is_angle=is_angle)
     elif isinstance(value, BaseModel):

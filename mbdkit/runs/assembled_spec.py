@@ -133,9 +133,9 @@ def _edits_of_points(
     """Yield the replacements of the points of an element, which keep their places on the bodies."""
     bodies = _entry(element, "bodies") or _entry(element, "body")
     names = [one.value for one in (bodies.value if isinstance(bodies, yaml.SequenceNode) else [bodies]) if one]
-    for key, place in _ENDS.items():
+    for key, index in _ENDS.items():
         node = _entry(element, key)
-        on = [name for name in (names if key == "at" else names[place : place + 1]) if name in given]
+        on = [name for name in (names if key == "at" else names[index : index + 1]) if name in given]
         if not isinstance(node, yaml.SequenceNode) or not on or given[on[0]] == moved[on[0]]:
             continue
         with suppress(TypeError, ValueError):  # expressions

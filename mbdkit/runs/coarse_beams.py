@@ -140,10 +140,12 @@ class _WatchedBeam:
         self.elements = compiled.beam_elements(name)
         places = {body: i for i, body in enumerate(compiled.bodies)}
         self.angles = [3 * places[node] + 2 for node in beam.node_names(name)]
-        self.reference = np.diff([place.angle for place in beam.places])
+        self.reference = np.diff([point.angle for point in beam.places])
         sections = list(beam.sections(name)) if beam.nodes == 3 else []
-        self.shapes, self.slopes = (np.array([getattr(one, key) for one in sections[:2]]) for key in ("shape", "slope"))
-        strains = np.array([one.reference[:2] for one in sections]).reshape(-1, 2, 2)
+        self.shapes, self.slopes = (
+            np.array([getattr(section, key) for section in sections[:2]]) for key in ("shape", "slope")
+        )
+        strains = np.array([section.reference[:2] for section in sections]).reshape(-1, 2, 2)
         self.unstrained = np.moveaxis(strains, -1, 0).swapaxes(1, 2)[:, :, None]
         self.turns, self.largest = np.zeros(len(self.reference)), np.zeros(6)
 

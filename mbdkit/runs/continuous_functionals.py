@@ -87,11 +87,21 @@ class ContinuousFunctionals:
         self._workspace, self._table, self._uses_accelerations = workspace, timetable, uses_accelerations
         self._observer = StateObserver(workspace.with_own_pivots())
         self._names = archive_names(workspace.mechanism)
-        self._direct = [one for one in functionals if not one.is_nested]
-        self._sums = {one.text: np.zeros(1) for one in self._direct if not (one.is_extremum or one.is_value)}
-        self._values = {one.text: np.full(1, np.nan) for one in self._direct if one.is_value}
-        self._times = {one.text: one.time({}, (np.nan, np.nan), no_events) for one in self._direct if one.is_value}
-        self._peaks = {one.text: Peak(math.nan, math.nan) for one in self._direct if one.is_extremum}
+        self._direct = [functional for functional in functionals if not functional.is_nested]
+        self._sums = {
+            functional.text: np.zeros(1)
+            for functional in self._direct
+            if not (functional.is_extremum or functional.is_value)
+        }
+        self._values = {functional.text: np.full(1, np.nan) for functional in self._direct if functional.is_value}
+        self._times = {
+            functional.text: functional.time({}, (np.nan, np.nan), no_events)
+            for functional in self._direct
+            if functional.is_value
+        }
+        self._peaks = {
+            functional.text: Peak(math.nan, math.nan) for functional in self._direct if functional.is_extremum
+        }
         self._keeps = len(self._direct) < len(functionals)
         self._ends = self._new_part(workspace.t0, workspace.q0, workspace.v0, states_at_start(workspace))
         self._parts: list[_Ends] = [self._ends] if self._keeps else []
@@ -146,11 +156,15 @@ class ContinuousFunctionals:
                 return
             first, count = ends.done, min(BLOCK, left)
             span = ends.time[first], ends.time[first + count]
-            wanted = [one for one in self._direct if not one.is_value or self._is_within(one, span)]
+            wanted = [
+                functional
+                for functional in self._direct
+                if not functional.is_value or self._is_within(functional, span)
+            ]
             part = self._part(ends, first, count) if wanted else None
-            for one in wanted:
+            for functional in wanted:
                 assert part is not None
-                self._add(one, part)
+                self._add(functional, part)
             ends.done += count
             if not self._keeps and ends.done > BESIDE:
                 ends.drop(ends.done - BESIDE)
@@ -233,7 +247,7 @@ class ContinuousFunctionals:
     def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
         own: dict[str, Mapping[str, Any]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
-        if any(state[name].keys() != one.keys() for name, one in own.items()):
+        if any(state[name].keys() != entries.keys() for name, entries in own.items()):
             raise ValueError("it has other integrals")
         size, states, parts = len(self._workspace.q0), len(self._workspace.mechanism.states), []
         for time, q, v, z, (begin, end, done) in state["parts"]:

@@ -297,14 +297,14 @@ class Sampled:
         # on other processors
         powers = [float(sum(values * elementary.cos(k * angles))) for k in range(PEAK_POINTS)]
         rate = np.polynomial.Chebyshev(powers).deriv()  # but for a factor and a constant
-        bend, place = rate.deriv(), (float(minimum.x) - middle) / around
+        bend, share = rate.deriv(), (float(minimum.x) - middle) / around
         with np.errstate(all="ignore"):
             for _ in range(4):
-                place -= float(rate(place) / bend(place))
-        at_root = sign * float(self.at(np.array([middle + around * place]))[0]) if abs(place) <= 1.0 else -np.inf
+                share -= float(rate(share) / bend(share))
+        at_root = sign * float(self.at(np.array([middle + around * share]))[0]) if abs(share) <= 1.0 else -np.inf
         if at_root < -float(minimum.fun):
             return float(minimum.x), -float(minimum.fun)
-        return middle + around * place, at_root
+        return middle + around * share, at_root
 
 
 def sampled(

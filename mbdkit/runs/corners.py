@@ -93,8 +93,8 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
 def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
     start, end = spec.time.start, spec.time.final
     controllers = spec.mechanism().controllers
-    for name, one in controllers.items():
-        if (end - start) / one.period > spec.limits.max_steps:
+    for name, controller in controllers.items():
+        if (end - start) / controller.period > spec.limits.max_steps:
             raise spec.placed(
                 SpecError(
                     f"the controller would be sampled more often than limits.max_steps = {spec.limits.max_steps}",
@@ -102,7 +102,9 @@ def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
                 )
             )
     margin = 4.0 * float(np.spacing(max(abs(start), abs(end))))
-    for time in sample_times([(one.period, one.delay) for one in controllers.values()], start, end):
+    for time in sample_times(
+        [(controller.period, controller.delay) for controller in controllers.values()], start, end
+    ):
         yield time, margin
 
 
@@ -181,7 +183,7 @@ def _is_at_end(time: float, margin: float, start: float, end: float) -> bool:
 def _drivers(spec: RunSpec) -> dict[str, str]:
     """Return the name of the driver that follows each motion, by the key path of the motion."""
     joints = spec.mechanism().joints
-    return {f"model.joints.{quoted(name)}.{key}": name for name, one in joints.items() for key, _ in one.motions()}
+    return {f"model.joints.{quoted(name)}.{key}": name for name, joint in joints.items() for key, _ in joint.motions()}
 
 
 def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
@@ -199,8 +201,8 @@ def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
         orders = spec.claims.orders_on(spec.formulated.name)
         if orders is not None and max(orders.positions, orders.velocities) <= QUINTIC_ORDER:
             return False
-    place = (corner.time - spec.time.start) / step
-    return abs(place - round(place)) > ON_GRID
+    steps = (corner.time - spec.time.start) / step
+    return abs(steps - round(steps)) > ON_GRID
 
 
 def _check_end(motion: Motion, corner: Corner, start: float, end: float, unit: str) -> None:

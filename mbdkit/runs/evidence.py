@@ -163,7 +163,7 @@ def _peak_error(recorder: Recorder, accuracy: Accuracy, integrals: Integrals) ->
     Only forces that were compared with those of other runs count; without them, the result is 0 and an empty text. An
     unknown error is nan, and counts as the largest.
     """
-    found = [(0.0, "")]
+    ratios = [(0.0, "")]
     for peaks in peaks_of(archive_names(recorder.workspace.mechanism)):
         force, kind = peaks.quantities[0], element_kinds()[peaks.of].name
         errors = errors_of_largest(integrals, accuracy.compared_measures, force, peaks.names)
@@ -171,14 +171,14 @@ def _peak_error(recorder: Recorder, accuracy: Accuracy, integrals: Integrals) ->
             text = expression_of_largest(force, name)
             if text in accuracy.compared_measures:
                 phrase = f"the largest {force.partition('.')[2].replace('_', ' ')} of {kind} '{name}'"
-                found.append((error / float(integrals[text]), phrase))  # type: ignore[arg-type] # not a vector
-    return max(found, key=lambda one: math.inf if math.isnan(one[0]) else one[0])
+                ratios.append((error / float(integrals[text]), phrase))  # type: ignore[arg-type] # not a vector
+    return max(ratios, key=lambda one: math.inf if math.isnan(one[0]) else one[0])
 
 
 def _largest(recorder: Recorded, values: np.ndarray) -> tuple[float, str]:
     """Return the largest of the values (J,) of joints, at least 0, and the name of its joint; nan counts as largest."""
     if not len(values):
         return 0.0, ""
-    place = int(values.argmax())
-    largest = float(values[place])
-    return 0.0 if largest <= 0.0 else largest, recorder.mechanism.joints[place]
+    index = int(values.argmax())
+    largest = float(values[index])
+    return 0.0 if largest <= 0.0 else largest, recorder.mechanism.joints[index]

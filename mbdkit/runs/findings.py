@@ -34,7 +34,7 @@ def findings(stage: Stage, *examined: Any, kind: str = "run") -> list[Finding]:
 
 def as_findings(criterion: CriterionItem, found: Iterable[str | Finding]) -> Iterator[Finding]:
     """Yield what a criterion has found; sentences become findings of its name and level."""
-    for one in found:
-        if not isinstance(one, str | Finding):
-            raise TypeError(f"it found {one!r}, which is neither a sentence nor a Finding")
-        yield Finding(criterion.name, criterion.level, one, is_named=False) if isinstance(one, str) else one
+    for finding in found:
+        if not isinstance(finding, str | Finding):
+            raise TypeError(f"it found {finding!r}, which is neither a sentence nor a Finding")
+        yield Finding(criterion.name, criterion.level, finding, is_named=False) if isinstance(finding, str) else finding

@@ -95,9 +95,9 @@ def compared_loads(spec: RunSpec, integrals: Integrals, peaks: Iterable[Peaks]) 
         Integrals and extrema of the run.
     """
     chosen, compared = spec.reacting, list[str]()
-    for one in peaks:
-        if chosen is None or chosen.key != one.of or not chosen.item.includes_impacts:
-            texts = [expression_of_largest(one.quantities[0], name) for name in one.names]
+    for kind in peaks:
+        if chosen is None or chosen.key != kind.of or not chosen.item.includes_impacts:
+            texts = [expression_of_largest(kind.quantities[0], name) for name in kind.names]
             largest = {text: force for text in texts if isinstance(force := integrals.get(text), float) and force > 0.0}
             compared += sorted(largest, key=lambda text: -largest[text])[:MOST_COMPARED]
     return tuple(compared)
@@ -116,8 +116,12 @@ def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Func
     SpecError
         If an expression is not valid for the spec.
     """
-    found = [one for text in expressions_of(spec, expressions) for one in MeasureExpression.functionals_of(text, spec)]
-    return tuple({one.text: one for one in found}.values())
+    functionals = [
+        functional
+        for text in expressions_of(spec, expressions)
+        for functional in MeasureExpression.functionals_of(text, spec)
+    ]
+    return tuple({functional.text: functional for functional in functionals}.values())
 
 
 class RunIntegrals:
@@ -142,7 +146,7 @@ class RunIntegrals:
         self._workspace = workspace.with_own_pivots()
         # First-order states at the stages are not stored; if there are any, integrals use the ends of steps instead.
         has_states = bool(workspace.mechanism.states)
-        others = [one for one in functionals if has_states or not one.is_of_stages]
+        others = [functional for functional in functionals if has_states or not functional.is_of_stages]
         #: Functionals that are computed from the motion between the ends of steps; None if there are none.
         self.continuous: ContinuousFunctionals | None = None
         if others:
@@ -151,12 +155,12 @@ class RunIntegrals:
         mechanism = workspace.mechanism
         self._names = archive_names(mechanism)
         self._waiting = [Nodes.none(mechanism.size)]
-        of_stages = [] if has_states else [one for one in functionals if one.is_of_stages]
-        self._direct = [one for one in of_stages if not one.is_nested]
-        self._nested = [one for one in of_stages if one.is_nested]
+        of_stages = [] if has_states else [functional for functional in functionals if functional.is_of_stages]
+        self._direct = [functional for functional in of_stages if not functional.is_nested]
+        self._nested = [functional for functional in of_stages if functional.is_nested]
         self._sums: list[np.ndarray] | None = None
         self._low: list[np.ndarray] = []
-        self._read = tuple(dict.fromkeys(quantity for one in self._nested for quantity in one.read))
+        self._read = tuple(dict.fromkeys(quantity for functional in self._nested for quantity in functional.read))
         self._kept: list[list[np.ndarray]] = []
 
     @property
@@ -167,7 +171,7 @@ class RunIntegrals:
     def add(self, nodes: Nodes) -> None:
         """Add the nodes of further steps."""
         self._waiting.append(nodes)
-        if sum(len(one.time) for one in self._waiting) >= BLOCK:
+        if sum(len(waiting.time) for waiting in self._waiting) >= BLOCK:
             self._take(whole=True)
 
     def totals(self, events: EventTimes = no_events) -> Integrals:
@@ -180,25 +184,25 @@ class RunIntegrals:
         """
         self._take(whole=False)
         found: dict[str, float | tuple[float, ...]] = {}
-        for one, total in zip(self._direct, self._sums or [np.zeros(1)] * len(self._direct), strict=True):
-            found[one.text] = _plain(total)
+        for functional, total in zip(self._direct, self._sums or [np.zeros(1)] * len(self._direct), strict=True):
+            found[functional.text] = _plain(total)
         if self.continuous is not None:
             found |= {text: _plain(total) for text, total in self.continuous.totals().items()}
         time, weight, *values = self._joined_kept()
         series, duration = Series(time, dict(zip(self._read, values, strict=True)).__getitem__), float(weight.sum())
-        for one in self.functionals:  # inner functionals come before those that contain them
-            if one in self._nested:
-                at_nodes = one.values(series, found, duration)
-                found[one.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
-            elif one.is_nested and self.continuous is not None:
-                found[one.text] = _plain(self.continuous.nested(one, found, events))
-        return {one.text: found[one.text] for one in self.functionals}
+        for functional in self.functionals:  # inner functionals come before those that contain them
+            if functional in self._nested:
+                at_nodes = functional.values(series, found, duration)
+                found[functional.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
+            elif functional.is_nested and self.continuous is not None:
+                found[functional.text] = _plain(self.continuous.nested(functional, found, events))
+        return {functional.text: found[functional.text] for functional in self.functionals}
 
     def stored(self) -> StoredState:
         """Return the sums and the waiting nodes as plain values, for a checkpoint."""
         waiting = Nodes.joined(self._waiting)
         return {
-            "texts": [one.text for one in self.functionals],
+            "texts": [functional.text for functional in self.functionals],
             "sums": self._sums,
             "low": self._low,
             "waiting": [waiting.time, waiting.weight, waiting.q, waiting.v],
@@ -209,7 +213,7 @@ class RunIntegrals:
     def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
         sums, low, size = state["sums"], state["low"], self._workspace.mechanism.size
-        if state["texts"] != [one.text for one in self.functionals]:
+        if state["texts"] != [functional.text for functional in self.functionals]:
             raise ValueError("it has other integrals")
         waiting = Nodes(*state["waiting"])
         count = len(waiting.time)
@@ -236,7 +240,7 @@ class RunIntegrals:
 
     def _joined_kept(self) -> list[np.ndarray]:
         if not self._kept:
-            return [np.zeros(0), np.zeros(0), *(self._unknown(one, 0) for one in self._read)]
+            return [np.zeros(0), np.zeros(0), *(self._unknown(quantity, 0) for quantity in self._read)]
         return [np.concatenate(x, axis=-1) for x in zip(*self._kept, strict=True)]
 
     def _unknown(self, quantity: Quantity, count: int) -> np.ndarray:
@@ -265,7 +269,7 @@ class RunIntegrals:
             self._low[index], self._sums[index] = y - (total - self._sums[index]), total
 
     def _values(self, series: Series) -> list[np.ndarray]:
-        return [one.values(series, {}, 0.0) for one in self._direct]
+        return [functional.values(series, {}, 0.0) for functional in self._direct]
 
     def _states_at(self, nodes: Nodes) -> States | None:
         """Return the states at nodes; None if one of them has no unique accelerations."""

@@ -234,7 +234,7 @@ class LawRanges:
 
     def findings(self) -> tuple[Finding, ...]:
         """Return the doubts about bounds that were exceeded."""
-        return tuple(Finding("law-ranges", "doubtful", one, is_named=False) for one in self.warnings())
+        return tuple(Finding("law-ranges", "doubtful", warning, is_named=False) for warning in self.warnings())
 
     def failure(self) -> Failure:
         """Return the failure of a run that is stopped because a force law has left its range."""

@@ -59,9 +59,9 @@ def zero_reactions(spec: RunSpec, measures: Iterable[DefinedMeasure]) -> Iterato
 def zero_reactions_in(spec: RunSpec, place: str, expression: MeasureExpression) -> Iterator[str]:
     """Yield a note for each reaction in an expression, which is at `place`, that is always zero."""
     joints = spec.mechanism().joints
-    for one in dict.fromkeys(expression.quantities):
-        if one.kind == "joints" and (why := _not_transmitted(joints[one.name], one)):
-            yield f"{one} in {place} is always zero, because {why}"
+    for quantity in dict.fromkeys(expression.quantities):
+        if quantity.kind == "joints" and (why := _not_transmitted(joints[quantity.name], quantity)):
+            yield f"{quantity} in {place} is always zero, because {why}"
 
 
 def _not_transmitted(joint: Joint, reaction: Quantity) -> str:

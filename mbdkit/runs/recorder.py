@@ -173,9 +173,9 @@ class Recorder:
             what = "the energy is not a finite number" if moving[count] else "accelerations are not finite numbers"
             failure = Failure("not-finite", f"{what} at {_at(stretch, count)}.")
         for check in (self._contradiction, self._fallen_apart, self._out_of_range):
-            found = check(stretch.rows(slice(0, count)), observed.rows(slice(0, count)))
-            if found is not None:
-                count, failure = found
+            refused = check(stretch.rows(slice(0, count)), observed.rows(slice(0, count)))
+            if refused is not None:
+                count, failure = refused
         return count, failure
 
     def _contradiction(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
@@ -189,7 +189,7 @@ class Recorder:
         mechanism = self.workspace.mechanism
         pair = int(mechanism.topology.spare[direction, SPARE.pair])
         gap = float(gaps[row, direction] * units_of_pairs(mechanism)[pair])
-        unit = next(one.unit for one in mechanism.rows if one.pair == pair)
+        unit = next(constraint.unit for constraint in mechanism.rows if constraint.pair == pair)
         return row, self._contradicting(pair, f"{gap:.2g} {unit} at {_at(stretch, row)}")
 
     def _contradicting(self, pair: int, gap: str) -> Failure:
@@ -315,9 +315,11 @@ class Recorder:
         mechanism = self.workspace.mechanism
         names = [] if mechanism.reacting is None else archive_names(mechanism).names_of(mechanism.reacting.key)
         rows = [
-            (name, one.time, 0.0, 0.0, -one.energy, one.reactions) for one in of_drivers for name in drivers[one.time]
+            (name, impact.time, 0.0, 0.0, -impact.energy, impact.reactions)
+            for impact in of_drivers
+            for name in drivers[impact.time]
         ]
-        rows += [(names[one.element], one.time, *one[2:]) for one in impacts]
+        rows += [(names[impact.element], impact.time, *impact[2:]) for impact in impacts]
         if not rows:
             return
         element, time, normal, tangential, lost, reactions = zip(*sorted(rows, key=lambda row: row[1]), strict=True)

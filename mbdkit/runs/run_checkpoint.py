@@ -126,7 +126,10 @@ class Continuation:
         """The times in `TIMES` of the run up to the checkpoint [s]; 0 for entries that are missing or not numbers."""
         known = self.state.get("times")
         times = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
-        return {name: float(one) if isinstance(one, float) else 0.0 for name, one in zip(TIMES, times, strict=True)}
+        return {
+            name: float(seconds) if isinstance(seconds, float) else 0.0
+            for name, seconds in zip(TIMES, times, strict=True)
+        }
 
 
 def why_without(spec: RunSpec, method: Method) -> str:

@@ -399,12 +399,12 @@ class SimulatedRun:
         rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
         choice = self.choice
         if choice is not None and choice.pilots and len(rows.time) > 1 and not self.spec.check:
-            found = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
+            estimated = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
         else:
-            found = check_run(
+            estimated = check_run(
                 self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress, self.memory
             )
-        self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
+        self.accuracy = with_asked(estimated, self.spec, self.workspace, self.choice)
         expressions = (
             tuple(dict.fromkeys((*expressions_of(self.spec, self.request.measures), *self.compared_loads())))
             if self.spec.check
@@ -426,8 +426,8 @@ class SimulatedRun:
 
     def doubtful_gradients(self) -> Iterator[str]:
         """Yield a sentence about the measures whose gradients fail their checks, if any."""
-        found = json.loads(self.gradients or "{}")
-        failed = [name for name, entry in found.items() if not entry.get("check", {"agrees": True})["agrees"]]
+        gradients = json.loads(self.gradients or "{}")
+        failed = [name for name, entry in gradients.items() if not entry.get("check", {"agrees": True})["agrees"]]
         if failed:
             yield f"The check of the gradients failed for {listed(failed, 'and')}; `doubts` of the gradients says why."
 

@@ -262,7 +262,7 @@ def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -
             tried.append((simulation.merit(), choice))
             best = max(tried, key=lambda attempt: attempt[0])[1]
             following = None if simulation.is_final else _following(spec, workspace, simulation, len(tried))
-            simulation.tried = [one for _, one in tried]
+            simulation.tried = [attempted for _, attempted in tried]
             if simulation.is_final or (following is None and best is choice):
                 simulation.finish()
                 return simulation
@@ -271,7 +271,7 @@ def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -
             # equal results.
             with _finished_or_abandoned(_begun(best.applied_to(spec), request, best)) as simulation:
                 simulation.integrate(progress)
-                simulation.tried = [one for _, one in tried]
+                simulation.tried = [attempted for _, attempted in tried]
                 simulation.finish()
                 return simulation
         choice = following
@@ -311,8 +311,8 @@ def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
 def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | None:
     """Return the values of expressions in a comparison run, in SI units; None if the run fails."""
     try:
-        found = simulate_arrays(spec, measures=expressions)
-        run = Run(ArrayContents(found, spec))
+        finished = simulate_arrays(spec, measures=expressions)
+        run = Run(ArrayContents(finished, spec))
         return [MeasureExpression.in_si(text, run) for text in expressions] if run.status == "complete" else None
     except (MbdkitError, ArithmeticError):
         return None

@@ -61,8 +61,8 @@ class SlowFriction:
 
     def __init__(self, elements: Sequence[FrictionElement], take: Callable[[States], tuple[np.ndarray, np.ndarray]]):
         self._elements, self._take = elements, take
-        self._transition = np.array([one.transition for one in elements])
-        self._rest = np.array([one.rest for one in elements])
+        self._transition = np.array([element.transition for element in elements])
+        self._rest = np.array([element.rest for element in elements])
         self._last = np.zeros((0, 5, len(elements)))
         # work of Coulomb friction and its missing part [J]; whole path and path below the transition speed [m]; time
         self._sums = np.zeros((5, len(elements)))
@@ -85,21 +85,22 @@ class SlowFriction:
     def findings(self, energies: EnergyRecord, _integrals: Integrals) -> list[Finding]:
         """Return a doubt for each element that lacks much of its friction."""
         work, missing, path, slow, lasted = self._sums
-        found = (missing > MISSING * work) & (missing > MATTERS * energies.kinetic) & (slow > self._rest)
-        told = []
-        for place in np.flatnonzero(found).tolist():
-            one = self._elements[place]
-            mean = float(path[place] / lasted[place]) if lasted[place] > 0.0 else one.transition
-            advised = min(RESOLVED * mean, 0.1 * one.transition)
-            turns = f", at {self._peak[place] / one.arm:.3g} rad/s" if one.arm != 1.0 else ""
+        lacks = (missing > MISSING * work) & (missing > MATTERS * energies.kinetic) & (slow > self._rest)
+        doubts = []
+        for index in np.flatnonzero(lacks).tolist():
+            element = self._elements[index]
+            mean = float(path[index] / lasted[index]) if lasted[index] > 0.0 else element.transition
+            advised = min(RESOLVED * mean, 0.1 * element.transition)
+            turns = f", at {self._peak[index] / element.arm:.3g} rad/s" if element.arm != 1.0 else ""
             sentence = (
-                f"the friction of {one.name} is weaker than Coulomb friction, because {slow[place] / path[place]:.0%} "
-                f"of its path is slower than its transition speed of {one.transition:g} m/s (fastest slip "
-                f"{self._peak[place]:.3g} m/s{turns}), and lacks {missing[place] / work[place]:.0%} of its work; lower "
-                f"model.{one.key}.transition_speed, to {advised:.1g} m/s for example"
+                f"the friction of {element.name} is weaker than Coulomb friction, because "
+                f"{slow[index] / path[index]:.0%} of its path is slower than its transition speed of "
+                f"{element.transition:g} m/s (fastest slip {self._peak[index]:.3g} m/s{turns}), and lacks "
+                f"{missing[index] / work[index]:.0%} of its work; lower "
+                f"model.{element.key}.transition_speed, to {advised:.1g} m/s for example"
             )
-            told.append(Finding("slow-friction", "doubtful", sentence, is_named=False))
-        return told
+            doubts.append(Finding("slow-friction", "doubtful", sentence, is_named=False))
+        return doubts
 
     def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
@@ -125,7 +126,7 @@ def of_joints(spec: RunSpec, compiled: CompiledMechanism, size: float) -> SlowFr
         if isinstance(friction, PinFriction):
             arm, rest = friction.radius, TURN * friction.radius
         elements.append(FrictionElement(f"joint '{name}'", key, friction.transition_speed, arm, rest))
-    columns, arms = compiled.first_friction + np.arange(len(elements)), np.array([one.arm for one in elements])
+    columns, arms = compiled.first_friction + np.arange(len(elements)), np.array([element.arm for element in elements])
 
     def take(states: States) -> tuple[np.ndarray, np.ndarray]:
         rate, value = states.observed.forces[:, columns, 1:3].transpose(2, 0, 1)

@@ -99,17 +99,17 @@ class StepEnds:
         if self.is_linear:
             return self._linear(times, self.q), self._linear(times, self.v)
         step = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
-        used, place = np.unique(step, return_inverse=True)
+        used, index = np.unique(step, return_inverse=True)
         nodes, newton = self._newton(used)
         h = self.time[used + 1] - self.time[used]
-        s = (times - self.time[step]) / h[place]
+        s = (times - self.time[step]) / h[index]
         more = (slice(None), *(None,) * (self.q.ndim - 1))
         value, slope = np.zeros((2, len(times), *self.q.shape[1:]))
         for k in reversed(range(len(newton))):
-            along = (s - nodes[k, place])[more]
+            along = (s - nodes[k, index])[more]
             slope = slope * along + value
-            value = value * along + newton[k, place]
-        return value, slope / h[place][more]
+            value = value * along + newton[k, index]
+        return value, slope / h[index][more]
 
     def _newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return nodes (K, S) and coefficients (K, S, n) of the Newton form over each step, in units of the step.
@@ -156,9 +156,9 @@ class StepEnds:
         sides: list[list[int]] = []
         for begin, places in ((step, range(step - 1, -1, -1)), (step + 1, range(step + 2, len(time)))):
             columns = [begin]
-            for place in places:
-                if abs(time[place] - time[columns[-1]]) >= least:
-                    columns.append(place)
+            for end in places:
+                if abs(time[end] - time[columns[-1]]) >= least:
+                    columns.append(end)
                 if len(columns) == count:
                     break
             sides.append(columns[1:])

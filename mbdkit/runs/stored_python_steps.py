@@ -142,8 +142,8 @@ def _plain(value: Any) -> Any:
 def _unplain(value: Any) -> Any:
     match value:
         case {"dtype": str(kind), "array": array}:
-            found = np.array(array, dtype=np.dtype(kind))
-            return found if found.ndim else found[()]
+            values = np.array(array, dtype=np.dtype(kind))
+            return values if values.ndim else values[()]
         case {"tuple": items}:
             return tuple(_unplain(item) for item in items)
         case {"items": items}:
@@ -155,13 +155,13 @@ def _unplain(value: Any) -> Any:
 
 def stored_impulses(impulses: Sequence[DriverImpulse]) -> StoredState:
     """Return the impulses of drivers as two entries of the state of a stepper."""
-    numbers = [[one.time, one.energy, one.velocity] for one in impulses]
-    return {"impacts": numbers, "impulses": [one.reactions for one in impulses]}
+    numbers = [[impulse.time, impulse.energy, impulse.velocity] for impulse in impulses]
+    return {"impacts": numbers, "impulses": [impulse.reactions for impulse in impulses]}
 
 
 def impulses_of(state: StoredState, joints: int) -> list[DriverImpulse]:
     """Return the impulses of drivers in the stored state of a stepper; raise ValueError if they are not valid."""
-    reactions = [_array(one, (joints, 3)) for one in state["impulses"]]
+    reactions = [_array(reaction, (joints, 3)) for reaction in state["impulses"]]
     return [
         DriverImpulse(float(time), float(energy), float(velocity), own)
         for (time, energy, velocity), own in zip(state["impacts"], reactions, strict=True)

@@ -60,5 +60,5 @@ def formulation_of(choice: Any) -> Formulation:
 
 def choice_of(name: str) -> str | dict[str, str]:
     """Return the value of the key for a name in `mbdkit.engine.formulation.FORMULATIONS`."""
-    loops = {formulation_name("joint-coordinates", one): one for one in get_args(LoopsName)}
+    loops = {formulation_name("joint-coordinates", loop): loop for loop in get_args(LoopsName)}
     return name if name in NAMES or name not in loops else {"name": "joint-coordinates", "loops": loops[name]}

@@ -288,10 +288,10 @@ class ModelSpec(StrictSpec):
 
     def run_id(self) -> str:
         """Return 16 hexadecimal digits that identify this spec and the versions of the plugins it uses."""
-        found: str = self._private["_run_id"]
-        if not found:
-            self._run_id = found = self._identifier()
-        return found
+        identifier: str = self._private["_run_id"]
+        if not identifier:
+            self._run_id = identifier = self._identifier()
+        return identifier
 
     def _identifier(self) -> str:
         used = [f"{item.id}=={item.origin.version}" for item in self.items]

@@ -294,26 +294,26 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
     SpecError
         If a value along the path is not a mapping or list with the next key, or if it is a mapping of other elements.
     """
-    place: Any = data
+    holder: Any = data
     for index, part in enumerate(path):
         last = index == len(path) - 1
-        if isinstance(place, list) and isinstance(part, str) and re.fullmatch(r"\d{1,9}", part):
+        if isinstance(holder, list) and isinstance(part, str) and re.fullmatch(r"\d{1,9}", part):
             part = int(part)  # as in `model.angles.0`
-        if isinstance(place, list) and isinstance(part, int):
-            if part >= len(place):
+        if isinstance(holder, list) and isinstance(part, int):
+            if part >= len(holder):
                 here = path_text(path[:index]) or "the spec"
-                raise SpecError(f"{here} has {len(place)} items, counted from 0", key=path_text(path))
-        elif isinstance(place, dict) and isinstance(part, str):
-            if not last and place.get(part) is None and isinstance(path[index + 1], str):
-                _refuse_other_element(place, path, index)
-                place[part] = {}
+                raise SpecError(f"{here} has {len(holder)} items, counted from 0", key=path_text(path))
+        elif isinstance(holder, dict) and isinstance(part, str):
+            if not last and holder.get(part) is None and isinstance(path[index + 1], str):
+                _refuse_other_element(holder, path, index)
+                holder[part] = {}
         else:
             here = path_text(path[:index]) or "the spec"
-            raise SpecError(f"{here} is {value_text(place)}, so it has no '{part}'", key=path_text(path))
+            raise SpecError(f"{here} is {value_text(holder)}, so it has no '{part}'", key=path_text(path))
         if last:
-            place[part] = value
+            holder[part] = value
         else:
-            place = place.get(part) if isinstance(place, dict) else place[part]
+            holder = holder.get(part) if isinstance(holder, dict) else holder[part]
 
 
 def _refuse_other_element(elements: Mapping[str, Any], path: Path, index: int) -> None:
@@ -322,7 +322,7 @@ def _refuse_other_element(elements: Mapping[str, Any], path: Path, index: int) -
     The mapping at ``path[:index]`` contains `elements`, such as bodies or loads, if all of its values are mappings.
     """
     is_named = (index == 2 and path[0] == "model") or path[:index] in (("events",), ("loads",), ("motion", "columns"))
-    if is_named and elements and all(isinstance(one, Mapping) for one in elements.values()):
+    if is_named and elements and all(isinstance(element, Mapping) for element in elements.values()):
         name, here = str(path[index]), path_text(path[:index])
         raise SpecError(
             f"{here} has no '{name}'{did_you_mean(name, map(str, elements))}; to add it, give all its keys at once, as "

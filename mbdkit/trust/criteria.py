@@ -246,7 +246,7 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
     best: Level = "unknown" if accuracy is None else "good"
     level = max((best, *(level for level, _ in found)), key=LEVELS.index)
     worst_first = sorted(found, key=lambda item: -LEVELS.index(item[0]))
-    accepted = (f"Accepted by the spec: {one}" for one in evidence.accepted)
+    accepted = (f"Accepted by the spec: {doubt}" for doubt in evidence.accepted)
     return Judgement(level, (*(reason for _, reason in worst_first), *accepted))
 
 
@@ -301,12 +301,12 @@ def _energies(evidence: Evidence) -> Found:
 def _branches(evidence: Evidence) -> Found:
     limits = f"bad from {BRANCH_ANGLE:g} rad and {BRANCH_RATIO:g} times the path"
     advice = "the run has probably left its branch; compare it with a run with `stabilization: projection`"
-    for one in evidence.branch:
-        if one.counts:
-            turn = f"by {one.angle:.2g} rad on a path of {one.path:.2g} of the longest link ({limits})"
+    for left in evidence.branch:
+        if left.counts:
+            turn = f"by {left.angle:.2g} rad on a path of {left.path:.2g} of the longest link ({limits})"
             yield (
                 "bad",
-                f"The motion changes its direction in a singular position at t = {one.time:.6g} s, {turn}: {advice}.",
+                f"The motion changes its direction in a singular position at t = {left.time:.6g} s, {turn}: {advice}.",
             )
 
 

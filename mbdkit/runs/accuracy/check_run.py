@@ -102,9 +102,9 @@ def why_unknown(
     following = (
         time[np.searchsorted(time, errors.known_until, side="right")] if errors.known_until >= time[0] else time[0]
     )
-    for companion, one in runs:
-        if one.failure and _reached(one) < following:
-            why = f"the comparison run with {companion.name} ended at {_reached(one):.6g} s: {one.failure}"
+    for companion, rows in runs:
+        if rows.failure and _reached(rows) < following:
+            why = f"the comparison run with {companion.name} ended at {_reached(rows):.6g} s: {rows.failure}"
             break
     else:
         why = f"{listed(errors.unknown, 'and')} of the comparison runs do not converge, or differ too much from the run"
@@ -189,9 +189,9 @@ def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> st
         f"{told[-1][0].name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
         f"converge to the last one."
     )
-    for companion, found in told:
-        if found.failure:
-            text += f" The run with {companion.name} ended at {_reached(found):.6g} s: {found.failure}."
+    for companion, rows in told:
+        if rows.failure:
+            text += f" The run with {companion.name} ended at {_reached(rows):.6g} s: {rows.failure}."
     return text
 
 

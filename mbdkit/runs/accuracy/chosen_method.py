@@ -212,8 +212,8 @@ class Choice:
         if math.isfinite(reached):
             factor = max(least, elementary.pow(reached / (MARGIN * asked), 1 / order))
         setting, limited = _limited(spec, self.candidate, self.setting / factor)
-        found = f"an error of {reached:.2g}" if math.isfinite(reached) else "no error that is known to the end"
-        why = f"{self.why} The check of {self.chosen} found {found}, so that it was tightened."
+        reason = f"an error of {reached:.2g}" if math.isfinite(reached) else "no error that is known to the end"
+        why = f"{self.why} The check of {self.chosen} found {reason}, so that it was tightened."
         return replace(self, setting=min(setting, self.setting), limited=limited, why=why, pilots=pilots, final=None)
 
 

@@ -55,14 +55,14 @@ def compared_measures(
         Function that returns whether the user has asked to stop; the values are then nan.
     """
     unknown: Sequence[float] = [float("nan")] * len(expressions)
-    found = [unknown if interrupted() else measure(one) or unknown for one in _finer(spec, method)]
+    measured = [unknown if interrupted() else measure(other) or unknown for other in _finer(spec, method)]
     guard = unknown
-    for one in other_methods(spec, method, workspace, steps):
-        values = None if interrupted() else measure(one)
+    for other in other_methods(spec, method, workspace, steps):
+        values = None if interrupted() else measure(other)
         if values is not None:
             guard = values
             break
-    return dict(zip(expressions, zip(*found, guard, strict=True), strict=True))
+    return dict(zip(expressions, zip(*measured, guard, strict=True), strict=True))
 
 
 def _finer(spec: RunSpec, method: Method) -> list[RunSpec]:
@@ -119,15 +119,15 @@ def other_methods(
     ]
     most = LOOKS + SINGLE_STEPS[0] + SINGLE_STEPS[1] * steps
     projected = {"stabilization": "projection"} if len(workspace.mechanism.rows) else {}
-    found = [
-        _varied(spec, integrator=one, most_steps=most, interval=interval, **(_index_1(spec) | projected))
-        for one in candidates
-        if not family.startswith(one["name"]) and (one["name"] != "gauss" or stiff)
+    others = [
+        _varied(spec, integrator=candidate, most_steps=most, interval=interval, **(_index_1(spec) | projected))
+        for candidate in candidates
+        if not family.startswith(candidate["name"]) and (candidate["name"] != "gauss" or stiff)
     ]
     if not stiff or not workspace.mechanism.rows or family == radau_iia.tableau(5).name:
-        return found
+        return others
     last: dict[str, Any] = {"formulation": "index-2", "stabilization": "none"}
-    return [*found, _varied(spec, integrator=candidates[1], most_steps=most, interval=interval, **last)]
+    return [*others, _varied(spec, integrator=candidates[1], most_steps=most, interval=interval, **last)]
 
 
 def with_other_steps(spec: RunSpec, step: float, *, fixed: bool, tightest: float) -> RunSpec:

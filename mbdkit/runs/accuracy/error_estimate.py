@@ -195,7 +195,9 @@ def assemble(
     reaction = of([wrench(run) for run in every], wrench(main), units.force)
     count = int(np.sum(position.known & velocity.known & reaction.known))
     quantities = {"positions": position, "velocities": velocity, "reactions": reaction}
-    unknown = [] if count == len(main.time) else [word for word, one in quantities.items() if not one.known[count]]
+    unknown = (
+        [] if count == len(main.time) else [word for word, quantity in quantities.items() if not quantity.known[count]]
+    )
     return ErrorEstimate(
         position.errors() / scale,
         velocity.errors() / scale,
