@@ -207,8 +207,7 @@ class Design:
 
     def _slack(self, variable: str) -> float:
         """Return the difference below which two values of a variable count as equal."""
-        low, high = self.spec.variables[variable].bounds
-        return 1e-6 * (high - low)
+        return 1e-6 * self.spec.variables[variable].width
 
     def side(self, variable: str) -> str:
         """Return ``lower`` or ``upper`` if the best value of a variable is at this bound; otherwise an empty text."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -134,6 +135,11 @@ class Variable(_WithUnit):
         return 0.5 * (self.bounds[0] + self.bounds[1]) if self.start is None else self.start
 
     @property
+    def width(self) -> float:
+        """Distance between the bounds."""
+        return float(self.bounds[1] - self.bounds[0])
+
+    @property
     def written(self) -> float | str:
         """The first value, with its SI unit if the variable has one."""
         return self._text(self.first)
@@ -158,6 +164,11 @@ class Limit(_WithUnit):
         if self.max is not None and self.min is not None and self.min > self.max:
             raise SpecError(f"should be at most `max`, {self.max:g}, not {self.min:g}", key="min")
         return self
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Smallest and largest value; infinite without a limit."""
+        return -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
 
     @property
     def measure(self) -> dict[str, str]:

@@ -81,8 +81,8 @@ def _compared(design: Design, one: Comparison) -> Claim:
     unit = f" {units}" if (units := goal_units(design.spec)[goal]) else ""
     believed, actual, best = (point.goals[goal] for point in (one.believed, one.actual, design.best))
     moved = max(
-        abs(one.believed.variables[key] - design.best.variables[key]) / (high - low)
-        for key, (low, high) in ((key, variable.bounds) for key, variable in design.spec.variables.items())
+        abs(one.believed.variables[key] - design.best.variables[key]) / variable.width
+        for key, variable in design.spec.variables.items()
     )
     size = max(abs(best), abs(design.start.goals[goal]))
     same = moved <= SAME and abs(believed - best) <= SAME * size and one.is_feasible

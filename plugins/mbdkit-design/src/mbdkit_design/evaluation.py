@@ -21,7 +21,7 @@ from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures, sampled_measures
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import varied_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
-from mbdkit_design.design_spec import DesignSpec, Variable
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies import Batches
 
 Settings = Sequence[tuple[Path, Any]]
@@ -252,7 +252,7 @@ class Evaluator:
     @property
     def widths(self) -> np.ndarray:
         """Widths (n,) of the bounds of the variables."""
-        return np.array([self._width(variable) for variable in self.spec.variables.values()])
+        return np.array([variable.width for variable in self.spec.variables.values()])
 
     @property
     def first(self) -> np.ndarray:
@@ -262,12 +262,12 @@ class Evaluator:
     def point(self, variables: Mapping[str, float]) -> np.ndarray:
         """Return the point (n,) that corresponds to values of the variables."""
         given = self.spec.variables
-        return np.array([(variables[name] - one.bounds[0]) / self._width(one) for name, one in given.items()])
+        return np.array([(variables[name] - one.bounds[0]) / one.width for name, one in given.items()])
 
     def variables(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the variables at a point."""
         return {
-            name: float(min(max(one.bounds[0] + share * self._width(one), one.bounds[0]), one.bounds[1]))
+            name: float(min(max(one.bounds[0] + share * one.width, one.bounds[0]), one.bounds[1]))
             for (name, one), share in zip(self.spec.variables.items(), x, strict=True)
         }
 
@@ -306,7 +306,7 @@ class Evaluator:
         for name, limit in self.spec.subject_to.items():
             column = values[..., self.names.index(name)]
             slack = 1e-6 * max(abs(x) for x in (limit.min, limit.max) if x is not None)
-            low, high = (-np.inf if limit.min is None else limit.min), (np.inf if limit.max is None else limit.max)
+            low, high = limit.ends
             if not np.all((column >= low - slack) & (column <= high + slack)):
                 found.append(name)
         return tuple(found)
@@ -338,7 +338,3 @@ class Evaluator:
         if self.spec.sums_squares:
             return np.array([np.sum(weights * np.sum(values**2, axis=1))])
         return product(values.T, weights)
-
-    @staticmethod
-    def _width(variable: Variable) -> float:
-        return float(variable.bounds[1] - variable.bounds[0])

@@ -77,7 +77,7 @@ def _change(problem: Problem, free: np.ndarray, direction: np.ndarray) -> dict[s
     variables = problem.evaluator.spec.variables
     names = list(variables)
     found = {
-        names[place]: 0.01 * float(share) * (variables[names[place]].bounds[1] - variables[names[place]].bounds[0])
+        names[place]: 0.01 * float(share) * variables[names[place]].width
         for place, share in zip(free, direction, strict=True)
         if abs(share) > 1e-2
     }

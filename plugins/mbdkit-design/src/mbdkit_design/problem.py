@@ -186,9 +186,7 @@ def _limits(evaluator: Evaluator) -> list[Bound]:
         for name, limit in evaluator.spec.subject_to.items():
             weights = np.zeros((len(evaluator.spec.situations), len(evaluator.names)))
             weights[row, evaluator.names.index(name)] = 1.0
-            low = -np.inf if limit.min is None else limit.min
-            high = np.inf if limit.max is None else limit.max
-            found.append(Bound(f"{scenario}: {name}" if scenario else name, weights, low, high))
+            found.append(Bound(f"{scenario}: {name}" if scenario else name, weights, *limit.ends))
     return found
 
 

@@ -99,7 +99,7 @@ def _is_within(value: float | None, limit: Limit) -> bool:
     """Return whether a value satisfies a limit, except for rounding errors."""
     if value is None:
         return False
-    low, high = (-math.inf if limit.min is None else limit.min, math.inf if limit.max is None else limit.max)
+    low, high = limit.ends
     slack = FEASIBLE * max(abs(end) for end in (value, low, high) if math.isfinite(end))
     return low - slack <= value <= high + slack
 

@@ -64,7 +64,8 @@ class Storage:
 
     def open(self, point: StudyPoint) -> Run | None:
         """Return the run of a point with the arrays that the study stores; None if it has no results."""
-        return None if point.path is None else load(point.path)
+        path = point.path
+        return None if path is None else load(path)
 
     def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:
         """Yield joined runs, here single ones; `runs` are the points of the study, with runs that are opened when
