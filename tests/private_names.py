@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import mbdkit
@@ -38,6 +39,7 @@ def inner_imports(file: Path) -> Iterator[tuple[str, str]]:
                 yield module, name
 
 
+@cache
 def private_names() -> dict[str, dict[str, set[str]]]:
     """Return the names that each part imports from inner rooms, by part and module."""
     found: dict[str, dict[str, set[str]]] = {part: defaultdict(set) for part in PARTS}
@@ -48,6 +50,7 @@ def private_names() -> dict[str, dict[str, set[str]]]:
     return found
 
 
+@cache
 def public_names() -> dict[tuple[str, str], list[str]]:
     """Return the doors of each name that has one, by module and name."""
     found: dict[tuple[str, str], list[str]] = defaultdict(list)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -31,13 +33,23 @@ def test_what_the_help_names_as_packaged_is_packaged(command, list_of, mbdkit):
     assert named in refusal.split(f"{list_of}: ")[1]
 
 
-@pytest.mark.parametrize(
-    "arguments", [("rnu", "pendulum"), ("run",), ("run", "--stpe"), ("plot", "x.h5", "--kind", "pie"), ("schema", "x")]
-)
-def test_wrong_usage_is_exit_status_2_and_says_so(arguments, mbdkit):
-    result = mbdkit(*arguments)
+PAGE = (Path(__file__).parent / "refusals.md").read_text(encoding="utf-8")
+REFUSALS = re.findall(r"^    mbdkit (.+)\n    (.+)$", PAGE, re.MULTILINE)
+
+
+@pytest.mark.parametrize(("command", "message"), REFUSALS)
+def test_commands_refuse_wrong_input_in_the_words_of_the_page(command, message, mbdkit, in_tmp_path):
+    result = mbdkit(*command.split())
     assert result.exit_code == 2
     assert result.stdout == ""
+    pattern = re.escape(message).replace(re.escape("..."), ".+")
+    assert re.fullmatch(pattern, result.stderr.strip().splitlines()[-1])
+
+
+@pytest.mark.parametrize("arguments", [("run",), ("run", "--stpe"), ("plot", "x.h5", "--kind", "pie")])
+def test_wrong_usage_is_exit_status_2_and_says_so(arguments, mbdkit):
+    result = mbdkit(*arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
     assert "Error: " in result.stderr
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 import mbdkit
 from mbdkit.base.errors import SpecError
@@ -55,122 +56,32 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
     return tuple(map(str, findings("start", spec, start)))
 
 
-SPRING = {"type": "spring-damper", "bodies": ["ground", "rod"], "points": [[0.5, 0], [0.2, 0]], "stiffness": 9.0}
-PATH = [{"body": "ground", "point": [0, 0]}, {"body": "rod", "point": [0, 0]}]
-MUSCLE = {"path": PATH, "max_force": 9.0, "tendon_length": 0.1, "excitation": 0.1}
-TABLE = {"type": "law", "law": "table", "pathway": {"type": "relative-angle", "bodies": ["ground", "rod"]}}
-PULL = {**TABLE, "pathway": {"type": "two-points", "bodies": ["ground", "rod"], "points": [[0.5, 0], [0.2, 0]]}}
-ALONG_X = {"type": "coordinate", "coordinate": "x", "bodies": ["ground", "rod"], "points": [[0, 0], [-0.3, 0]]}
-STOP = {"type": "law", "law": "one-sided", "stiffness": 9.0, "acts": "compression", "pathway": ALONG_X}
 DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
-HINGE = {"type": "torsion-spring", "bodies": ["ground", "rod"]}
 
 
 def driven(motion: Any, joint: str = "D", **driver: Any) -> dict[str, Any]:
     return {f"model__joints__{joint}": {**DRIVER, "motion": motion, **driver}}
 
 
-def forced(element: dict[str, Any], **values: Any) -> dict[str, Any]:
-    return {"model__forces__s": {**element, **values}}
+TABLES = yaml.safe_load(Path(__file__).with_name("improbable_values.yaml").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize(
-    ("values", "place"),
-    [
-        ({"model__bodies__rod__angle": 45}, "45 rad at model.bodies.rod.angle"),
-        ({"model__bodies__rod__angle": 29.999999999999996}, "30 rad at model.bodies.rod.angle"),
-        ({"model__bodies__rod__angle": 28.64788975654116}, "write degrees(28.64788975654116)"),
-        ({"model__bodies__rod__angle": -22.5}, "-22.5 rad at model.bodies.rod.angle"),
-        ({"model__joints__A": {**SPEC["model"]["joints"]["A"], "type": "weld", "angle": 90}}, "model.joints.A.angle"),
-        (driven(30), "30 rad at model.joints.D.motion"),
-        (forced(HINGE, free_angle=180), "180 rad at model.forces.s.free_angle"),
-        ({"model": {"name": "double-pendulum", "angles": [0.3, 60]}}, "60 rad at model.angles[1]"),
-        ({"model": {"name": "four-bar-knee", "flexion": 0.6, "thigh_angle": -90}}, "-90 rad at model.thigh_angle"),
-        ({"parameters": {"tilt": 90}, "model__bodies__rod__angle": "tilt"}, "rod.angle (from parameters.tilt)"),
-        ({"parameters": {"a": 45, "b": "2*a"}, "model__bodies__rod__angle": "b + a"}, "parameters.a and parameters.b)"),
-        (
-            {"parameters": {"tilt": 90}, "model": {"name": "double-pendulum", "angles": [0.3, "tilt"]}},
-            "parameters.tilt",
-        ),
-        (driven({"table": [[0, 0.1], [0, 90]]}), "the table of driver 'D' reaches 90 rad"),
-        ({"parameters": {"tilt": 90}, **driven("tilt")}, "write degrees(tilt)"),
-        (driven("45*sin(2*t)"), "driver 'D', 45*sin(2*t), swings by 90 rad"),
-        (driven("1 + 5*(1 - cos(2*pi*t))"), "swings by 10 rad"),
-        ({"parameters": {"a": 30, "w": "2*pi"}, **driven("t + a*sin(w*t)")}, "driver 'D', t + a*sin(w*t), swings by"),
-        (driven("90*(3*(t/0.1)**2 - 2*(t/0.1)**3)"), "90 rad, which is more than a full rotation"),
-        (forced(TABLE, table=[[-30, 0, 30], [-900, 0, 400]]), "at model.forces.s.table[0] reaches 30 rad"),
-        ({"model__bodies__rod__inertia": 3920}, "the inertia of 3920 kg m^2 at model.bodies.rod.inertia"),
-        ({"model__bodies__rod__inertia": 9e5}, "for example `900000 kg*mm^2`"),
-        ({"model__joints__A__friction": {"coefficient": 30, "radius": 0.01}}, "friction is above 5; if it is in"),
-        (forced(SPRING, free_length=20), "0.2 m long; if it is in another unit, write it with the unit"),
-        (forced(STOP, free_length=20), "deflected by 19.8 m; if it is in another unit"),
-        (forced(STOP, free_length=-20, acts="tension"), "deflected by 20.2 m"),
-        ({"model__muscles__m": {**MUSCLE, "optimal_length": 60}}, "60 m at model.muscles.m.optimal_length"),
-        ({"model": {"name": "four-bar-knee", "height": 178}}, "if it is in cm, write `178 cm`"),
-        ({"model": {"name": "leg", "body_mass": 75000}}, "the body mass of 75000 kg at model.body_mass is that of no"),
-        ({"model__bodies__rod__inertia": 144}, "for example `144 kg*cm^2` or `144 kg*mm^2`"),
-        ({"time__step": 1.0}, "the step of 1 s at time.step is longer than the run of 0.1 s"),
-        ({"parameters": {"crank": 1, "crnk": 2}, "model__bodies__rod__mass": "crank"}, "parameters.crnk is not used"),
-    ],
-)
+@pytest.mark.parametrize(("values", "place"), TABLES["told"])
 def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[str, Any], place: str) -> None:
     told = warnings_of(**values)
     assert len(told) == 1
     assert place in told[0]
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {},
-        {"model__bodies__rod__angle": 6.0},
-        {"model__bodies__rod__inertia": 20.0},  # at 4.5 m, 9 times the size of 0.5 m
-        {"model__bodies__rod__inertia": 3920.0, "model__joints__A__points": [[0.5, 0], [0, 0]]},  # a rotor has no size
-        {"model__joints__A__friction": {"coefficient": 0.3, "radius": 0.01}},
-        forced(SPRING, free_length=2.05),  # 10.25 lengths, 2.9 sizes
-        forced(STOP, free_length=-20),  # not reached at the start
-        forced(STOP, free_length=20, acts="tension"),
-        forced(STOP, free_length=1.6),
-        {"model__muscles__m": {**MUSCLE, "optimal_length": 0.06}},
-        {"model__bodies__rod__angle": 7.853981633974483},
-        {"model__bodies__rod__angle": "degrees(720)"},
-        {"model__bodies__rod__angle": "4*pi"},
-        {"parameters": {"tilt": 90}, "model__bodies__rod__angle": "degrees(tilt)"},
-        {"parameters": {"tilt": "degrees(450)"}, "model__bodies__rod__angle": "tilt"},
-        {"parameters": {"turns": 2.3}, "model__bodies__rod__angle": "2*pi*turns"},
-        {"model__bodies__rod__angular_velocity": 90},
-        {"parameters": {"rate": 90}, **driven("rate*t")},
-        driven("8"),
-        forced(TABLE, table=[[-0.5, 0, 0.5], [-900, 0, 400]]),
-        forced(PULL, table=[[1, 20, 30], [-900, 0, 400]]),
-        driven(30, coordinate="x"),
-        {"time__step": 0.1},
-        {"parameters": {"a": 1, "b": "a"}, "model__bodies__rod__mass": "b"},
-        {"parameters": {"a": 1}, "events": {"e": {"when": "rod.angle - a"}}},
-    ],
-)
+@pytest.mark.parametrize("values", TABLES["not told"])
 def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
     assert warnings_of(**values) == ()
 
 
-@pytest.mark.parametrize(
-    ("motion", "parameters"),
-    [
-        pytest.param("turns*sin(t)", {"turns": "4.3*pi"}, id="parameter"),
-        pytest.param("6.4*pi*sin(t)", {}, id="pi"),
-        pytest.param("degrees(45)*sin(t)", {}, id="degrees"),
-        pytest.param("12.566370614359172*sin(3*t)", {}, id="converted by a script"),
-        pytest.param("3*sin(2*t) + 6*t", {}, id="less than a rotation"),
-        pytest.param("300*t + 0.2*sin(300*t)", {}, id="fluctuating speed"),
-        pytest.param("500*t**2", {}, id="constant acceleration"),
-        pytest.param("1000*t - 5000*t**2", {}, id="braking to rest"),
-        pytest.param("90*(t + 0.01*exp(-t/0.01))", {}, id="start-up"),
-        pytest.param("asin(0.9*sin(9*t))", {}, id="nested"),
-        pytest.param("1000*(3*(t/0.1)**2 - 2*(t/0.1)**3)", {}, id="a run-up and stop of a motor"),
-        pytest.param("20*tanh(t)*min(t, 1)", {}, id="no sine"),
-        pytest.param("+".join(["0.001*t"] * 1000), {}, id="long sum"),
-    ],
-)
+MOTIONS = TABLES["motions in radians"] | {"long sum": ("+".join(["0.001*t"] * 1000), {})}
+
+
+@pytest.mark.parametrize(("motion", "parameters"), MOTIONS.values(), ids=MOTIONS)
 def test_motions_that_may_be_in_radians_are_not_told(motion: str, parameters: dict[str, Any]) -> None:
     assert warnings_of(parameters=parameters, **driven(motion)) == ()
 

@@ -62,72 +62,28 @@ def test_yardstick_dense_equations_converge_to_the_minimal_ones_with_order_four(
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1)
 
 
-def test_rk4_has_order_four_on_the_forced_pendulum() -> None:
-    assert observed_order(FORCED_PENDULUM, {"name": "rk4"}, EXPLICIT) == pytest.approx([4.0] * 3, abs=0.2)
-
-
-def test_rk4_has_order_four_on_the_driven_pendulum() -> None:
-    assert observed_order(DRIVEN_PENDULUM, {"name": "rk4"}, EXPLICIT) == pytest.approx([4.0] * 3, abs=0.2)
-
-
-def test_rk_gill_has_order_four_on_the_forced_pendulum() -> None:
-    assert observed_order(FORCED_PENDULUM, {"name": "rk-gill"}, EXPLICIT) == pytest.approx([4.0] * 3, abs=0.2)
-
-
-def test_rk_gill_has_order_four_on_the_driven_pendulum() -> None:
-    assert observed_order(DRIVEN_PENDULUM, {"name": "rk-gill"}, EXPLICIT) == pytest.approx([4.0] * 3, abs=0.2)
-
-
-def test_gauss1_has_order_two_on_the_forced_pendulum() -> None:
-    assert observed_order(FORCED_PENDULUM, gauss(1), WINDOWS[1]) == pytest.approx([2.0] * 3, abs=0.2)
-
-
-def test_gauss1_has_order_two_on_the_driven_pendulum() -> None:
-    assert observed_order(DRIVEN_PENDULUM, gauss(1), WINDOWS[1]) == pytest.approx([2.0] * 3, abs=0.2)
-
-
-def test_gauss2_has_order_four_on_the_forced_pendulum() -> None:
-    assert observed_order(FORCED_PENDULUM, gauss(2), WINDOWS[2]) == pytest.approx([4.0] * 3, abs=0.2)
-
-
-def test_gauss2_has_order_four_on_the_driven_pendulum() -> None:
-    assert observed_order(DRIVEN_PENDULUM, gauss(2), WINDOWS[2]) == pytest.approx([4.0] * 3, abs=0.2)
-
-
-def test_gauss3_has_order_six_on_the_forced_pendulum() -> None:
-    assert observed_order(FORCED_PENDULUM, gauss(3), WINDOWS[3]) == pytest.approx([6.0] * 3, abs=0.2)
-
-
-def test_gauss3_has_order_six_on_the_driven_pendulum() -> None:
-    assert observed_order(DRIVEN_PENDULUM, gauss(3), WINDOWS[3]) == pytest.approx([6.0] * 3, abs=0.2)
-
-
-def test_gauss4_has_order_eight_on_the_forced_pendulum() -> None:
-    assert observed_order(FORCED_PENDULUM, gauss(4), WINDOWS[4]) == pytest.approx([8.0] * 4, abs=0.2)
-
-
-def test_gauss4_has_order_eight_on_the_driven_pendulum() -> None:
-    assert observed_order(DRIVEN_PENDULUM, gauss(4), WINDOWS[4]) == pytest.approx([8.0] * 4, abs=0.2)
-
-
 def radau(stages: int) -> dict[str, Any]:
     """Return the integrator section of Radau IIA."""
     return {"name": "radau-iia", "stages": stages}
 
 
-@pytest.mark.parametrize("problem", [FORCED_PENDULUM, DRIVEN_PENDULUM], ids=["forced", "driven"])
-def test_radau_iia_with_two_stages_has_order_three(problem: Problem) -> None:
-    assert observed_order(problem, radau(2), (100, 200, 400, 800)) == pytest.approx([3.0] * 3, abs=0.2)
+METHODS: list[tuple[dict[str, Any], float, tuple[int, ...]]] = [
+    ({"name": "rk4"}, 4.0, EXPLICIT),
+    ({"name": "rk-gill"}, 4.0, EXPLICIT),
+    *((gauss(stages), 2.0 * stages, WINDOWS[stages]) for stages in (1, 2, 3, 4)),
+    (radau(2), 3.0, (100, 200, 400, 800)),
+    (radau(3), 5.0, (40, 56, 80, 112)),
+]
 
 
 @pytest.mark.parametrize("problem", [FORCED_PENDULUM, DRIVEN_PENDULUM], ids=["forced", "driven"])
-def test_radau_iia_with_three_stages_has_order_five(problem: Problem) -> None:
-    assert observed_order(problem, radau(3), (40, 56, 80, 112)) == pytest.approx([5.0] * 3, abs=0.2)
+@pytest.mark.parametrize(("method", "order", "steps"), METHODS, ids=str)
+def test_methods_have_their_order(
+    problem: Problem, method: dict[str, Any], order: float, steps: tuple[int, ...]
+) -> None:
+    assert observed_order(problem, method, steps) == pytest.approx([order] * (len(steps) - 1), abs=0.2)
 
 
-def test_radau_iia_with_five_stages_has_order_nine_on_the_forced_pendulum() -> None:
+def test_radau_iia_with_five_stages_has_order_nine() -> None:
     assert observed_order(FORCED_PENDULUM, radau(5), (17, 20, 24)) == pytest.approx([9.0] * 2, abs=0.2)
-
-
-def test_radau_iia_with_five_stages_has_order_nine_on_the_driven_pendulum() -> None:
     assert observed_order(DRIVEN_PENDULUM, radau(5), (36, 42, 50, 60), end=3.0) == pytest.approx([9.0] * 3, abs=0.2)
