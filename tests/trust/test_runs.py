@@ -64,16 +64,19 @@ def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: i
     from mbdkit.archive.finished_run import ArrayWriter
     from mbdkit.quantities.names import archive_names
     from mbdkit.runs.preparation import build, make_method, recorded_arrays
-    from mbdkit.runs.simulated_run import SimulatedRun
+    from mbdkit.runs.simulated_run import Request, SimulatedRun
+    from mbdkit.runs.simulation import measured_in
 
     given = load_spec(spec(DOUBLE, RK4, 2.0, 0.01, output={"every": every}), ())
     workspace, _ = build(given)
     arrays = recorded_arrays(given, make_method(given), workspace.mechanism)
     writer = ArrayWriter(archive_names(workspace.mechanism), arrays)
-    simulation = SimulatedRun(given, workspace, Exploding(), writer, 0.0, (), None)
+    request = Request(begun=lambda spec, method, start: writer, begin=0.0, measured_in=measured_in)
+    simulation = SimulatedRun(given, workspace, Exploding(), writer, request, (), None, ())
     simulation.integrate(None)
     simulation.finish()
-    with simulation.run() as run:
+    assert simulation.run is not None
+    with simulation.run as run:
         assert run.status_reason.startswith("fell-apart: ")
         assert run.misalignment_max == run.array("joints/misalignment").max() <= 1.5
         assert run.verdict == "bad"
