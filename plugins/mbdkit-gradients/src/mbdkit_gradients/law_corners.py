@@ -171,8 +171,8 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         return np.arange(begin, begin + 1 + int(values[begin]))
 
     for handle, kind in mechanism.kinds():
-        sides = kind.derivatives.sides
-        conditions += () if sides is None else law_sides.of(sides)(handle, places_of)
+        own_sides = kind.derivatives.sides
+        conditions += () if own_sides is None else law_sides.of(own_sides)(handle, places_of)
     if not conditions:
         return None
     for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states that do not belong to a law

@@ -20,10 +20,11 @@ from mbdkit.kernels import MODIFIED
 from mbdkit.plugin import StepError
 from mbdkit.plugin.equations import StateObserver, Workspace
 from mbdkit.plugin.methods import CompiledMethod, Moment, Seeds, StepTaken, Stretch, Timetable
+from mbdkit.plugin.seams import LawCondition
 from mbdkit_gradients.differentiated_states import DifferentiatedStates
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit_gradients.law_corners import Condition, LawCondition
+from mbdkit_gradients.law_corners import Condition
 
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""
