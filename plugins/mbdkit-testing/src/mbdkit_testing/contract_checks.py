@@ -135,7 +135,7 @@ def _same(before: StepState, after: StepState, name: str) -> bool:
     return _bytes(getattr(before, name)) == _bytes(getattr(after, name))
 
 
-def _bytes(value: Any) -> bytes:
+def _bytes(value: object) -> bytes:
     return value.tobytes() if isinstance(value, np.ndarray) else pickle.dumps(value)
 
 

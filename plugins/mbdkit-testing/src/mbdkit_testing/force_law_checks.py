@@ -15,11 +15,11 @@ from mbdkit.kernels import LAW
 from mbdkit.mechanism.law_parameters import law_range
 from mbdkit.plugin import ExpressionLaw, ForceLawPlugin, FunctionLaw, RunSpec, SpecError, TracedLaw, listed, simulate
 from mbdkit.plugin.equations import bind_law
-from mbdkit.plugin.specs import Registered, Registry
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
+from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
 FAR = 10.0
@@ -53,20 +53,15 @@ ARGUMENTS = ("length", "rate", "time")
 
 
 @dataclass
-class ForceLawUnderTest:
+class ForceLawUnderTest(ItemUnderTest):
     """A force law with options.
 
     Parameters
     ----------
-    options
-        Options of the law, as in an element of type ``law``.
     random
         Number of samples at random places.
     """
 
-    item: Registered
-    options: dict[str, Any]
-    installed: Registry
     random: int = field(default=RANDOM, repr=False)
 
     @property

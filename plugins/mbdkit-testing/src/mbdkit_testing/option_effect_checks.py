@@ -77,7 +77,7 @@ def _choices(item: Registered, chosen: dict[str, Any]) -> Iterator[dict[str, Any
         yield chosen
 
 
-def _at(law: ForceLawUnderTest, options: dict[str, Any]) -> ForceLawUnderTest:
+def _at(law: ForceLawUnderTest, options: dict[str, object]) -> ForceLawUnderTest:
     return ForceLawUnderTest(law.item, options, law.installed, RANDOM_OF_VARIANTS)
 
 
