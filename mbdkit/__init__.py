@@ -6,7 +6,7 @@ Public names are imported on first use, which keeps ``import mbdkit`` fast.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any
 
 from mbdkit.base import higher_layers
 from mbdkit.base.lazy_names import door, import_part
@@ -77,17 +77,14 @@ else:
         return sorted(__all__)
 
 
-T = TypeVar("T")
-
-
-def _of_higher_layer(module: str, name: str, wanted: str = "") -> Callable[..., T]:
+def _of_higher_layer(module: str, name: str, wanted: str = "") -> Callable[..., Any]:
     """Return a function that, when called, imports a function of another module and calls it.
 
     `wanted` is what users call it; see `import_part`.
     """
 
-    def imported(*arguments: object, **named: object) -> T:
-        return cast("T", getattr(import_part(module, wanted or name), name)(*arguments, **named))
+    def imported(*arguments: object, **named: object) -> object:
+        return getattr(import_part(module, wanted or name), name)(*arguments, **named)
 
     return imported
 

@@ -176,8 +176,7 @@ def view_of(kind: Kind) -> type[View]:
     if item is not None and kind is kind_of_group(kind.group):
         history = cast(QuantityKind, item.plugin).history
         if history is not None:
-            view: type[View] = use(item, history, type)
-            return view
+            return cast("type[View]", use(item, history, type))
     elif item is None and kind.group in VIEWS:
         return VIEWS[kind.group]
     return type(f"{kind.one.title().replace(' ', '')}History", (View,), {}, of=kind)

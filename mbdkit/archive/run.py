@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import h5py
 
@@ -124,7 +124,7 @@ class Run(RecordedData, HtmlView):
         if self._contents.run_spec is not None:
             return self._contents.run_spec
         model = kind_of(self.spec).model
-        spec_class = RunSpec if model is None else model()
+        spec_class = RunSpec if model is None else cast("type[RunSpec]", model())
         if not issubclass(spec_class, RunSpec):  # kinds of plugins may derive their specs from it
             raise refused(self.spec, "run") or SpecError("this is not a spec of a run")
         spec = spec_class(**self.spec)

@@ -101,7 +101,7 @@ def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:
     try:
         lines = use(item, lambda: list(result_seams.summary_lines.of(own.text)(run)))
         if all(isinstance(line, tuple) and [type(text) for text in line] == [str, str] for line in lines):
-            return cast(list[tuple[str, str]], lines)
+            return lines
         raise PluginError(f"the summary line '{item.id}' returned lines that are not pairs of label and text")
     except PluginError as error:
         return [(item.name, f"not available: {error}")]

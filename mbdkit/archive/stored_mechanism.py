@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -152,7 +152,7 @@ def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
     try:
         numbers = parameter_values(spec.get("parameters"))
         options, _ = with_expressions(validate, given, plugin.options, numbers, prefix="model", plugins=_OWN)
-        return StoredMechanism(plugin.build(options))
+        return StoredMechanism(cast(Mechanism, plugin.build(options)))
     except (MbdkitError, ArithmeticError, RecursionError) as error:
         why = error.message if isinstance(error, SpecError) else str(error)
         return StoredMechanism(None, f"only points of bodies are drawn: {lacks}, and its model cannot be built: {why}")

@@ -18,7 +18,7 @@ elementary_values: Callable[..., Any]
 installed_plugins: Callable[[], Any]
 """Returns the `PluginLookup` of the installed plugins, which finds the models of their options."""
 
-names_of_mechanisms: Callable[[], Any]
+names_of_mechanisms: Callable[[], list[str]]
 """Returns the names of the attributes that mechanisms have without elements of plugins."""
 
 symbolic_system: Callable[..., Any]
@@ -30,19 +30,19 @@ state_program: Callable[..., Any]
 state_values: Callable[..., Any]
 """Returns the values of an expression of the state at recorded states of a run; see `mbdkit.events.state_program`."""
 
-check_gradients: Callable[[Any, Any], None]
+check_gradients: Callable[..., None]
 """Raises `SpecError` if the gradients requested by a run spec do not exist with this method."""
 
-gradients_json: Callable[[Any], str]
+gradients_json: Callable[..., str]
 """Returns the gradients requested by a run spec, in the form stored in its archive."""
 
 gradient_of_run: Callable[..., Any]
 """Returns the derivatives of measures of a run; see `SpecKind.differentiate`."""
 
-run_errors: Callable[[Any], Any]
+run_errors: Callable[..., Any]
 """Returns what is known of the errors of a simulated run; see `mbdkit.archive.accuracy_summary.RunErrors`."""
 
-run_summary: Callable[[Any], str]
+run_summary: Callable[..., str]
 """Returns the summary of a run as lines of text."""
 
 run_frame: Callable[[Any, str], Any]
@@ -51,7 +51,7 @@ run_frame: Callable[[Any, str], Any]
 run_datatree: Callable[[Any, Any], Any]
 """Returns an open archive as an xarray DataTree, with some numbers of rows."""
 
-html_of: Callable[[Any], str] = repr
+html_of: Callable[[object], str] = repr
 """Returns an object as HTML, as notebooks show it."""
 
 built_in_measures: Callable[[], Any]

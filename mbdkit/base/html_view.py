@@ -1,4 +1,4 @@
-"""Base class of objects that notebooks show as HTML; `mbdkit.notebook` generates the HTML."""
+"""Base class of objects that notebooks show as HTML; a part generates the HTML."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ class _WrittenField(NamedTuple):
     may_be_absent: bool
     default: Any
 
-    def is_written(self, value: Any) -> bool:
+    def is_written(self, value: object) -> bool:
         if not self.may_be_absent:
             return True
         is_empty = value is None or (isinstance(value, Sized) and not len(value))
@@ -208,7 +208,7 @@ def canonical(value: Any) -> Any:
     return value
 
 
-def canonical_text(data: Any) -> str:
+def canonical_text(data: object) -> str:
     """Return plain data as the JSON that is hashed: without spaces, keys as ordered in the data, shortest numbers."""
     return _COMPACT.encode(data)
 
@@ -216,7 +216,7 @@ def canonical_text(data: Any) -> str:
 _COMPACT = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
-def json_text(data: Any, indent: int | None = None) -> str:
+def json_text(data: object, indent: int | None = None) -> str:
     """Return data as JSON; numbers that are not finite become null, and objects unknown to JSON become text."""
     return json.dumps(_finite(data), indent=indent, ensure_ascii=indent is None, allow_nan=False)
 
@@ -234,7 +234,7 @@ def _finite(data: Any) -> Any:
     return _finite(data.tolist()) if hasattr(data, "tolist") else str(data)
 
 
-def value_text(value: Any) -> str:
+def value_text(value: object) -> str:
     """Return a short description of a value for an error message, including its type unless it is obvious."""
     match value:
         case None:

@@ -102,7 +102,7 @@ class _Results:
     def __init__(self, stream: TextIO):
         self.stream, self.shown = stream, False
 
-    def show(self, text: Any) -> None:
+    def show(self, text: object) -> None:
         try:
             print(text, file=self.stream, flush=True)
         except OSError as error:
@@ -169,12 +169,12 @@ def _files(command: Any, options: Mapping[str, Any]) -> Iterator[str]:
             yield PurePath(one).name or str(one)
 
 
-def show(result: Any) -> None:
+def show(result: object) -> None:
     """Print a result to stdout."""
     (_results or _Results(sys.stdout)).show(result)
 
 
-def show_json(data: Any, indent: int | None = None) -> None:
+def show_json(data: object, indent: int | None = None) -> None:
     """Print a result to stdout as JSON; numbers that are not finite become null."""
     from mbdkit.base.plain_data import json_text
 

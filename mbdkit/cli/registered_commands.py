@@ -100,7 +100,7 @@ def _imported(item: Registered) -> Any:
         return group
     target = command.target()
     if not isinstance(target, typer.Typer):
-        target = _app(command.name, target)
+        target = _app(command.name, cast("Callable[..., None]", target))
     return typer.main.get_command(target)
 
 

@@ -198,7 +198,7 @@ def _validate(kind: SpecKind, source: Document | str, name: str, assignments: li
 
 
 @spec_check
-def validate_run(source: Document, spec: str, assignments: list[str]) -> None:
+def validate_run(source: Document | str, spec: str, assignments: list[str]) -> None:
     """Check a run spec, build its mechanism, and print what it defines."""
     from mbdkit.spec import load_spec
 

@@ -88,11 +88,12 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
         If the method does not support the mechanism.
     """
     traits, chosen = method.traits, workspace.mechanism.reacting
-    between: Steps | None = None
+    between: Callable[[CompiledMethod], CompiledMethod] | None = None
     if chosen is not None and (steps_of := chosen.item.method) is not None:
-        between = treatment_method.of(steps_of)(method, chosen.section)
-        if isinstance(between, StepMethod | ExternalMethod):
-            return StepHost(between, workspace, timetable)
+        treated = treatment_method.of(steps_of)(method, chosen.section)
+        if isinstance(treated, StepMethod | ExternalMethod):
+            return StepHost(treated, workspace, timetable)
+        between = treated
     if traits.compiled is None:
         method.require_formulation(FORMULATIONS[workspace.formulation])
         steps = method if traits.steps is None else traits.steps()(method)

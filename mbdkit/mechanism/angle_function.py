@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -31,7 +31,7 @@ class AngleCompiler(Compiler):
     error = AngleExpressionError
 
 
-def _columns(value: Any, key: str = "") -> Any:
+def _columns(value: object, key: str = "") -> object:
     return columns_of(value, key, at="angles", shown="angle, value")
 
 
@@ -51,12 +51,12 @@ class AngleTable(Table):
     """A cubic or quintic spline, with two or four continuous derivatives."""
 
     @staticmethod
-    def columns(value: Any, key: str = "") -> Any:
+    def columns(value: object, key: str = "") -> object:
         """Return the two columns of a table as tuples of floats; see `columns_of`."""
         return _columns(value, key)
 
 
-def _angle_function(value: Any) -> Any:
+def _angle_function(value: object) -> object:
     """Accept finite numbers and valid expressions of `angle`, and convert mappings to tables."""
     if isinstance(value, str):
         expression_of(value)

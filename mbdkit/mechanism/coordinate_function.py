@@ -43,7 +43,7 @@ def program_of(text: str) -> Program:
     return tuple(CoordinateCompiler(text).program())
 
 
-def _columns(value: Any, key: str = "") -> Any:
+def _columns(value: object, key: str = "") -> object:
     return columns_of(value, key, at="coordinates", shown="coordinate, value")
 
 
@@ -58,7 +58,7 @@ class _Points(Table):
     """A cubic or quintic spline, with two or four continuous derivatives."""
 
     @staticmethod
-    def columns(value: Any, key: str = "") -> Any:
+    def columns(value: object, key: str = "") -> object:
         """Return the two columns of a table as tuples of floats; see `columns_of`."""
         return _columns(value, key)
 

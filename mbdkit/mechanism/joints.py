@@ -149,7 +149,7 @@ class Revolute(PointJoint, At):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_clearance(cls, data: Any) -> Any:
+    def _no_clearance(cls, data: object) -> object:
         if isinstance(data, Mapping) and "clearance" in data:
             raise SpecError(
                 "a pin with clearance is a contact in place of the joint: under `contacts`, a {hole: {center, radius}} "
@@ -202,7 +202,7 @@ class Revolute(PointJoint, At):
         return gap
 
 
-def _not_zero(value: Any) -> Any:
+def _not_zero(value: object) -> object:
     """Reject a length of zero with a hint; everything else is checked by the type of the field."""
     if not isinstance(value, bool) and value == 0:
         raise SpecError("a distance of 0 leaves the direction between the points undefined: use a revolute joint")
@@ -406,7 +406,7 @@ class Driver(JointBase):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_friction(cls, data: Any) -> Any:
+    def _no_friction(cls, data: object) -> object:
         if isinstance(data, Mapping) and "friction" in data:
             raise SpecError(
                 "a driver has no bearing; give friction to the revolute or prismatic joint that carries the motion",

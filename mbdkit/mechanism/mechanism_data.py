@@ -52,7 +52,7 @@ class NamedCoordinate(StrictModel):
     """Value of the coordinate when the quantity is zero [m or rad]."""
 
 
-def _named(value: Any) -> Any:
+def _named(value: object) -> object:
     """Convert a coordinate that is given only by the name of its quantity to a mapping."""
     return {"of": value} if isinstance(value, str) else value
 

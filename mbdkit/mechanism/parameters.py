@@ -151,7 +151,7 @@ def evaluate(text: str, values: Values, known: list[str] | None = None) -> float
     return value
 
 
-def names_in(text: Any) -> set[str]:
+def names_in(text: object) -> set[str]:
     """Return the names in an expression; none if the value is not text."""
     return set(_NAME.findall(text)) if isinstance(text, str) else set()
 
@@ -267,7 +267,7 @@ class _NumberCompiler(Compiler):
         return super().operand(node)
 
 
-def _check(name: Any, value: Any) -> None:
+def _check(name: object, value: object) -> None:
     """Raise SpecError unless `name` can be used in expressions, and `value` is a number or text."""
     key = f"parameters.{name}"
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, ClassVar, Literal, NamedTuple, Protocol
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
@@ -142,7 +142,7 @@ class Coordinate(Between):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_angle(cls, data: Any) -> Any:
+    def _no_angle(cls, data: object) -> object:
         if isinstance(data, Mapping) and data.get("coordinate") == "angle":
             raise SpecError("for an angle, use the pathway {type: relative-angle, ...}", key="coordinate")
         return data

@@ -38,7 +38,7 @@ class StateSyntax(Compiler):
         return super().operand(node)
 
 
-def is_of_state(value: Any) -> bool:
+def is_of_state(value: object) -> bool:
     """Return whether a value is a text that contains a quantity of a run, such as ``bodies.leg.angle``."""
     return isinstance(value, str) and _QUANTITY.search(value) is not None
 
@@ -56,7 +56,7 @@ Value = Annotated[Number | str | Table, BeforeValidator(_value)]
 ValuePair = Annotated[tuple[Value, Value], BeforeValidator(pair("two numbers, expressions or tables [x, y]"))]
 
 
-def _rate(given: Any) -> Any:
+def _rate(given: object) -> object:
     if isinstance(given, str):
         StateSyntax(given).program()
         return given

@@ -129,7 +129,7 @@ def _place(details: ErrorDetails, path: Path) -> Path:
     return path
 
 
-def _is_unknown(first: tuple[ErrorDetails, Path, type[BaseModel] | None], *others: Any) -> bool:
+def _is_unknown(first: tuple[ErrorDetails, Path, type[BaseModel] | None], *others: object) -> bool:
     inner = first[0].get("ctx", {}).get("error")
     return first[0]["type"] == "extra_forbidden" or (
         isinstance(inner, SpecError) and inner.message.startswith("unknown key")
@@ -221,7 +221,7 @@ def _purpose(owner: type[BaseModel] | None, key: str) -> str:
     return f": {text[:1].lower()}{text[1:]}" if text else ""
 
 
-def _hint(kind: str, given: Any, path: Path) -> str:
+def _hint(kind: str, given: object, path: Path) -> str:
     if not isinstance(given, str) or len(given) > 60 or not kind.startswith(("float", "int")):
         return ""
     if re.fullmatch(r"\s*[-+]?\d+,\d+\s*", given):

@@ -22,7 +22,7 @@ class TextForNumberError(SpecError):
     """There is a text in place of a number; it may be an expression of parameters."""
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """Return a value as text for an error message, shortened to at most 60 characters."""
     text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
@@ -31,7 +31,7 @@ def _shown(value: Any) -> str:
 def pair(wanted: str) -> Callable[[Any], Any]:
     """Return a validator for a list, tuple or array of two items; `wanted` describes the pair in error messages."""
 
-    def check(value: Any) -> Any:
+    def check(value: object) -> object:
         plain = value.tolist() if hasattr(value, "tolist") else value
         if isinstance(plain, list):
             plain = tuple(plain)
@@ -46,7 +46,7 @@ def pair(wanted: str) -> Callable[[Any], Any]:
     return check
 
 
-def sequence(value: Any) -> Any:
+def sequence(value: object) -> object:
     """Return a list or array as a tuple, and any other value unchanged."""
     plain = value.tolist() if hasattr(value, "tolist") else value
     return tuple(plain) if isinstance(plain, list) else plain
@@ -195,7 +195,7 @@ class Table(StrictModel):
     and last values must be equal)."""
 
     @staticmethod
-    def columns(value: Any, key: str = "") -> Any:
+    def columns(value: object, key: str = "") -> object:
         """Return the two columns of a table as tuples of floats; see `columns_of`."""
         return columns_of(value, key)
 

@@ -104,7 +104,7 @@ def kind_of_word(word: str) -> Kind:
 
 @cache
 def _imported(item: Registered) -> Kind:
-    kind: Kind = use(item, cast(QuantityKind, item.plugin).checked_kind, Kind)
+    kind = cast(Kind, use(item, cast(QuantityKind, item.plugin).checked_kind, Kind))
     if item.origin.distribution == MBDKIT:
         return kind
     if not kind.is_optional or not all(array.optional for array in kind.arrays):

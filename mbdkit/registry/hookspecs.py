@@ -5,7 +5,8 @@ A distribution declares a module as a plugin in its ``pyproject.toml``::
     [project.entry-points.mbdkit]
     anything = "my_package.my_module"
 
-and the module implements some of the hooks below, marked with ``mbdkit.hookimpl``::
+and the module implements some of the hooks below, marked with ``mbdkit.hookimpl``, each of which returns items with
+different names::
 
     import mbdkit
 
@@ -33,24 +34,12 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 
 @hookspec
 def mbdkit_models() -> list[ModelPlugin]:  # type: ignore[empty-body]
-    """Return the models of this plugin.
-
-    Returns
-    -------
-    list of ModelPlugin
-        Each name once.
-    """
+    """Return the models of this plugin."""
 
 
 @hookspec
 def mbdkit_integrators() -> list[IntegratorPlugin]:  # type: ignore[empty-body]
-    """Return the integrators of this plugin.
-
-    Returns
-    -------
-    list of IntegratorPlugin
-        Each name once.
-    """
+    """Return the integrators of this plugin."""
 
 
 @hookspec
@@ -70,11 +59,6 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:  # type: ignore[empty-body]
             return strength/length**2, -2*strength/length**3, 0.0, -strength/length
 
         mbdkit.ForceLawPlugin("magnet", "Attraction", MagnetOptions, mbdkit.FunctionLaw(magnet, potential=True))
-
-    Returns
-    -------
-    list of ForceLawPlugin
-        Each name once.
     """
 
 
@@ -91,11 +75,6 @@ def mbdkit_studies() -> list[StudyPlugin]:  # type: ignore[empty-body]
             return Verdict("swings", "Swings", f"The joints come apart by {worst:.1e} m at most.")
 
         mbdkit.StudyPlugin("swings", "Steps of a swing", Path(__file__).parent / "swings.yaml", verdict)
-
-    Returns
-    -------
-    list of StudyPlugin
-        Each name once.
     """
 
 
@@ -115,11 +94,6 @@ def mbdkit_measures() -> list[MeasurePlugin]:  # type: ignore[empty-body]
         mbdkit.MeasurePlugin("jump-height", "Rise of a body above its start", JumpOptions, "m", jump_height)
 
     and a study names it: ``measures: {jump: {name: jump-height, body: pelvis}}``.
-
-    Returns
-    -------
-    list of MeasurePlugin
-        Each name once.
     """
 
 
@@ -135,9 +109,4 @@ def mbdkit_items() -> Iterable[Item]:  # type: ignore[empty-body]
         @hookimpl
         def mbdkit_items():
             return [Command(name="rocket", summary="Launch a rocket.", target=Target("my_package.launch:rocket"))]
-
-    Returns
-    -------
-    iterable of Item
-        Each name of a kind once.
     """

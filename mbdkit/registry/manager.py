@@ -170,13 +170,13 @@ def load_registry(
             reports.append(Report(f"{origin.distribution}:{entry_point.name}", None, origin, "disabled", reason, 0.0))
             continue
         begin = time.perf_counter()
-        found: list[Registered] = []
+        accepted: list[Registered] = []
         problems: list[tuple[str, Kind | None, str]] = []
         try:
             # stdout is reserved for the output of --json
             with contextlib.redirect_stdout(sys.stderr), in_this_process():
                 for hook, thing in _offered(entry_point, origin, manager):
-                    _accept(hook, thing, origin, known, found, problems)
+                    _accept(hook, thing, origin, known, accepted, problems)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a plugin may raise any exception, including SystemExit
@@ -184,12 +184,12 @@ def load_registry(
                 raise  # the installation or the environment is wrong
             problems.append((f"{origin.distribution}:{entry_point.name}", None, _sentence(error)))
         seconds = time.perf_counter() - begin
-        items += found
-        reports += [Report(item.id, item.kind, origin, "ok", None, seconds) for item in found]
+        items += accepted
+        reports += [Report(item.id, item.kind, origin, "ok", None, seconds) for item in accepted]
         for identifier, failed_kind, sentence in problems:
             reports.append(Report(identifier, failed_kind, origin, "error", sentence, seconds))
             log.warning("mbdkit: warning: plugin '%s' was not loaded: %s", identifier, sentence)
-    for folder, why in ((one.folder, one.why) for one in unusable):
+    for folder, why in ((distribution.folder, distribution.why) for distribution in unusable):
         origin = Origin(folder, "unknown", "")
         if reason := policy.reason_against(folder, ""):
             reports.append(Report(folder, None, origin, "disabled", reason, 0.0))
@@ -225,7 +225,7 @@ def _accept(
     thing: object,
     origin: Origin,
     known: set[tuple[Kind, str]],
-    found: list[Registered],
+    accepted: list[Registered],
     problems: list[tuple[str, Kind | None, str]],
 ) -> None:
     name = getattr(thing, "name", None)
@@ -245,7 +245,7 @@ def _accept(
         problems.append((identifier, kind or kinds[0], _sentence(error)))
     else:
         known.add((kind, item.id))
-        found.append(item)
+        accepted.append(item)
 
 
 def _fits(thing: object, hook: str, item_class: type[Item]) -> bool:

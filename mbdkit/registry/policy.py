@@ -105,13 +105,13 @@ class Policy:
             Distribution and name of each entry point.
         """
         here = {normalized_name(name) for pair in entry_points for name in (pair[0], "/".join(pair))}
-        told = [
+        sentences = [
             f"{variable} names {listed([repr(name) for name in sorted(names - here)], 'and')}, "
             "for which no plugin is installed"
             for variable, names in ((ALLOW, self.allowed or frozenset()), (DISABLE, self.disabled))
             if names - here
         ]
-        return "; ".join(told) or None
+        return "; ".join(sentences) or None
 
 
 def _names(text: str) -> frozenset[str]:

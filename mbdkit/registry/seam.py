@@ -17,7 +17,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from types import NoneType, UnionType
+from types import UnionType
 from typing import (
     Any,
     Concatenate,
@@ -40,6 +40,7 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 _MARK = "__mbdkit_seam__"
+_NAMED = inspect.Parameter.KEYWORD_ONLY
 
 
 class _Declaration:
@@ -54,8 +55,8 @@ class _Declaration:
         Types are compared as far as both functions have annotations of classes that can be imported.
         """
         wanted, given = inspect.signature(self._declared), inspect.signature(function)
-        positional = [name for name, one in wanted.parameters.items() if one.kind is not one.KEYWORD_ONLY]
-        named = {name: None for name, one in wanted.parameters.items() if one.kind is one.KEYWORD_ONLY}
+        positional = [name for name, parameter in wanted.parameters.items() if parameter.kind is not _NAMED]
+        named = {name: None for name, parameter in wanted.parameters.items() if parameter.kind is _NAMED}
         try:
             bound = given.bind(*positional, **named).arguments
         except TypeError:
@@ -140,10 +141,10 @@ def _fits(given: object, wanted: object) -> bool:
     if Any in (given, wanted):
         return True
     if get_origin(given) in (Union, UnionType):
-        return all(_fits(one, wanted) for one in get_args(given))
+        return all(_fits(member, wanted) for member in get_args(given))
     if get_origin(wanted) in (Union, UnionType):
-        return any(_fits(given, one) for one in get_args(wanted))
-    first, second = (get_origin(one) or (NoneType if one is None else one) for one in (given, wanted))
+        return any(_fits(given, member) for member in get_args(wanted))
+    first, second = (get_origin(hint) or hint for hint in (given, wanted))
     if given is None or wanted is None or not isinstance(first, type) or not isinstance(second, type):
         return True
     try:
@@ -153,7 +154,7 @@ def _fits(given: object, wanted: object) -> bool:
 
 
 def _arguments(signature: inspect.Signature) -> str:
-    texts = [str(one.replace(annotation=one.empty)) for one in signature.parameters.values() if one.name != "return"]
+    texts = [str(parameter.replace(annotation=parameter.empty)) for parameter in signature.parameters.values()]
     return f"({', '.join(texts)})"
 
 

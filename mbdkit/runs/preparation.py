@@ -142,7 +142,7 @@ def make_method(spec: RunSpec) -> Method:
     """
     try:
         with blaming(f"integrator {spec.integrator_item.id} failed to start"):
-            method: Method = spec.integrator_plugin.create(spec.integrator)
+            method = spec.integrator_plugin.create(spec.integrator)
     except SpecError as error:
         raise PluginError(f"integrator {spec.integrator_item.id}: {error}") from error
     if not isinstance(method, Method):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.run import Run
@@ -40,7 +40,7 @@ class StateWatcher(Protocol):
     def stored(self) -> object:
         """Return the state as plain values, for a checkpoint."""
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: Any) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
 
 

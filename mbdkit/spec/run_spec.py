@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import (
     AfterValidator,
@@ -510,7 +510,7 @@ def _derived(cls: type[RunSpec], kinds: tuple[ElementKind, ...]) -> type[RunSpec
     fields: dict[str, Any] = {}
     for kind in kinds:
         assert kind.section_model is not None
-        model = kind.section_model()
+        model = cast("type[BaseModel]", kind.section_model())
         fields[kind.section] = (model, Field(default=model(), description=f"How {kind.key_in_model} act."))
     derived = create_model(cls.__name__, __base__=cls, __module__=cls.__module__, __doc__=cls.__doc__, **fields)
     derived.ABSENT_BY_DEFAULT = (*cls.ABSENT_BY_DEFAULT, *fields)

@@ -73,8 +73,8 @@ def spec_loader(source: Source, assignments: Iterable[str], /) -> BaseModel:
 
 
 @Seam
-def spec_check(source: Source, name: str, assignments: list[str], /) -> None:
-    """Check a spec, which has a name for messages, and print what it defines."""
+def spec_check(source: Document | str, name: str, assignments: list[str], /) -> None:
+    """Check a document or a packaged spec, which has a name for messages, and print what it defines."""
     raise NotImplementedError
 
 

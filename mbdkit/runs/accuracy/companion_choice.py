@@ -177,7 +177,7 @@ def _guards_of_treatment(
 
 def _created(name: str, options: Mapping[str, Any]) -> Callable[[], Method]:
     plugin = cast(IntegratorPlugin, registry().get("integrator", name).plugin)
-    return partial(plugin.create, plugin.options(**options))
+    return cast("Callable[[], Method]", partial(plugin.create, plugin.options(**options)))
 
 
 def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timetable) -> tuple[Companion, Companion]:
@@ -196,7 +196,8 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
         table = replace(within, max_steps=spec.limits.max_steps * int(factor), step=spec.time.step if own else None)
         if own:
             update = {"rtol": tolerances.rtol, "atol": None if given.by_size else tolerances.atol}
-            create: Callable[[], Method] = partial(spec.integrator_plugin.create, options.model_copy(update=update))
+            changed = options.model_copy(update=update)
+            create = cast("Callable[[], Method]", partial(spec.integrator_plugin.create, changed))
             name = f"tolerance {tolerances.rtol:.2g}"
             run: tuple[str, Stabilization] = (spec.formulated.name, spec.stabilized)
         else:

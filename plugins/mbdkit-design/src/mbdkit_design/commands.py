@@ -157,7 +157,7 @@ def _cautions(spec: RunSpec | InverseSpec) -> Iterable[str]:
 
 
 @spec_check
-def validate_design(source: Document, name: str, assignments: list[str]) -> None:
+def validate_design(source: Document | str, name: str, assignments: list[str]) -> None:
     """Check a design spec, the specs of its scenarios and its expressions, and print
     what would be optimised.
     """

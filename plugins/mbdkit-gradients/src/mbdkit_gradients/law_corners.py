@@ -172,8 +172,8 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         return np.arange(begin, begin + 1 + int(values[begin]))
 
     for handle, kind in mechanism.kinds():
-        sides = kind.derivatives.sides
-        conditions += () if sides is None else law_sides.of(sides)(handle, places_of)
+        own_sides = kind.derivatives.sides
+        conditions += () if own_sides is None else law_sides.of(own_sides)(handle, places_of)
     if not conditions:
         return None
     without_law = top.states[top.states[:, STATE_ROW.segment] < 0]

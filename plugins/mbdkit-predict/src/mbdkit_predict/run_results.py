@@ -34,32 +34,27 @@ def _recorded(run: Run, name: str) -> Any:
     return json.loads(value) if isinstance(value, str) else value
 
 
-@run_attribute
 def objective(run: Run) -> float:
     """Return the smallest value of what is minimized, on the last mesh."""
     return float(_recorded(run, "objective"))
 
 
-@run_attribute
 def objective_error(run: Run) -> float:
     """Return the estimated error of the objective; nan if no optimum was found."""
     return float(_recorded(run, "objective_error"))
 
 
-@run_attribute
 def mesh(run: Run) -> list[tuple[int | tuple[int, ...], float]]:
     """Return the number of intervals, of each phase if there are several, and the objective of each mesh."""
     meshes = _recorded(run, "mesh")
     return [(tuple(count) if isinstance(count, list) else int(count), float(value)) for count, value in meshes]
 
 
-@run_attribute
 def parameters(run: Run) -> dict[str, float]:
     """Return the optimized numbers by their key path."""
     return {name: float(value) for name, value in _recorded(run, "optimized").items()}
 
 
-@run_attribute
 def controls(run: Run) -> dict[str, Any]:
     """Return the controls by their key path; `value` (T,) of each is its history."""
     _recorded(run, "objective")
@@ -68,7 +63,6 @@ def controls(run: Run) -> dict[str, Any]:
     return {name: run.states[states.get(name, name)] for name in paths}
 
 
-@run_attribute
 def sensitivities(run: Run) -> dict[str, float]:
     """Return derivatives of the optimum from the multipliers: by the key paths in `sensitivities`, by fixed durations,
     and by the values of conditions at the start and the end, such as ``final: block.x``.
@@ -76,13 +70,11 @@ def sensitivities(run: Run) -> dict[str, float]:
     return dict(_recorded(run, "sensitivities"))
 
 
-@run_attribute
 def starts(run: Run) -> list[float]:
     """Return the objective on the first mesh from each first guess; nan where no optimum was found."""
     return [math.nan if value is None else float(value) for value in _recorded(run, "starts")]
 
 
-@run_attribute
 def forward_run(run: Run) -> dict[str, float]:
     """Return how a run with the controls, by another method, differs from the motion, as a share of its range.
 
@@ -92,7 +84,6 @@ def forward_run(run: Run) -> dict[str, float]:
     return dict(_recorded(run, "forward_run"))
 
 
-@run_attribute
 def gain(run: Run) -> Callable[..., PredictedGain]:
     """Return the function of another prediction that returns the gain of this one; see `PredictedGain`.
 
@@ -143,3 +134,9 @@ def _of_starts(values: list[float]) -> str:
     ended = [f"{len(group)} at {group[0]:.6g}" for group in groups if len(group)]
     none = len(values) - len(optima)
     return f"of {len(values)}, {', '.join(ended + [f'{none} without an optimum'] * bool(none))}"
+
+
+for attribute in (
+    objective, objective_error, mesh, parameters, controls, sensitivities, starts, forward_run, gain,
+):  # fmt: skip
+    run_attribute(attribute)  # not as decorators, which would hide the classes of the results

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbdkit.plugin import Mechanism, Run
 from mbdkit.plugin.seams import Seam
@@ -28,7 +28,7 @@ def report_charts(run: Run, /) -> Iterable[Figure]:
 
 
 @Seam
-def film_data(run: Run, film: dict[str, Any], /) -> dict[str, Any]:
+def film_data(run: Run, film: dict[str, object], /) -> dict[str, object]:
     """Return the data of the player of a run with additions."""
     raise NotImplementedError
 

@@ -86,7 +86,7 @@ class Check(Generic[UnderTest]):
         return replace(result, name=self.name, what=self.what, seconds=time.process_time() - begin)
 
 
-def _supported_mechanisms(under_test: Any) -> str:
+def _supported_mechanisms(under_test: object) -> str:
     """Return a description of the mechanisms that a plugin claims to support; empty if it supports all."""
     return getattr(getattr(under_test, "claims", None), "mechanisms", "")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pydantic import ValidationError
@@ -74,7 +74,7 @@ def inputs(integrator: IntegratorUnderTest) -> Result:
     """The method does not modify its options, the start of the run, states passed to it, or states that it returned."""
     given = validated(integrator.plugin.options, integrator.options)
     before = given.model_dump_json()
-    made = integrator.plugin.create(given)
+    made = cast(Method, integrator.plugin.create(given))
     workspace = integrator.workspace(FORCED_PENDULUM)
     start = workspace.q0.copy(), workspace.v0.copy()
     watched = _Watched(made) if isinstance(made, StepMethod) else made
@@ -135,7 +135,7 @@ def _same(before: StepState, after: StepState, name: str) -> bool:
     return _bytes(getattr(before, name)) == _bytes(getattr(after, name))
 
 
-def _bytes(value: Any) -> bytes:
+def _bytes(value: object) -> bytes:
     return value.tobytes() if isinstance(value, np.ndarray) else pickle.dumps(value)
 
 

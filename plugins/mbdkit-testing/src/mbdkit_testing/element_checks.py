@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 from copy import deepcopy
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -38,11 +37,12 @@ from mbdkit.plugin.archives import kind_of_group
 from mbdkit.plugin.equations import StateObserver, Workspace
 from mbdkit.plugin.mechanisms import lines_of
 from mbdkit.plugin.runs import build
-from mbdkit.plugin.specs import Registered, Registry, described_units, description, load_spec, put
+from mbdkit.plugin.specs import described_units, description, load_spec, put
 from mbdkit_gradients.gradient import Gradient, gradient
 from mbdkit_statics.equilibrium import equilibrium
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped
+from mbdkit_testing.item_checks import ItemUnderTest
 
 OF_FORCES = {"length": 0, "rate": 1, "force": 2, "power": 3}
 """Columns that the equations also contain, by their index in `mbdkit.plugin.Observed.forces`."""
@@ -53,18 +53,18 @@ ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9}
 """Method for examples with adaptive steps, where it matters."""
 
 
-@dataclass
-class ElementUnderTest:
-    """A kind of elements, which has no `options`, and the registry of installed plugins."""
+class ElementUnderTest(ItemUnderTest):
+    """A kind of elements under test."""
 
-    item: Registered
-    options: dict[str, Any]
-    installed: Registry
-    claims: dict[str, Any] = field(default_factory=dict)
+    @property
+    def kind(self) -> ElementKind:
+        """The kind of elements."""
+        return cast(ElementKind, self.item.plugin)
 
-    def __post_init__(self) -> None:
-        self.kind = cast(ElementKind, self.item.plugin)
-        self.key = self.kind.key_in_model
+    @property
+    def key(self) -> str:
+        """Key of the elements in the model."""
+        return self.kind.key_in_model
 
     @cached_property
     def spec(self) -> RunSpec:

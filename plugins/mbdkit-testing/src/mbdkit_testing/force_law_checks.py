@@ -7,19 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from mbdkit.kernels import LAW
 from mbdkit.mechanism.law_parameters import law_range
-from mbdkit.plugin import ForceLawPlugin, RunSpec, SpecError, listed, simulate
+from mbdkit.plugin import ExpressionLaw, ForceLawPlugin, FunctionLaw, RunSpec, SpecError, TracedLaw, listed, simulate
 from mbdkit.plugin.equations import bind_law
-from mbdkit.plugin.specs import Registered, Registry
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
+from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
 FAR = 10.0
@@ -53,20 +53,15 @@ ARGUMENTS = ("length", "rate", "time")
 
 
 @dataclass
-class ForceLawUnderTest:
+class ForceLawUnderTest(ItemUnderTest):
     """A force law with options.
 
     Parameters
     ----------
-    options
-        Options of the law, as in an element of type ``law``.
     random
         Number of samples at random places.
     """
 
-    item: Registered
-    options: dict[str, Any]
-    installed: Registry
     random: int = field(default=RANDOM, repr=False)
 
     @property
@@ -82,6 +77,11 @@ class ForceLawUnderTest:
         law = self.plugin.law
         return {"potential": law.potential not in (None, False), "passive": law.passive}
 
+    @property
+    def law(self) -> ExpressionLaw | FunctionLaw | TracedLaw:
+        """The law."""
+        return cast("ExpressionLaw | FunctionLaw | TracedLaw", self.plugin.law)
+
     @cached_property
     def element(self) -> Any:
         """An element of type ``law`` with these options."""
@@ -91,7 +91,7 @@ class ForceLawUnderTest:
     @cached_property
     def compiled(self) -> tuple[Any, np.ndarray]:
         """The machine code of the law and its numeric options."""
-        bound, numbers = bind_law(self.plugin.law, self.element, self.item.id)
+        bound, numbers = bind_law(self.law, self.element, self.item.id)
         return bound, np.array(numbers)
 
     @cached_property
@@ -101,7 +101,7 @@ class ForceLawUnderTest:
         They are the valid range of the law; where it has no bound, it is limited by means of `FAR`.
         """
         found = []
-        for argument, (low, high) in law_range(self.plugin.law, self.element, self.item.id).items():
+        for argument, (low, high) in law_range(self.law, self.element, self.item.id).items():
             first = 0.0 if argument == "time" else -FAR
             low, high = (
                 low if low > -math.inf else min(first, high - FAR),
@@ -119,7 +119,7 @@ class ForceLawUnderTest:
     def rates(self, places: np.ndarray) -> dict[str, np.ndarray]:
         """Return the rates (N,) of the first-order states at their initial values, by name; see `__call__`."""
         found = {}
-        for state in self.plugin.law.states:
+        for state in self.law.states:
             bound, numbers = bind_law(state.rate, self.element, self.item.id)
             found[state.name] = self._values(places, bound, np.array(numbers))[:, 0]
         return found
@@ -360,7 +360,7 @@ def _climb(merit: Callable[[np.ndarray], np.ndarray], places: np.ndarray, span: 
 @check("law.states")
 def states(law: ForceLawUnderTest) -> Result:
     """The rates of first-order states are finite over the range, and the states of a run converge with the step."""
-    if not law.plugin.law.states:
+    if not law.law.states:
         raise Skip("it has no first-order states")
     for name, rates in law.rates(law.places).items():
         wrong = ~np.isfinite(rates)
@@ -372,14 +372,14 @@ def states(law: ForceLawUnderTest) -> Result:
         with simulate(_mass_on(law, step)) as run:
             if run.status != "complete":
                 return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
-            finals.append([float(run.states[f"law.{one.name}"].value[-1]) for one in law.plugin.law.states])
+            finals.append([float(run.states[f"law.{one.name}"].value[-1]) for one in law.law.states])
     changes = np.abs(np.diff(np.array(finals), axis=0))
     size = np.maximum(np.max(np.abs(finals), axis=0), 1e-300)
     worst = int(np.argmax(changes[-1] / size))
     coarse, fine = (float(x) for x in changes[:, worst] / size[worst])
     if fine < ROUNDING or fine < coarse / 4:
         return passed(change=fine).within({"change": max(ROUNDING, coarse / 4)})
-    name = law.plugin.law.states[worst].name
+    name = law.law.states[worst].name
     return failed(f"its state '{name}' in a run does not converge with the step", coarse=coarse, fine=fine)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -84,8 +84,7 @@ class IntegratorUnderTest:
     def method(self, **changes: Any) -> Method:
         """Return a new method; `changes` are values of options that replace those of this integrator."""
         options = validated(self.plugin.options, {**self.options, **changes})
-        method: Method = self.plugin.create(options)
-        return method
+        return cast(Method, self.plugin.create(options))
 
     def spec(self, model: Mapping[str, Any], time: Mapping[str, Any], **sections: Any) -> RunSpec:
         """Return the spec of a run; ``options`` among the `sections` changes options of the integrator, and

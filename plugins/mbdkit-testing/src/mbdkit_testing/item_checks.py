@@ -1,8 +1,9 @@
-"""The check of items of every kind: the functions that they name exist, and are what mbdkit calls."""
+"""Items under test, and the check of items of every kind: their functions exist, and are what mbdkit calls."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from mbdkit.plugin.specs import Registered, Registry
@@ -12,16 +13,30 @@ from mbdkit_testing.check_result import Result, passed
 
 @dataclass
 class ItemUnderTest:
-    """An item of any kind, which has no `options`."""
+    """An item of any kind under test.
+
+    Parameters
+    ----------
+    item
+        The item in the registry.
+    options
+        Its options, as in a spec; empty if it has none.
+    installed
+        The registry of installed plugins, in which the item is looked up by name.
+    """
 
     item: Registered
     options: dict[str, Any]
     installed: Registry
-    claims: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def claims(self) -> Mapping[str, object]:
+        """Claims of the item by name."""
+        return {}
 
 
 @check("contract.functions")
-def functions(under_test: Any) -> Result:
+def functions(under_test: ItemUnderTest) -> Result:
     """Every function that the item names exists, is decorated, and takes and returns what its decorator declares."""
     under_test.item.plugin.check_targets()
     return passed(functions=len(under_test.item.plugin.targets()))

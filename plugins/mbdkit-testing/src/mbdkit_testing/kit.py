@@ -82,7 +82,7 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], install
     item = installed.get(kind, name)
     has_options = isinstance(item.plugin, Plugin)
     if options and not has_options:
-        raise SpecError(f"a {item.plugin.label()} has no options", key=next(iter(options)))
+        raise SpecError(f"'{item.id}' has no options", key=next(iter(options)))
     chosen = plain_options(item, options) if has_options else {}
     types: dict[Kind, Callable[[Registered, dict[str, Any], Registry], Any]] = {
         "integrator": IntegratorUnderTest,

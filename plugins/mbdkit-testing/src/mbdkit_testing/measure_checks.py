@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from mbdkit.plugin import MbdkitError, MeasurePlugin, Run, simulate
-from mbdkit.plugin.specs import Registered, Registry, load_spec, named_options
+from mbdkit.plugin.specs import load_spec, named_options
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
+from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated
 
 EXAMPLES = ("double-pendulum", "knee", "slider-crank")
 """Packaged examples; a measure is applied to a short run of each of them."""
 
 
-@dataclass
-class MeasureUnderTest:
-    """A measure with options.
-
-    Parameters
-    ----------
-    options
-        Options of the measure, as in a study spec.
-    """
-
-    item: Registered
-    options: dict[str, Any]
-    installed: Registry
-    claims: dict[str, Any] = field(default_factory=dict)
+class MeasureUnderTest(ItemUnderTest):
+    """A measure with options."""
 
     @property
     def plugin(self) -> MeasurePlugin:

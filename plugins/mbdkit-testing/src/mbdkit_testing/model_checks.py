@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -12,10 +11,10 @@ from mbdkit.kernels import motions_at
 from mbdkit.plugin import Driver, EquationsOfMotion, Mechanism, RunSpec, SpecError, simulate
 from mbdkit.plugin.measures import MAX_DEPTH
 from mbdkit.plugin.runs import build
-from mbdkit.plugin.specs import Registered, Registry
 from mbdkit.spec.run_spec import spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
+from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
 END = 1.0
@@ -25,20 +24,8 @@ DERIVATIVE = 1e-6
 """Largest relative difference between a derivative and finite differences."""
 
 
-@dataclass
-class ModelUnderTest:
-    """A model with parameters.
-
-    Parameters
-    ----------
-    options
-        Parameters of the model, as in a spec.
-    """
-
-    item: Registered
-    options: dict[str, Any]
-    installed: Registry
-    claims: dict[str, Any] = field(default_factory=dict)
+class ModelUnderTest(ItemUnderTest):
+    """A model with parameters."""
 
     @cached_property
     def spec_type(self) -> type[RunSpec]:

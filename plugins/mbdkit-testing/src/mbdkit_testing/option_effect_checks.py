@@ -30,7 +30,7 @@ def option_effects(law: ForceLawUnderTest) -> Result:
     names = list(law.plugin.options.model_fields)
     if not names:
         raise Skip("it has no options")
-    tried, effective = set(), {state.name for state in law.plugin.law.states}
+    tried, effective = set(), {state.name for state in law.law.states}
     symbols = _symbols(law)
     if symbols is not None and (absent := [name for name in names if name not in symbols | effective]):
         return failed(
@@ -77,7 +77,7 @@ def _choices(item: Registered, chosen: dict[str, Any]) -> Iterator[dict[str, Any
         yield chosen
 
 
-def _at(law: ForceLawUnderTest, options: dict[str, Any]) -> ForceLawUnderTest:
+def _at(law: ForceLawUnderTest, options: dict[str, object]) -> ForceLawUnderTest:
     return ForceLawUnderTest(law.item, options, law.installed, RANDOM_OF_VARIANTS)
 
 

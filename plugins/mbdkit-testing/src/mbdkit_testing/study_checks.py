@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-from mbdkit.plugin.specs import Registered, Registry
 from mbdkit_studies.compute.carry_out import study
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.points.planned_points import PlannedPoints
@@ -17,26 +14,11 @@ from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_testing.check import check
 from mbdkit_testing.check_result import Result, failed, passed
+from mbdkit_testing.item_checks import ItemUnderTest
 
 
-@dataclass
-class StudyUnderTest:
-    """A packaged study under test.
-
-    Parameters
-    ----------
-    item
-        The study in the registry.
-    options
-        Empty: studies have no options.
-    installed
-        The registry of installed plugins, in which the study is looked up by name.
-    """
-
-    item: Registered
-    options: dict[str, Any]
-    installed: Registry
-    claims: dict[str, Any] = field(default_factory=dict)
+class StudyUnderTest(ItemUnderTest):
+    """A packaged study under test."""
 
     @cached_property
     def spec(self) -> StudySpec:

@@ -182,7 +182,7 @@ def test_a_function_without_a_decorator_is_refused(folder: Path, monkeypatch: py
         check_item(Registered("spec-kind", items["jump"], Origin("acme", "1.0", "")))
 
 
-@pytest.mark.end_to_end
+@pytest.mark.slow  # mypy reads all of mbdkit
 def test_mypy_finds_every_wrong_signature_where_it_is_written(folder: Path) -> None:
     pytest.importorskip("mypy")
     files = [f"{module(number)}.py" for number in range(len(WRONG) + 1)]

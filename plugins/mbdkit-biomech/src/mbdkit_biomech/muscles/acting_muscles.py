@@ -221,10 +221,12 @@ class ActingMuscle:
     excitation: tuple[Program, list[tuple[str, str, str]]] | None = None
 
 
-@element_forces
 def forces_of(muscles: Mapping[str, Muscle]) -> dict[str, MuscleForce]:
     """Return muscles as force elements by name."""
     return {name: MuscleForce(name, muscle) for name, muscle in muscles.items()}
+
+
+element_forces(forces_of)
 
 
 @lowering

@@ -6,10 +6,11 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, MbdkitError, RunSpec, StepError, one_line, simulate
+from mbdkit.plugin import EquationsOfMotion, MbdkitError, Method, RunSpec, StepError, one_line, simulate
 from mbdkit.plugin.equations import NONE, Workspace
 from mbdkit.plugin.methods import Stretch, Timetable, start_method
 from mbdkit.plugin.runs import build
@@ -159,7 +160,7 @@ def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
     failure.
     """
     try:
-        stepper = start_method(spec.integrator_plugin.create(spec.integrator), workspace, table)
+        stepper = start_method(cast(Method, spec.integrator_plugin.create(spec.integrator)), workspace, table)
         parts = []
         while not (stepper.finished or stepper.failure):
             parts.append(stepper.advance())
