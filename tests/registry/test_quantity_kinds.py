@@ -170,11 +170,6 @@ print(any(name.startswith("mbdkit_biomech") for name in sys.modules))
 @pytest.mark.parametrize(
     ("before", "after", "sentence"),
     [
-        (
-            "is_optional=True",
-            "since='1.1', is_optional=True",
-            "has arrays with `since`, a version of mbdkit's own layout",
-        ),
         (", is_optional=True", "", "has arrays that are not optional, as those of plugins must be"),
         ('word="wear"', 'word="worn"', "the word of its kind is 'worn', not 'wear'"),
         (
