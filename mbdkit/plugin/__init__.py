@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.base.errors import (
         ArchiveError as ArchiveError, MbdkitError as MbdkitError, PluginError as PluginError,
         ResourceError as ResourceError, RunError as RunError,
-        SpecError as SpecError, StepCode as StepCode, StepError as StepError, UnknownNameError as UnknownNameError,
+        SpecError as SpecError, StepError as StepError, UnknownNameError as UnknownNameError,
         UnsupportedMechanismError as UnsupportedMechanismError, blaming as blaming, file_error as file_error,
         with_place as with_place,
     )
