@@ -7,7 +7,7 @@ have no self-stresses.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,11 +17,7 @@ from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.linear_systems import SparseFactors
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-
-    Matrix = np.ndarray | csr_array
 
 SMALL = 1e-9
 """Singular values of the scaled Jacobian below this count as zero. Round-off causes values of 1e-15 to 1e-11."""
@@ -73,7 +69,7 @@ def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
     return np.array([i for i, row in enumerate(compiled.rows) if row.pair in kept], dtype=np.int64)
 
 
-def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray) -> Matrix:
+def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray) -> Any:
     """Return a matrix with the given entries and without empty columns: dense up to `MOST_DENSE` rows, else sparse."""
     columns, column = np.unique(column, return_inverse=True)
     shape = (m, len(columns))
@@ -86,7 +82,7 @@ def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray
     return dense
 
 
-def self_stresses(jacobian: Matrix, expected: int = 0) -> np.ndarray:
+def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
     """Return an orthonormal basis (m, r) of the left null space of a matrix.
 
     Parameters
@@ -115,7 +111,7 @@ def self_stresses(jacobian: Matrix, expected: int = 0) -> np.ndarray:
     return basis[:, values < SMALL]
 
 
-def smallest_stress(jacobian: Matrix) -> tuple[np.ndarray, float]:
+def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
     """Return the left singular vector (m,) of the smallest singular value of a matrix (m, n), and that value.
 
     The matrix has the format of `scaled_matrix`. If it has more rows than columns, the value is 0.
@@ -143,7 +139,7 @@ def _singular_vectors(y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.ascontiguousarray(y[order].T), values[order]
 
 
-def _smallest(jacobian: Matrix, some: int) -> tuple[np.ndarray, np.ndarray]:
+def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
     """Return left singular vectors of the `some` smallest singular values, and these values, in descending order.
 
     The sparse matrix ``[I, J^T; J, -TRACE]`` is factorized for inverse iteration with ``J J^T + TRACE``.

@@ -163,7 +163,7 @@ class PinnedBundle:
 
     def replace(self, bundle: Bundle) -> None:
         """Store another bundle of the same type; `address` may change."""
-        self.bundle = bundle
+        self.bundle: Any = bundle
         words = words_of(bundle)
         if len(words) != len(self._block):
             self._block = np.zeros(len(words), dtype=np.int64)

@@ -89,12 +89,12 @@ def kernel(function: Callable[..., object]) -> Kernel:
     return DECLARED.kernels.setdefault(_symbol(function), Kernel(_symbol(function), function))
 
 
-def entry(function: Callable[..., object]) -> Entry:
+def entry(function: Callable[[int, int, float, float, float], int]) -> Entry:
     """Declare a function that kernels call by its address; see `mbdkit.engine.native.kernel`."""
     return DECLARED.entries.setdefault(_symbol(function), Entry(_symbol(function), function))
 
 
-def law_function(function: Callable[..., object]) -> LawFunction:
+def law_function(function: Callable[..., None]) -> LawFunction:
     """Declare a function of force laws, which kernels call by its address; see `mbdkit.engine.native.calls`.
 
     Its arguments are the program, length, rate, time, and the addresses of the parameters and of the results.

@@ -34,7 +34,7 @@ _CODES = {int: "q", bool: "q", float: "d"}
 Called = TypeVar("Called", bound=Callable[..., object])
 MODULES: dict[str, dict[str, Any]] = {}
 """Global names of the modules of kernels."""
-_ENTRIES: dict[int, Callable[..., object]] = {}
+_ENTRIES: dict[int, Callable[[int, int, float, float, float], int]] = {}
 """Entries by address; used only with ``MBDKIT_KERNELS=python``."""
 
 
