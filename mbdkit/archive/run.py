@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -183,8 +183,8 @@ class Run(RecordedData, HtmlView):
     def errors(self) -> StatedErrors:
         """What is known of the errors of the run, and how it is stated."""
         of_kind = self.spec_kind.errors
-        stated: StatedErrors = higher_layers.run_errors(self) if of_kind is None else of_kind()(self)
-        return stated
+        stated = higher_layers.run_errors if of_kind is None else of_kind()
+        return cast("Callable[[Run], StatedErrors]", stated)(self)
 
     @cached_property
     def integrals(self) -> Integrals:

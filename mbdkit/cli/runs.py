@@ -322,7 +322,7 @@ def rerun(
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Repeat the run in an archive."""
     from mbdkit.base.errors import SpecError
-    from mbdkit.runs.run_seams import repeated_run
+    from mbdkit.runs.run_seams import computed_run, repeated_run
     from mbdkit.spec.spec_kinds import spec_loader
 
     try:
@@ -330,8 +330,7 @@ def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: boo
         with progress_bar(archive.name, quiet) as progress:
             if kind.repeat is None:
                 spec = spec_loader.of(kind.load)(before.spec, ())
-                repeated: Run = kind.compute()(spec, path=output, overwrite=overwrite, progress=progress)
-                return repeated
+                return computed_run.of(kind.compute)(spec, path=output, overwrite=overwrite, progress=progress)
             return repeated_run.of(kind.repeat)(before, archive, output, overwrite=overwrite, progress=progress)
     except SpecError as error:
         raise error.located(file=archive) from error

@@ -129,6 +129,7 @@ class SpecKind(Feature):
         "validate": "spec_check",
         "is_packaged": "packaged_spec",
         "schema": "spec_schema",
+        "compute": "computed_run",
         "repeat": "repeated_run",
     }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Never, Protocol
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.run import Run
@@ -13,7 +13,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.states import States
-from mbdkit.registry.seam import Seam
+from mbdkit.registry.seam import OwnSeam, Seam
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
@@ -88,6 +88,14 @@ def treatment_guards(method: Method, /) -> Mapping[str, int]:
 
 Progress = Callable[[float, float], None]
 """Function that is called with the time reached and the time at the end of a run [s]."""
+
+
+@OwnSeam
+def computed_run(
+    spec: Never, /, *, path: Path | None = None, overwrite: bool = False, progress: Progress | None = None
+) -> Run:
+    """Compute the run of a validated spec, and write it to `path`, or keep it in memory if that is None."""
+    raise NotImplementedError
 
 
 @Seam

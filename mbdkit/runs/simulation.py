@@ -40,6 +40,7 @@ from mbdkit.runs.preparation import build, caution, check_disk_space, make_metho
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import Continuation
+from mbdkit.runs.run_seams import computed_run
 from mbdkit.runs.simulated_run import Progress, Request, SimulatedRun
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource, Sections
@@ -148,6 +149,9 @@ def simulate(
         tables=tables or {},
     )  # fmt: skip
     return _finished(_ended(spec, request, progress))
+
+
+computed_run(simulate)
 
 
 def simulate_on(

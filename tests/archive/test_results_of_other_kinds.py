@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from mbdkit.plugin import Run, RunSpec, SpecKind, Target, hookimpl, loaded, simulate
 from mbdkit.plugin.archives import ResultTable, TableColumn
+from mbdkit.plugin.seams import computed_run, spec_loader
 
 
 class FitSpec(RunSpec):
@@ -28,10 +29,12 @@ class FitSpec(RunSpec):
     fit: tuple[float, ...]
 
 
+@spec_loader
 def load(source: Any, assignments: Any = (), **sections: Any) -> FitSpec:
     return loaded("fit", FitSpec, source, assignments, sections)
 
 
+@computed_run
 def compute(spec: FitSpec, *, path: Path | None = None, overwrite: bool = False, progress: Any = None) -> Run:
     '''Integrate a run for each speed, fit a line to their energies, and store the line with its covariance.'''
     rates, energies = np.array(spec.fit), []

@@ -27,13 +27,6 @@ from mbdkit.plugin import (
 )
 
 _HERE = Path(__file__).parent
-_QUANTITIES = {
-    "motion": ("ObservedHistory", "Observed quantities of a measured motion."),
-    "actuators": ("ActuatorHistory", "Values and powers of actuators in inverse dynamics."),
-    "muscles": ("MuscleHistory", "Lengths, activations, tensions and powers of muscles."),
-    "loads": ("LoadHistory", "Measured loads."),
-}
-"""Groups of archives in their order, each with the class of its histories."""
 
 
 @hookimpl
@@ -242,51 +235,6 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Peaks and impulses of the loads.",
             of="mbdkit_biomech.inverse_dynamics.results.workload:Workload",
             make=Target("mbdkit_biomech.inverse_dynamics.results.views:workload_view"),
-        ),
-        CriterionItem(
-            name="columns",
-            summary="Columns of the motion and their smoothing.",
-            order=0,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_columns"),
-            of=frozenset({"inverse"}),
-            criteria=(),
-        ),
-        CriterionItem(
-            name="loads",
-            summary="Measured loads.",
-            order=10,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_loads"),
-            of=frozenset({"inverse"}),
-            criteria=(),
-        ),
-        CriterionItem(
-            name="model",
-            summary="The model, forces without a point, turns and signs of angles.",
-            order=20,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_model"),
-            of=frozenset({"inverse"}),
-            criteria=(),
-        ),
-        CriterionItem(
-            name="record",
-            summary="The record, units of loads, and errors.",
-            order=30,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_record"),
-            of=frozenset({"inverse"}),
-            criteria=(),
-        ),
-        CriterionItem(
-            name="person",
-            summary="The person: plane of motion, joint centres, lengths and plates.",
-            order=40,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_person"),
-            of=frozenset({"inverse"}),
-            criteria=(),
         ),
         CriterionItem(
             name="excitations",

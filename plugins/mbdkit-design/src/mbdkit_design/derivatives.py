@@ -5,7 +5,7 @@ They are exact if the gradients of all scenarios can be computed; otherwise, the
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from mbdkit_gradients.gradient_check import GradientCheck, inaccurate_entries
 from mbdkit_gradients.gradient_parameters import resolved
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbdkit_design.evaluation import Evaluator
 
 STEP = 1e-4
@@ -99,7 +101,7 @@ def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradi
         with one_thread_of_linear_algebra():
             differentiate = spec.spec_kind.differentiate
             assert differentiate is not None
-            found.append(differentiate()(spec, definitions, parameters, check=check))
+            found.append(cast("Callable[..., Gradient]", differentiate())(spec, definitions, parameters, check=check))
     return found
 
 

@@ -25,7 +25,7 @@ from mbdkit_design.search import Search, advice, searches
 from mbdkit_design.stages import Stages
 from mbdkit_design.trust import Trust, certified
 from mbdkit_report import with_unit
-from mbdkit_studies.points.varied_values import start_warnings_of_study
+from mbdkit_studies import start_warnings_of_study
 
 LEAST_ERROR = 1e-3
 """Errors of measures at their limits are reported if they exceed this share of the limit."""

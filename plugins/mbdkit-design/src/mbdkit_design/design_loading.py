@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, cast
 
 from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, parse_path, path_text
 from mbdkit.plugin.files import Path
@@ -14,7 +14,7 @@ from mbdkit.plugin.specs import Document, example_names, kind_of, parse_key, put
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_report import stated_units
-from mbdkit_studies.spec.study_loading import base_source, document_of
+from mbdkit_studies import base_source, document_of
 
 
 def load_design_spec(source: object, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
@@ -134,7 +134,9 @@ def _scenario_spec(
 def spec_class(data: Mapping[str, Any]) -> type[RunSpec] | type[InverseSpec]:
     """Return the class of the spec of a scenario, given as plain data; other kinds are refused as run specs."""
     kind = kind_of(data)
-    return kind.model() if kind.model is not None and kind.run_kind in ("forward", "inverse") else RunSpec
+    if kind.model is None or kind.run_kind not in ("forward", "inverse"):
+        return RunSpec
+    return cast("type[RunSpec] | type[InverseSpec]", kind.model())
 
 
 def _put_all(data: dict[str, Any], given: Given) -> None:

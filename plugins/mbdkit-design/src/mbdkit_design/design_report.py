@@ -41,7 +41,7 @@ from mbdkit_report import (
     with_unit,
 )
 from mbdkit_report.seams import report_of_folder
-from mbdkit_studies.compute.executor_pool import Engine
+from mbdkit_studies import Engine
 
 if TYPE_CHECKING:
     from mbdkit_design.design import Design

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from mbdkit.archive.part_file import remove_checkpoint
 from mbdkit.plugin import RunSpec, SpecError, load
 from mbdkit.plugin.files import canonical_text, replacing
+from mbdkit.plugin.seams import computed_run
 from mbdkit.plugin.specs import read_file, variable_path
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design import Design
@@ -109,7 +110,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         for name, scenario in design.spec.specs.items():
             spec = ScenarioRuns(scenario).at([*settings, *check_of(scenario)])
             path = self.archive(which, name)
-            with spec.spec_kind.compute()(spec, path=path, overwrite=True) as run:
+            with computed_run.of(spec.spec_kind.compute)(spec, path=path, overwrite=True) as run:
                 interrupted = run.status == "interrupted"
             if interrupted:
                 path.unlink()

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from mbdkit.archive.headlines import MOST
 from mbdkit.plugin import MbdkitError, RunSpec, copied, headline_texts, plain, shown
+from mbdkit.plugin.seams import spec_loader
 from mbdkit.plugin.specs import kind_of, load_spec, put, read_source
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
 from mbdkit_explore.sliders import sliders
 from mbdkit_report import TONES, film_of
 from mbdkit_report.pages.run_report import yaml_text
-from mbdkit_studies.lanes.prepared_run import PreparedRun
+from mbdkit_studies import PreparedRun
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
@@ -71,7 +72,7 @@ class Explorer:
     def _inverse(self, data: dict[str, Any]) -> Run:
         document = read_source(self.spec)
         document.data = copied(data)
-        return inverse(kind_of(document.data).load()(document))
+        return inverse(cast("InverseSpec", spec_loader.of(kind_of(document.data).load)(document, ())))
 
     def _shown(self, made: Run, data: Mapping[str, Any]) -> dict[str, Any]:
         every = headline_texts(made, "\u00b1", max(MOST, len(made.measures)))  # all measures
@@ -115,4 +116,5 @@ def explorer_of(source: object, names: Sequence[str] | None = None, assignments:
     """
     document = read_source(source)
     kind = kind_of(document.data)
-    return Explorer((kind.load() if kind.run_kind else load_spec)(document, assignments), names)
+    load = spec_loader.of(kind.load) if kind.run_kind else load_spec
+    return Explorer(cast("RunSpec | InverseSpec", load(document, assignments)), names)

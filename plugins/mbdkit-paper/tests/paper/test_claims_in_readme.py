@@ -12,7 +12,7 @@ import mbdkit
 from mbdkit.guide.pages import find_page
 from mbdkit_paper.paper.published_results import magnitudes
 from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
-from mbdkit_report.analysis.verdict import Answer
+from mbdkit_report import Answer
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.benchmarks.paper_page import BEGIN, END, IN_SHORT, OF_A_MACHINE, full_entry

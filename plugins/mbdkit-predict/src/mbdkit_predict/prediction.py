@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.plugin import Run
-from mbdkit.plugin.seams import repeated_run
+from mbdkit.plugin.seams import computed_run, repeated_run
 from mbdkit.plugin.specs import Document
 from mbdkit_predict.export import require_casadi
 from mbdkit_predict.predict_loading import PredictSource, load_predict_spec
@@ -59,6 +59,9 @@ def compute(
     from mbdkit_predict.predicted_run import predicted
 
     return predicted(spec, path=path, overwrite=overwrite)
+
+
+computed_run(compute)
 
 
 @repeated_run

@@ -14,7 +14,8 @@ from mbdkit.archive.stored_mechanism import mechanism_json, read_mechanism
 from mbdkit.spec import load_spec
 from mbdkit.spec.loading import example_names
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
-from mbdkit_report.figures.drawing_geometry import Drawing, draw_mechanism, draw_run
+from mbdkit_report import Drawing, draw_mechanism
+from mbdkit_report.figures.drawing_geometry import draw_run
 from tests.archive.stored import SHORT, stored, swing
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 import mbdkit
 from mbdkit import Mechanism
-from mbdkit_report.figures.drawing_geometry import draw_mechanism
-from mbdkit_report.figures.mechanism_drawing import NamedPose, mechanism_svg
+from mbdkit_report import NamedPose, draw_mechanism
+from mbdkit_report.figures.mechanism_drawing import mechanism_svg
 from tests.laws.walker import SWEEP, walker
 
 

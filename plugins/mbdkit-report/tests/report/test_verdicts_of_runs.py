@@ -8,8 +8,7 @@ import h5py
 
 import mbdkit
 from mbdkit.archive.fingerprint import attributes_sha256
-from mbdkit_report.analysis.verdict import Answer
-from mbdkit_report.pages.run_report import run_report
+from mbdkit_report import Answer, run_report
 from mbdkit_report.pages.run_verdict import run_verdict
 from tests.trust.mechanisms import spec
 

@@ -5,35 +5,24 @@ from __future__ import annotations
 import signal
 import threading
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 from pydantic import ValidationError
 
-from mbdkit.plugin import (
-    EquationsOfMotion,
-    MbdkitError,
-    PluginError,
-    Run,
-    SpecError,
-    StepCode,
-    StepError,
-    StepMethod,
-    StepState,
-)
+from mbdkit.plugin import EquationsOfMotion, MbdkitError, PluginError, Run, SpecError, StepError, StepMethod, StepState
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.trial_models import CANNOT_MEET, FORCED_PENDULUM, NO_NUMBER, OUT_OF_REACH, SWINGING
 
-TYPED = (*get_args(StepCode), "max-steps", "wall-time", "fell-apart", "energy-jump", "branch-left", "out-of-range")
-"""Codes with which a method may end a run."""
+NOT_OF_METHODS = ("event", "plugin-error")
+"""Codes with which a method does not end a run by itself."""
 
 
-def _fault(run: Run, *, allowed: tuple[str, ...] = TYPED) -> str:
+def _fault(run: Run) -> str:
     """Return what is wrong with the way in which a run ended; empty if nothing is wrong."""
     code = run.status_reason.partition(":")[0]
-    if run.status == "failed" and code not in allowed:
+    if run.status == "failed" and code in NOT_OF_METHODS:
         return f"it ended with {run.status_reason.rstrip('.')}"
     for name in ("trajectory/position", "trajectory/velocity"):
         if not np.all(np.isfinite(run.array(name))):

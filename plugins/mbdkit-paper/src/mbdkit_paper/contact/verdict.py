@@ -16,13 +16,12 @@ from mbdkit_contact.modes import STICK
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_paper.wording import reported
 from mbdkit_report import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of, exceeds, together
+from mbdkit_studies import STEP, family, value
 from mbdkit_studies.results.judge import study_verdict
-from mbdkit_studies.results.point_selection import STEP, family, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study, StudyPoint
 
 G = 9.81
 EXACT = 1e-9

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_report import Cell, Trend, observed_order
-from mbdkit_studies.results.point_selection import STEP, Points, family
+from mbdkit_studies import STEP, Points, family
 
 if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study, StudyPoint
 
 COMBINATION = "method"
 """Axis of the combinations."""

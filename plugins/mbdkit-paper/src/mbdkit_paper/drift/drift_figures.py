@@ -11,7 +11,7 @@ from mbdkit_paper.drift.combination import COMBINATION, LONG, Combination
 from mbdkit_report import Axis, Figure, Line
 
 if TYPE_CHECKING:
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study
 
 DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
 """Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible."""

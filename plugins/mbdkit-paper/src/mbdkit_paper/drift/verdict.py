@@ -13,7 +13,7 @@ from mbdkit_report import Answer, Claim, Range, Table, Verdict, columns_of, exce
 from mbdkit_studies.results.judge import study_verdict
 
 if TYPE_CHECKING:
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study
 
 NEAR, APART = 0.2, 0.3
 """Observed and expected order agree if they differ by at most `NEAR`, and disagree if they differ by `APART` or more.

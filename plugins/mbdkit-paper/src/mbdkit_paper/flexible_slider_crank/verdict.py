@@ -16,12 +16,12 @@ import numpy as np
 from mbdkit_paper.drift.combination import state_of, two
 from mbdkit_paper.wording import reported
 from mbdkit_report import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict, columns_of, exceeds
+from mbdkit_studies import METHOD, STEP, value
 from mbdkit_studies.results.judge import study_verdict
-from mbdkit_studies.results.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study
 
 REFERENCE = ("Gauss 3", 2e-6)
 HELD = 1e-7

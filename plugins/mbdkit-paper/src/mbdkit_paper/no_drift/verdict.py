@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_paper.wording import reported
 from mbdkit_report import Answer, Claim, Table, Verdict, columns_of, exceeds
+from mbdkit_studies import value
 from mbdkit_studies.results.judge import study_verdict
-from mbdkit_studies.results.point_selection import value
 
 if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study, StudyPoint
 
 HELD = 1e-12
 """Bound on misalignment [1] and on velocity misalignment [1/s], both relative to the size of the mechanism."""

@@ -12,10 +12,10 @@ from mbdkit_paper.paper.published_results import GILL, METHODS, methods_of
 from mbdkit_paper.paper.substitution_timing import measured
 from mbdkit_paper.wording import two_digits
 from mbdkit_report import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, columns_of, exceeds
-from mbdkit_studies.results.point_selection import METHOD, family, value
+from mbdkit_studies import METHOD, family, value
 
 if TYPE_CHECKING:
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study
 
 SPEED_UP = 10_000.0
 """Claimed ratio of the time of an evaluation by substitution to that of a compiled evaluation, for two bodies."""

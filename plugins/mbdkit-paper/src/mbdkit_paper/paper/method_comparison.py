@@ -24,11 +24,10 @@ from mbdkit_report import (
     together,
     worst_history,
 )
-from mbdkit_studies.results.cost import at_equal_work, work_for
-from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, Points, family, value
+from mbdkit_studies import METHOD, MODEL, STEP, Points, at_equal_work, family, value, work_for
 
 if TYPE_CHECKING:
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study
 
 ORDERS = {GILL: 4, GAUSS2: 4, GAUSS3: 6}
 TOLERANCE = 0.2

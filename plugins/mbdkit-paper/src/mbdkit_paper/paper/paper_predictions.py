@@ -10,11 +10,11 @@ import numpy as np
 from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP, methods_of
 from mbdkit_paper.wording import least_most
 from mbdkit_report import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, together
-from mbdkit_studies.results.point_selection import METHOD, STEP, family
+from mbdkit_studies import METHOD, STEP, family
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study
 
 PREDICTED = {GAUSS2: Range(1e-3, 1.0, "mm"), GAUSS3: Range(1e-7, 1e-4, "mm")}
 PER_JOINT = Range(10.0, 100.0)

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_report import Answer, Axis, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, exceeds, together
-from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, Points, family, value
+from mbdkit_studies import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study, StudyPoint
 
 GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
 METHODS = (GILL, GAUSS2, GAUSS3)

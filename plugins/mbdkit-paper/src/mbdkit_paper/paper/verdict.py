@@ -12,11 +12,11 @@ from mbdkit_paper.paper.published_results import METHODS, magnitudes, ranking, t
 from mbdkit_paper.paper.source_paper import TITLE
 from mbdkit_paper.wording import UNDECIDED, least_most, reported
 from mbdkit_report import Answer, Cell, Claim, Table, Verdict, columns_of
+from mbdkit_studies import METHOD, MODEL, STEP, family, value
 from mbdkit_studies.results.judge import study_verdict
-from mbdkit_studies.results.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study
 
 NOTES = (
     f"The source paper is \u201c{TITLE}\u201d. Its author and DOI are not known to us.",

@@ -31,13 +31,12 @@ from mbdkit_report import (
     exceeds,
     together,
 )
-from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies import METHOD, STEP, at_equal_work, family, value, work_for
 from mbdkit_studies.results.judge import study_verdict
-from mbdkit_studies.results.point_selection import METHOD, STEP, family, value
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run
-    from mbdkit_studies.study import Study
+    from mbdkit_studies import Study
 
 STANDARD = 0.08
 DAE = 0.008

@@ -18,6 +18,7 @@ from mbdkit.plugin.archives import check_target
 from mbdkit.plugin.doubts import angles_in_degrees
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.measures import check_measures
+from mbdkit.plugin.seams import computed_run
 from mbdkit.plugin.terminal import logger_of, warn_on_stderr
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.criteria.changed_axes import changed_axes
@@ -112,6 +113,7 @@ def _cause_in_markers(problem: InverseProblem, time: float) -> str | None:
     return exchanged or changed_axes(problem)
 
 
+@computed_run
 def compute_run(
     spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False, progress: object = None
 ) -> Run:
