@@ -16,6 +16,7 @@ class ReadOnlyDict(dict[K, V]):
     """
 
     def _refuse(self, *args: Any, **named: Any) -> NoReturn:
+        """Raise TypeError."""
         raise TypeError(f"a {type(self).__name__} cannot be changed")
 
     __setitem__ = __delitem__ = __ior__ = _refuse

@@ -154,7 +154,7 @@ DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "unknown status": (attribute("/", "status", "done"), "status is 'done', not one of"),
     "still running": (attribute("/", "status", "running"), "the run did not end"),
     "reason without failure": (attribute("/", "status_reason", "singular: x"), "a complete run has the status_reason"),
-    "failure without reason": (attribute("/", "status", "failed"), "status_reason of a failed run should be a known"),
+    "failure without reason": (attribute("/", "status", "failed"), "status_reason of a failed run should be a code"),
     "date of another kind": (attribute("/", "created_utc", "today"), "created_utc is 'today'"),
     "counter missing": (attribute("stats", "steps", None), "steps of stats is missing"),
     "counter no integer": (attribute("stats", "steps", 3.5), "steps of stats is not an integer"),

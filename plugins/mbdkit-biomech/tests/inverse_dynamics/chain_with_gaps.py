@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from tests.inverse_dynamics.drawn_mechanisms import Drawn, draw
 from tests.inverse_dynamics.noisy_pendulum import pendulum
 
 import mbdkit
+from tests.benchmarks.drawn_mechanisms import Drawn, draw
 
 TIME = np.linspace(0.0, 2.0, 201)
 

@@ -88,19 +88,23 @@ class BlockStorage(Storage):
     _NAME = re.compile(r"block-[0-9]{6,}\.h5")
 
     @property
-    def count(self) -> int:  # noqa: D102
+    def count(self) -> int:
+        """See `Storage.count`."""
         return self._blocks.count
 
-    def path(self, point: StudyPoint) -> Path:  # noqa: D102
+    def path(self, point: StudyPoint) -> Path:
+        """See `Storage.path`."""
         return self.folder.block(self._blocks.block_of(point.number - 1))
 
-    def open(self, point: StudyPoint) -> Run | None:  # noqa: D102
+    def open(self, point: StudyPoint) -> Run | None:
+        """See `Storage.open`."""
         if not point.row.data_sha256:
             return None
         with Block(self.path(point), self._sha256) as block:
             return block.run(point.number)
 
-    def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:  # noqa: D102
+    def joined_runs(self, runs: Iterable[tuple[StudyPoint, Run | None]]) -> JoinedRuns:
+        """See `Storage.joined_runs`."""
         if self.spec.store not in KEEPING_TIMES:
             raise NotStoredError("values over time", str(self.spec.store))
         for path in filter(Path.exists, map(self.folder.block, range(self._blocks.count))):

@@ -13,6 +13,7 @@ import numpy as np
 
 from mbdkit.plugin import Run, listed, plus_minus
 from mbdkit.plugin.archives import JOINTS_NAMED, RunErrors, errors_of_measures, peak_errors
+from mbdkit.plugin.seams import run_attribute
 
 
 class FrameErrors(RunErrors):
@@ -128,6 +129,7 @@ def known_rows(run: Run) -> np.ndarray:
     return np.asarray(np.all([known, *(~np.any(np.isnan(one), axis=1) for one in errors)], axis=0))
 
 
+@run_attribute
 def raw_misalignment(run: Run) -> np.ndarray:
     """Return the misalignment of each joint if bodies are placed by the measured data alone, (T, J) [m]; nan where
     undetermined. Raises MbdkitError if the run is not of inverse dynamics.
