@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import ast
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from mbdkit.engine.native.kernel import LawFunction
 from mbdkit.engine.native.machine_code import BUILDER, builder
 from mbdkit.engine.traced_law import traced_source
 from mbdkit.laws import exponential, gas_spring, linear, one_sided, tabulated
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, TracedLaw
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, LawState, TracedLaw
 from mbdkit.mechanism.law_parameters import law_parameters
 
 _STORED: Mapping[ForceLaw, LawFunction] = {
@@ -37,7 +37,7 @@ _STORED: Mapping[ForceLaw, LawFunction] = {
 }
 """The packaged laws, which have their own machine code."""
 
-_COMPILED: dict[tuple[ForceLaw, tuple[str, ...]], CompiledLaw] = {}
+_COMPILED: dict[tuple[ForceLaw | NativeLaw, tuple[str, ...]], CompiledLaw] = {}
 """Laws compiled by this process; keys are a law and the names of its parameters."""
 
 
@@ -71,16 +71,27 @@ class CompiledLaw:
 class NativeLaw:
     """A law that consists of machine code and integers of its own, which the code finds at the address of its program.
 
-    Attributes
+    Parameters
     ----------
     function
-        The code.
+        The code, declared by `mbdkit.kernels.law_function`.
     program
         The integers.
+    parameters
+        Function from an element to the numbers that the code finds behind their count, in this order; needed by the
+        `force_law` of a kind of elements.
+    potential, passive
+        Whether the fourth result is a potential, and whether all power that is not stored is dissipated, as in
+        `FunctionLaw`.
     """
 
     function: LawFunction
-    program: tuple[int, ...]
+    program: tuple[int, ...] = ()
+    parameters: Callable[[Any], Sequence[float]] | None = None
+    potential: bool = False
+    passive: bool = False
+    states: ClassVar[tuple[LawState, ...]] = ()
+    valid_range: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
 
 @cache
@@ -95,7 +106,7 @@ def _integers(program: tuple[int, ...]) -> np.ndarray:
     return np.array(program, dtype=np.int64)
 
 
-def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
+def bind_law(law: ForceLaw | NativeLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
     """Return a law that kernels can call, and the parameters of one element: first their number, then their values.
 
     Parameters
@@ -112,13 +123,13 @@ def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[
     PluginError
         If the law cannot be compiled, does not return derivatives, or fails to compute its parameters.
     """
-    names, values = law_parameters(law, options, name)
+    names, values = law_parameters(cast("ForceLaw", law), options, name)
     if (law, names) not in _COMPILED:
         _COMPILED[law, names] = _compile(law, dict(zip(names, values, strict=False)), name)
     return _COMPILED[law, names], [float(len(values)), *values]
 
 
-def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw:
+def _compile(law: ForceLaw | NativeLaw, example: dict[str, float], name: str) -> CompiledLaw:
     claims = HAS_POTENTIAL * (law.potential not in (None, False)) | PASSIVE * law.passive
     try:
         address, program, keeper = _code_of(law, example, duals=False)

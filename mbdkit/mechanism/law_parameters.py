@@ -8,11 +8,11 @@ from typing import Any
 
 from mbdkit.base.errors import PluginError, blaming
 from mbdkit.base.text import listed
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, FunctionLaw
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, TracedLaw
 
 
 def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, ...], list[float]]:
-    """Return the names and values of a law's parameters; those of a `FunctionLaw` have no names.
+    """Return the names and values of a law's parameters; those of functions and of machine code have no names.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def _parameters(law: ForceLaw, options: Any) -> tuple[tuple[str, ...], list[floa
         given = {option: value for option, value in every.items() if isinstance(value, int | float)}
     else:
         given = [getattr(options, option) for option in law_options(options)]
-    if isinstance(law, FunctionLaw):
+    if not isinstance(law, ExpressionLaw | TracedLaw):
         return (), [float(x) for x in given]
     names = tuple(sorted(given))
     return names, [float(given[name]) for name in names]

@@ -47,14 +47,14 @@ class _Declaration:
     """What both kinds of seams have: a name, and the comparison of functions with the declaration."""
 
     def __init__(self, declared: Callable[..., object]):
-        self.name, self.__doc__, self._declared = declared.__name__, declared.__doc__, declared
+        self.name, self.__doc__, self.declared = declared.__name__, declared.__doc__, declared
 
     def check(self, function: Callable[..., object]) -> None:
         """Raise PluginError if a function does not take or return what is declared.
 
         Types are compared as far as both functions have annotations of classes that can be imported.
         """
-        wanted, given = inspect.signature(self._declared), inspect.signature(function)
+        wanted, given = inspect.signature(self.declared), inspect.signature(function)
         positional = [name for name, parameter in wanted.parameters.items() if parameter.kind is not _NAMED]
         named = {name: None for name, parameter in wanted.parameters.items() if parameter.kind is _NAMED}
         try:
@@ -63,7 +63,7 @@ class _Declaration:
             raise PluginError(f"takes {_arguments(given)}, not {_arguments(wanted)}") from None
         if isinstance(function, type):
             return
-        declared, own = _hints(self._declared), _hints(function)
+        declared, own = _hints(self.declared), _hints(function)
         for name, place in zip(bound, [*positional, *named], strict=False):
             if not _fits(declared.get(place), own.get(name)):
                 raise PluginError(f"takes {_word(own[name])} as `{name}`, not {_word(declared[place])}")
