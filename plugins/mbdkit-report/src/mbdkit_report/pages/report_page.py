@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-import mbdkit
+from mbdkit.plugin.archives import own_version
 from mbdkit_report.analysis.verdict import Answer, Verdict
 from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Section, Table, columns_of
 from mbdkit_report.figures.palette import color_key, color_number, line_styles
@@ -122,7 +122,7 @@ class ReportPage:
 
     def html(self) -> str:
         """Return the HTML."""
-        return render("report.html", {"page": self, "version": mbdkit.__version__}, FILTERS)
+        return render("report.html", {"page": self, "version": own_version()}, FILTERS)
 
 
 def cell_text(value: Cell) -> str:
