@@ -196,10 +196,10 @@ def stored_file(symbol: str, level: Level) -> Path | None:
         if any(digest(name) != stored["files"][name] for name in names):
             return None
         target = this_platform()
-        return stored_folder(package, target) / library_name(group, target, level.of(group))
+        return stored_folder(package, target) / name_of_library(group, target, level.of(group))
 
 
-def library_name(group: str, target: Platform, level: str) -> str:
+def name_of_library(group: str, target: Platform, level: str) -> str:
     """Return the name of the file of a library; where it is compressed, ``.xz`` follows."""
     return f"{group}-{level}{_SUFFIXES.get(target.system, '.so')}"
 

@@ -145,7 +145,7 @@ def _objects(
     for built, names in jobs:
         for code in built:
             for symbol in names:
-                library = machine_code.library_name(group_of(symbol), code.platform, code.level.name)
+                library = machine_code.name_of_library(group_of(symbol), code.platform, code.level.name)
                 paths = found.setdefault((code.platform, library), [object_path(folder, sources.ELEMENTARY, code)])
                 paths.append(object_path(folder, symbol, code))
     return dict(sorted(found.items(), key=lambda item: (str(item[0][0]), item[0][1])))

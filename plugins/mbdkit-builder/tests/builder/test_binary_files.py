@@ -12,7 +12,7 @@ from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import PLATFORMS, Platform
 from mbdkit_builder import binary_files
 
-from .library_headers import MachOHeader, mach_o_header, time_of_linking, why_not_signed
+from .headers_of_libraries import MachOHeader, mach_o_header, time_of_linking, why_not_signed
 
 LIBRARIES = {"linux": {"libc.so.6"}, "macos": {"/usr/lib/libSystem.B.dylib"}, "windows": set[str]()}
 
