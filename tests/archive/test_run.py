@@ -19,6 +19,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArchiveContents
 from mbdkit.archive.run_writer import Ending
 from mbdkit.base.errors import MbdkitError, RunError, SpecError, UnknownNameError
+from mbdkit.registry.manager import registry
 from mbdkit.trust.criteria import Judgement
 
 from .making import PROVENANCE, SPEC, STATS, fill, largest, make, names, rows, steps, writer
@@ -186,14 +187,15 @@ def test_repr_is_short(run: Run) -> None:
 
 
 def test_every_column_says_what_it_is() -> None:
+    targets = [item.plugin.history for item in registry().of_kind("quantity")]
     columns = [
         value
-        for kind in vars(history).values()
+        for kind in [*vars(history).values(), *(target() for target in targets if target is not None)]
         if inspect.isclass(kind)
         for value in vars(kind).values()
         if isinstance(value, Column)
     ]
-    assert len(columns) > 45
+    assert len(columns) > 50
     for column in columns:
         assert column.__doc__
         assert "(T" in column.__doc__ or "(N" in column.__doc__

@@ -10,7 +10,7 @@ import pytest
 
 from mbdkit.spec import example_names, example_text
 from mbdkit.spec.schema import HOME, builtin_schema_text, run_schema
-from mbdkit.spec.spec_kinds import spec_kinds
+from mbdkit.spec.spec_kinds import kind_named, spec_kinds, spec_loader
 
 FOLDER = Path(__file__).parents[2] / "schemas"
 
@@ -41,9 +41,10 @@ def test_a_choice_is_made_by_name():
     assert {"gauss", "mbdkit:gauss", "rk4"} <= names
 
 
-@pytest.mark.parametrize("kind", ["run", "inverse", "design"])
-def test_every_packaged_example_names_the_schema(kind):
+@pytest.mark.parametrize("kind", [kind.name for kind in spec_kinds() if example_names(kind.name)])
+def test_every_packaged_example_is_valid_and_names_the_schema(kind):
     for name in example_names(kind):
+        assert spec_loader.of(kind_named(kind).load)(name, ())
         first = example_text(name).splitlines()[0]
         assert first == f"# yaml-language-server: $schema={HOME.format(kind)}"
 
