@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from mbdkit.base.distributions import MBDKIT
+from mbdkit.base.errors import MbdkitError, blaming
 from mbdkit.base.terminal import Commands, guard, show_json
 from mbdkit.cli.common_options import CONTEXT, PLAIN, Debug
 from mbdkit.registry.catalogue import Registered, Registry
@@ -100,8 +103,21 @@ def _imported(item: Registered) -> Any:
         return group
     target = command.target()
     if not isinstance(target, typer.Typer):
-        target = _app(command.name, cast("Callable[..., None]", target))
+        target = _app(command.name, _blamed(item, cast("Callable[..., None]", target)))
     return typer.main.get_command(target)
+
+
+def _blamed(item: Registered, function: Callable[..., None]) -> Callable[..., None]:
+    """Return the function of a command; if it raises an error, the plugin is blamed and not mbdkit."""
+    if item.origin.distribution == MBDKIT:
+        return function
+
+    @functools.wraps(function)
+    def call(*arguments: object, **options: object) -> None:
+        with blaming(f"the command '{item.id}' failed", MbdkitError, typer.Exit, typer.Abort, typer.BadParameter):
+            function(*arguments, **options)
+
+    return call
 
 
 def _schema_command(item: Registered, kind: SpecKind) -> Any:

@@ -188,12 +188,15 @@ def _write_assembled(kind: SpecKind, source: Document, name: str, assignments: l
 
 
 def _validate(kind: SpecKind, source: Document | str, name: str, assignments: list[str] | None) -> None:
+    from mbdkit.registry.manager import registry
+    from mbdkit.registry.use import use
     from mbdkit.spec.spec_kinds import spec_check, spec_loader
 
+    item = registry().get("spec-kind", kind.name)
     if kind.validate is not None:
-        spec_check.of(kind.validate)(source, name, assignments or [])
+        use(item, lambda check=kind.validate: spec_check.of(check)(source, name, assignments or []))  # type: ignore[misc]
     else:
-        spec_loader.of(kind.load)(source, assignments or ())
+        use(item, lambda: spec_loader.of(kind.load)(source, assignments or ()))
         show(f"{name}: this is valid as {kind.phrase}")
 
 

@@ -30,6 +30,8 @@ NUMERICAL = ("numpy", "scipy", "sympy", "h5py")
 
 def hello(name: str = "you") -> None:
     """Say hello."""
+    if name == "nobody":
+        raise LookupError(name)
     print(f"hello {name}")
 
 
@@ -161,6 +163,13 @@ def test_items_are_sorted_by_order_and_those_of_one_order_stay_as_they_were(entr
 def test_a_wrong_command_is_reported(fields, words, installed):
     (failure,) = checked(installed(acme=[greet(**fields)])).failures
     assert words in failure.error
+
+
+def test_an_error_in_a_command_of_a_plugin_is_its_own(installed):
+    installed(acme=[greet()])
+    outcome = CliRunner().invoke(app, ["greet", "--name", "nobody"])
+    assert outcome.exit_code == 4
+    assert "the command 'acme:greet' failed: LookupError" in outcome.output
 
 
 def test_a_plugin_adds_a_command_and_a_command_of_a_group(installed):
