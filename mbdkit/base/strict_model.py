@@ -18,9 +18,10 @@ from pydantic import (
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     TypeAdapter,
+    ValidationError,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, PydanticKnownError
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticKnownError
 
 # For its first schema, Pydantic reads the entry points of all distributions, and fails if one of them is damaged. Later
 # schemas have no plugins of Pydantic then.
@@ -142,3 +143,14 @@ def _definition(model: type) -> ast.ClassDef | None:
 @lru_cache(maxsize=64)
 def _tree(source: str) -> ast.Module:
     return ast.parse(source)
+
+
+def located_below(error: ValidationError, tag: str) -> ValidationError:
+    """Return the error with `tag` at the front of all locations, where pydantic puts the tag of a union."""
+    lines: list[InitErrorDetails] = []
+    for details in error.errors(include_url=False):
+        context = details.get("ctx", {})
+        kind: Any = details["type"]
+        line = InitErrorDetails(type=kind, loc=(tag, *details["loc"]), input=details["input"], ctx=context)
+        lines.append(line)
+    return ValidationError.from_exception_data(error.title, lines)

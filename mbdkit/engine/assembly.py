@@ -194,8 +194,9 @@ class _Assembly:
             if isinstance(joint, Revolute) and joint.center is not None
             for key, function in joint.center.functions
         ]
-        first = len(u) - OF_CENTER * len(top.centers)
-        for (key, function), jets in zip(functions, u[first:].reshape(-1, 2, 3), strict=True):
+        count = len(top.motion_start) - 1
+        of_centers = u[count - OF_CENTER * len(top.centers) : count]
+        for (key, function), jets in zip(functions, of_centers.reshape(-1, 2, 3), strict=True):
             if not np.all(np.isfinite(jets)):
                 sentence = (
                     f"{function!r} is not finite at the initial angle of the joint, or its first three derivatives are "

@@ -14,6 +14,7 @@ from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import ActingForce, ElementState, ForceElement, SampledController
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.friction_forces import FrictionForce, friction_forces
+from mbdkit.engine.function_laws import laws_of_function
 from mbdkit.engine.kernels import table_rows as rows
 from mbdkit.engine.kernels.applied_forces import (
     BODY_FORCE,
@@ -23,11 +24,13 @@ from mbdkit.engine.kernels.applied_forces import (
     TORQUE,
     VELOCITY_INPUT,
 )
+from mbdkit.engine.kernels.pose_functions import POSE
 from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression
 from mbdkit.engine.traced_law import Source, Traced
 from mbdkit.mechanism.element_kinds import element_kinds, forces_of
 from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joint_base import PoseFunction
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import LawForce, path_ends
@@ -224,6 +227,18 @@ class Lowering:
         self.pairs.append(rows.InteractionRow(*bodies, first))
         self.law_parameters += numbers
         for law in laws:
+            self._add_law_row(name, law, begin)
+        return first
+
+    def function(self, name: str, function: PoseFunction) -> int:
+        """Add the laws of a function of the pose of a joint; return the index of the first one.
+
+        The first law gives the value and the first two derivatives, the next one the third derivatives.
+        """
+        begin, first = len(self.law_parameters), len(self.laws)
+        self.law_parameters += [float(POSE + len(function.parameters)), *[0.0] * POSE]
+        self.law_parameters += [value for _, value in function.parameters]
+        for law in laws_of_function(function, name):
             self._add_law_row(name, law, begin)
         return first
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import plain
+from mbdkit.base.plain_data import plain, quoted
 from mbdkit.engine.compile_forces import Lowering, Numbers, acting_kinds, table
 from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
@@ -21,12 +21,15 @@ from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.pose_functions import ROWS
 from mbdkit.engine.kernels.table_rows import (
+    FUNCTION,
     JOINT,
     MULTIPLIER,
     PAIR,
     SECTION,
     SPARE,
+    FunctionRow,
     JointRow,
     MultiplierRow,
     PairRow,
@@ -36,6 +39,8 @@ from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.joint_base import Constraint, PoseFunction
+from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import ELEMENTS
 from mbdkit.registry.seam import OwnSeam
@@ -70,6 +75,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     forces.add_expressions(mechanism)
     beams = _Beams(mechanism, number)
     centered = _add_centers(pairs, motions)
+    functions = _add_functions(pairs, tuple(mechanism.joints), forces, len(motions.start) - 1)
     order, below = sparse_order(neighbours([pair.bodies for pair in pairs], ground))
     place = {pair: k for k, pair in enumerate(order)}
 
@@ -106,6 +112,9 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         sections=table(beams.sections, SECTION),
         section_parameters=np.array(beams.parameters, dtype=float).reshape(-1, PARAMETERS),
         **_of_joints_and_markers(mechanism, number),
+        functions=table(
+            [FunctionRow(*pairs[k].bodies, place[k], law, pairs[k].motion) for k, law in functions], FUNCTION
+        ),
         centers=np.array([pair.bodies for pair in centered], dtype=np.int64).reshape(-1, 2),
         motion_start=np.array(motions.start, dtype=np.int64),
         motion_ops=np.array(motions.ops, dtype=np.int64),
@@ -255,19 +264,40 @@ class _Pair:
     parameters: Numbers
     motion: int = -1
     center: Center | None = None
+    function: PoseFunction | None = None
+
+
+def _constraints(mechanism: Mechanism, name: str, joint: Joint) -> list[Constraint]:
+    try:
+        return joint.constraints(mechanism.relative_pose(joint))
+    except SpecError as error:
+        raise error.located(prefix=f"model.joints.{quoted(name)}") from None
 
 
 def _pairs(mechanism: Mechanism, number: dict[str, int], motions: CompiledMotions) -> list[_Pair]:
     """Return the pairs of rows of all joints. The rows of a pair have the same unit, metres or radians."""
     pairs: list[_Pair] = []
-    for j, joint in enumerate(mechanism.joints.values()):
+    for j, (name, joint) in enumerate(mechanism.joints.items()):
         a, b = joint.bodies
-        for one in joint.constraints(mechanism.relative_angle(a, b)):
+        for one in _constraints(mechanism, name, joint):
             motion = -1 if one.motion is None else motions.add(one.motion)
             numbers = (*one.points, *one.constants)
             ends = (number[a], number[b])
-            pairs.append(_Pair(j, one.first_row, one.rows, one.kind, ends, numbers, motion, one.center))
+            pairs.append(_Pair(j, one.first_row, one.rows, one.kind, ends, numbers, motion, one.center, one.function))
     return pairs
+
+
+def _add_functions(pairs: list[_Pair], names: Sequence[str], forces: Lowering, first_row: int) -> list[tuple[int, int]]:
+    """Add the laws of functions of the pose; return the number of the pair, and of the first law, of each.
+
+    Their values are in rows of ``Scratch.u`` from `first_row` on.
+    """
+    functions = []
+    for k, pair in enumerate(pairs):
+        if pair.function is not None:
+            functions.append((k, forces.function(names[pair.joint], pair.function)))
+            pairs[k] = replace(pair, motion=first_row + ROWS * (len(functions) - 1))
+    return functions
 
 
 def _add_centers(pairs: list[_Pair], motions: CompiledMotions) -> list[_Pair]:

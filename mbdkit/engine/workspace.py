@@ -26,9 +26,11 @@ from mbdkit.engine.kernels.cross_sections import STATE
 from mbdkit.engine.kernels.engine_bundles import Engine, Reacting, Scatter, Scratch, Solver, Topology
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.motions import OF_CENTER
+from mbdkit.engine.kernels.pose_functions import ROWS
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.kernels.table_rows import (
     BODIES,
+    FUNCTION,
     INTERACTION,
     LAW_ROW,
     LOAD,
@@ -253,6 +255,8 @@ class Workspace:
             return f"the value of load '{self.unusable_law()}' is not finite"
         if self.scratch.faulty[0] in self.mechanism.topology.interactions[:, INTERACTION.law]:
             return f"the force of {self.unusable_law()} is not finite"
+        if self.scratch.faulty[0] in self.mechanism.topology.functions[:, FUNCTION.law]:
+            return f"the constraint of joint '{self.unusable_law()}' is not finite"
         if self.locks:
             return (
                 f"the friction and the reaction of joint '{self.unusable_law()}' have no solution: the joint locks "
@@ -354,7 +358,8 @@ class Workspace:
 def finite_motions(top: Topology, u: np.ndarray) -> bool:
     """Return whether all values of `u` (motions, 3) that are used are finite; the derivatives of loads are not used."""
     driven = np.unique(top.pairs[:, PAIR.motion][top.pairs[:, PAIR.motion] >= 0])
-    centers = u[len(u) - OF_CENTER * len(top.centers) :]
+    count = len(top.motion_start) - 1
+    centers = u[count - OF_CENTER * len(top.centers) : count]
     return all(bool(np.all(np.isfinite(x))) for x in (u[:, 0], u[driven], centers))
 
 
@@ -378,11 +383,11 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     source = np.zeros(total)
     source[:n3] = top.mass[:-1].ravel()
     views = {name: source[offsets[name] : offsets[name] + r * c].reshape(r, c) for name, (r, c) in shapes.items()}
-    changing = len(top.states) + len(top.inputs) + len(top.reactions) + len(top.interactions) > 0
+    changing = any(map(len, (top.states, top.inputs, top.reactions, top.interactions, top.functions)))
     frictions, reactions = len(top.frictions), mechanism.size if mechanism.reacting is not None else 0
     zeros = {
-        "time": 1, "u": (len(top.motion_start) - 1, 3), "stack": (MAX_DEPTH, 3), "force": mechanism.size,
-        "phi": (p, 2), "phi_t": (p, 2), "gamma": (p, 2), "refinement": (p, 2),
+        "time": 1, "u": (len(top.motion_start) - 1 + ROWS * len(top.functions), 3), "stack": (MAX_DEPTH, 3),
+        "force": mechanism.size, "phi": (p, 2), "phi_t": (p, 2), "gamma": (p, 2), "refinement": (p, 2),
         "s": (s, 1), "grad": (s, 6), "hess": (s, 36), "tension": (s + 1, len(TENSION)),
         "interaction": (len(top.interactions), 6), "interaction_slopes": (1, 72),
         "section": (sections, STATE), "section_force": (sections, 4), "section_stress": (sections, 3),

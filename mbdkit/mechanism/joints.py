@@ -2,14 +2,14 @@
 
 A row is one scalar constraint equation. The bodies a and b are the first and the second body of a joint.
 
-To add a joint made of existing constraints, write its class here and add it to `Joint`. To add a new kind of
-constraint, define it in ``mbdkit_statics/element_definitions.py``.
+To add a joint made of existing constraints, write its class here and add it to `Joint`. A constraint that is a function
+of the relative pose of two bodies needs no definition here (`FunctionJoint`). To add another kind of constraint, define
+it in ``mbdkit_statics/element_definitions.py``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -17,104 +17,14 @@ from pydantic import BeforeValidator, Field, model_validator
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.angle_function import Center
-from mbdkit.mechanism.bodies import At, Attachment, Between, BetweenPoints, Body, FromTo
+from mbdkit.mechanism.bodies import At, Attachment, BetweenPoints, Body, FromTo
+from mbdkit.mechanism.joint_base import Constraint, FunctionJoint, JointBase, Mark, Pose, Travel
 from mbdkit.mechanism.joint_friction import JointFriction, PinFriction, SlideFriction
+from mbdkit.mechanism.joint_kinds import OfJointKinds
 from mbdkit.mechanism.values import Motion, Number, Point, Points, Positive
 
 if TYPE_CHECKING:
     import numpy as np
-
-Mark = Literal["pin", "slide", "weld", "bar", "none"]
-"""Plot symbol of a joint: a pin at its point, a guide along its axis, a weld, a bar between its points, or none."""
-
-
-@dataclass(frozen=True)
-class Constraint:
-    """One kinematic constraint of a joint: one or two scalar equations (rows) of the same unit.
-
-    Attributes
-    ----------
-    kind
-        Name of the symbolic definition of the constraint, such as ``revolute`` or ``fixed_angle``.
-    first_row
-        Index of the first row of the constraint among the rows of the joint.
-    rows
-        Number of rows.
-    points
-        Point on each body, in the frame of that body, (x_a, y_a, x_b, y_b) [m].
-    constants
-        Up to two further parameters of the constraint; unused ones are zero.
-    motion
-        Prescribed function of time; None if there is none.
-    center
-        Displacement of the first body's point as a function of the relative angle; None if the point is fixed.
-    """
-
-    kind: str
-    first_row: int
-    rows: int
-    points: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    constants: tuple[float, float] = (0.0, 0.0)
-    motion: Motion | None = None
-    center: Center | None = None
-
-
-Travel = tuple[float, float, float, float, float, float]
-"""The line of a slide: a's point in a's frame and b's point in b's frame [m], unit vector in a's frame; each (x, y)."""
-
-
-class JointBase(Between):
-    """Base class of joints: the properties of a joint type that the engine, the checks and the plots use."""
-
-    mark: ClassVar[Mark] = "pin"
-    is_driver: ClassVar[bool] = False
-    """Whether the joint prescribes a motion."""
-
-    @property
-    def point_moves_on_first(self) -> bool:
-        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
-        return False
-
-    @property
-    def joins_points(self) -> bool:
-        """Whether the joint makes its two points coincide."""
-        return False
-
-    @property
-    def travel(self) -> Travel | None:
-        """The line along which b's point travels from a's point; None if the coordinate of the joint is an angle.
-
-        The coordinate of a joint is the travel, or ``angle_b - angle_a``.
-        """
-        return None
-
-    @property
-    def coordinate_unit(self) -> str:
-        """Unit of the coordinate of the joint: m for a travel, rad for an angle."""
-        return "rad" if self.travel is None else "m"
-
-    def constraints(self, initial_angle: float) -> list[Constraint]:
-        """Return the constraints of the joint.
-
-        Parameters
-        ----------
-        initial_angle
-            ``angle_b - angle_a`` [rad] at the initial positions before assembly; used by joints that keep this angle
-            constant.
-        """
-        raise NotImplementedError
-
-    def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
-        """Return the misalignment of the joint as a vector, (F, 2) [m].
-
-        Parameters
-        ----------
-        separation
-            (F, 2) vector from the first body's point to the second body's point, in the global frame [m]; F instants.
-        angles
-            (F, 2) angles of the first and the second body [rad].
-        """
-        return separation
 
 
 class PointJoint(JointBase, BetweenPoints):
@@ -172,7 +82,7 @@ class Revolute(PointJoint, At):
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return [] if self.center is None and self.friction is None else self.places()
 
-    def constraints(self, initial_angle: float) -> list[Constraint]:
+    def constraints(self, start: Pose) -> list[Constraint]:
         """Return the constraints of the joint."""
         kind = "revolute" if self.center is None else "moving_center"
         return [Constraint(kind, 0, 2, self.flat_points, center=self.center)]
@@ -222,7 +132,7 @@ class Distance(PointJoint, FromTo):
     units: ClassVar[tuple[str, ...]] = ("m",)
     mark: ClassVar[Mark] = "bar"
 
-    def constraints(self, initial_angle: float) -> list[Constraint]:
+    def constraints(self, start: Pose) -> list[Constraint]:
         """Return the constraints of the joint."""
         return [Constraint("distance", 0, 1, self.flat_points, (self._length, 0.0))]
 
@@ -326,7 +236,7 @@ class PointOnLine(SlidingJoint):
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places()[:1]
 
-    def constraints(self, initial_angle: float) -> list[Constraint]:
+    def constraints(self, start: Pose) -> list[Constraint]:
         """Return the constraints of the joint."""
         return [self.on_line()]
 
@@ -348,9 +258,9 @@ class Prismatic(SlidingJoint):
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places()
 
-    def constraints(self, initial_angle: float) -> list[Constraint]:
+    def constraints(self, start: Pose) -> list[Constraint]:
         """Return the constraints of the joint."""
-        angle = initial_angle if self.angle is None else self.angle
+        angle = start.angle if self.angle is None else self.angle
         return [self.on_line(), Constraint("fixed_angle", 1, 1, self.flat_points, (angle, 0.0))]
 
 
@@ -373,9 +283,9 @@ class Weld(PointJoint, At):
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places()
 
-    def constraints(self, initial_angle: float) -> list[Constraint]:
+    def constraints(self, start: Pose) -> list[Constraint]:
         """Return the constraints of the joint."""
-        angle = initial_angle if self.angle is None else self.angle
+        angle = start.angle if self.angle is None else self.angle
         return [
             Constraint("revolute", 0, 2, self.flat_points),
             Constraint("fixed_angle", 2, 1, self.flat_points, (angle, 0.0)),
@@ -463,13 +373,18 @@ class Driver(JointBase):
         """Return (key, value) of each prescribed function of time."""
         return [("motion", self.motion)]
 
-    def constraints(self, initial_angle: float) -> list[Constraint]:
+    def constraints(self, start: Pose) -> list[Constraint]:
         """Return the constraints of the joint."""
         return [Constraint(f"driver_{self.coordinate}", 0, 1, (0.0, 0.0, *self.point), motion=self.motion)]
 
 
-Joint = Annotated[Revolute | Prismatic | PointOnLine | Weld | Distance | Driver, Field(discriminator="type")]
-"""A joint or driver; `type` selects its class."""
+if TYPE_CHECKING:
+    Joint = Revolute | Prismatic | PointOnLine | Weld | Distance | Driver | FunctionJoint
+else:
+    Joint = Annotated[
+        Revolute | Prismatic | PointOnLine | Weld | Distance | Driver, Field(discriminator="type"), OfJointKinds()
+    ]
+    """A joint or driver; `type` selects its class, which a plugin may add (`JointKind`)."""
 
 
 def joint_with_friction(joints: Mapping[str, Joint]) -> str:

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, Protocol, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
-from pydantic_core import InitErrorDetails, to_json
+from pydantic_core import to_json
 
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import blaming
 from mbdkit.base.plain_data import plain
+from mbdkit.base.strict_model import located_below
 from mbdkit.mechanism.bodies import Attachment, Body, Element
 from mbdkit.mechanism.force_law import ForceLaw
 from mbdkit.mechanism.pathways import Pathway
@@ -54,7 +55,7 @@ class Law(Element):
             with blaming(f"force law {element.law_id} failed to check its options", ValidationError):
                 return element.model_validate_json(text)
         except ValidationError as error:
-            raise _below(error, element.law_id) from None
+            raise located_below(error, element.law_id) from None
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
@@ -93,6 +94,12 @@ class PluginLookup(Protocol):
             If there is no such law. The error has the key ``law``.
         """
 
+    def joint_class(self, name: str | int) -> type[BaseModel] | None:
+        """Return the class of the joints of a type that a plugin adds; None if there is no such type."""
+
+    def joint_types(self) -> list[str]:
+        """Return the types of joints that plugins add."""
+
     def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
         """Return the model of the options of a plugin item, such as a force law, that a field selects by name.
 
@@ -120,14 +127,3 @@ def _plugin_lookup(context: Any) -> PluginLookup:
     """Return the lookup in a pydantic validation context, a mapping; by default, that of the installed plugins."""
     given: PluginLookup | None = context.get("plugins") if isinstance(context, Mapping) else None
     return given or higher_layers.installed_plugins()
-
-
-def _below(error: ValidationError, law_id: str) -> ValidationError:
-    """Return the error with `law_id` at the front of all locations, where pydantic puts the tag of a union."""
-    lines: list[InitErrorDetails] = []
-    for details in error.errors(include_url=False):
-        context = details.get("ctx", {})
-        kind: Any = details["type"]
-        line = InitErrorDetails(type=kind, loc=(law_id, *details["loc"]), input=details["input"], ctx=context)
-        lines.append(line)
-    return ValidationError.from_exception_data(error.title, lines)

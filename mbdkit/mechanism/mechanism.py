@@ -19,6 +19,8 @@ from mbdkit.mechanism.bodies import GROUND, Element
 from mbdkit.mechanism.checks import check_centers, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.element_kinds import builder_of, check_elements, element_kinds, kind_built_by
 from mbdkit.mechanism.element_methods import ElementMethods
+from mbdkit.mechanism.joint_base import JointBase, Pose
+from mbdkit.mechanism.joint_kinds import joint_builder, joint_builders
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
@@ -135,6 +137,8 @@ class Mechanism(ElementMethods, HtmlView):
                 return self.__dict__.setdefault(name, {})
             if (kind := kind_built_by(name)) is not None:
                 return MethodType(builder_of(kind), self)
+            if name in (types := joint_builders()):
+                return MethodType(joint_builder(types[name]), self)
             if name in accessors(type(self)):
                 return computed(self, name)
         raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'", name=name, obj=self)
@@ -142,6 +146,7 @@ class Mechanism(ElementMethods, HtmlView):
     def __dir__(self) -> list[str]:
         """Return the names of the attributes, those of plugins included."""
         of_kinds = [name for kind in element_kinds().values() for name in (kind.key_in_model, kind.builder) if name]
+        of_kinds += joint_builders()
         return [*super().__dir__(), *of_kinds, *accessors(type(self))]
 
     # ---- queries -------------------------------------------------------------------------------------------------
@@ -162,6 +167,13 @@ class Mechanism(ElementMethods, HtmlView):
             self._known(name, key)
         angle_a, angle_b = (0.0 if name == GROUND else self.bodies[name].angle for name in (a, b))
         return angle_b - angle_a
+
+    def relative_pose(self, joint: JointBase) -> Pose:
+        """Return the pose of the second body of a joint in the frame of the first, at the initial positions."""
+        a, b = joint.bodies
+        xa, ya, xb, yb = joint.flat_points
+        x, y = self.to_local(a, self.to_global(b, (xb, yb)))
+        return Pose(x - xa, y - ya, self.relative_angle(a, b), self.relative_angle(GROUND, a), 0.0)
 
     def constraint_rows(self) -> list[tuple[str, str]]:
         """Return (name, unit) of each constraint row, such as ``("A.x", "m")``, in the order of the joints."""

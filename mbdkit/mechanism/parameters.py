@@ -35,6 +35,7 @@ from mbdkit.mechanism.parameter_units import unit_of_expression
 from mbdkit.mechanism.state_values import StateExpressionError, StateSyntax
 from mbdkit.mechanism.validation_errors import spec_error, value_path, walk
 from mbdkit.mechanism.values import TextForNumberError
+from mbdkit.mechanism.variable_functions import VariableCompiler, VariableExpressionError
 
 Validated = TypeVar("Validated")
 Values = Mapping[str, float]
@@ -50,10 +51,14 @@ class ParameterValues(dict[str, float]):
 
 Written = dict[Path, str]
 """Expressions by key path."""
-Kind = Literal[
-    "quantity", "number", "whole number", "function of time", "function of the state", "function of an angle",
-    "function of coordinates",
-]  # fmt: skip
+Kind = (
+    tuple[str, ...]
+    | Literal[
+        "quantity", "number", "whole number", "function of time", "function of the state", "function of an angle",
+        "function of coordinates",
+    ]
+)  # fmt: skip
+"""Kind of a value; functions of variables have the names of these."""
 
 _COMPILERS: Mapping[Kind, type[Compiler]] = {
     "function of time": Compiler,
@@ -338,7 +343,7 @@ def _replacements(
         except SpecError as error_of_unit:
             raise error_of_unit.located(prefix=path_text(path)) from None
         if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
-            kind = next(kind for error, kind in _KINDS if isinstance(inner, error))
+            kind = inner.variables if isinstance(inner, VariableExpressionError) else _kind_of(inner)
             if kind == "function of time":
                 _check_unit(text, values, details["loc"], path, data, root, plugins, of_time=True)
             yield path, text, kind
@@ -347,6 +352,10 @@ def _replacements(
             yield path, text, "number"
         elif details["type"] == "int_type" and _is_expression(text, values):
             yield path, text, "whole number"
+
+
+def _kind_of(error: ExpressionError) -> Kind:
+    return next(kind for error_class, kind in _KINDS if isinstance(error, error_class))
 
 
 def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any, plugins: PluginLookup) -> float:
@@ -430,13 +439,17 @@ def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | s
     with values in place of parameters.
     """
     try:
-        if kind not in _COMPILERS:
+        if isinstance(kind, tuple):
+            VariableCompiler(text, kind, values).program()
+        elif kind not in _COMPILERS:
             value = evaluate(text, values)
             return int(value) if kind == "whole number" and value.is_integer() else value
-        _COMPILERS[kind](text, values).program()
+        else:
+            _COMPILERS[kind](text, values).program()
     except SpecError as error:
         raise error.located(prefix=path_text(path)) from None
-    known = {name: value for name, value in values.items() if name != _COMPILERS[kind].variable}
+    own = kind if isinstance(kind, tuple) else (_COMPILERS[kind].variable,)
+    known = {name: value for name, value in values.items() if name not in own}
     name = _NAME_ALONE if kind == "function of the state" else _NAME
     return name.sub(lambda match: f"({known[match[0]]!r})" if match[0] in known else match[0], text)
 

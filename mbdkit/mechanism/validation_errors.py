@@ -159,6 +159,7 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
             return "is missing: it selects the kind of element"
         case "union_tag_invalid":
             tags = [tag.strip("' ") for tag in str(context["expected_tags"]).split(",")]
+            tags += plugins.joint_types() if "revolute" in tags else []
             key, tag = str(context["discriminator"]).strip("'"), str(context["tag"])
             hint = _as_law(tag, plugins) if "law" in tags else ""
             return f"there is no {key} '{tag}'{hint or did_you_mean(tag, tags)}; known: {listed(tags)}"
@@ -281,7 +282,7 @@ def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tup
         if options := plugins.selected_options(metadata, here):
             annotation = options
         elif members:
-            annotation = _member(members, here, rest, metadata)
+            annotation = _member(members, here, rest, metadata) or plugins.joint_class(here)
         elif annotation is Law and here not in Law.model_fields and isinstance(here, str):
             annotation = plugins.law_element(here)
         elif isinstance(annotation, type) and issubclass(annotation, BaseModel):

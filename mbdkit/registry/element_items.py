@@ -192,6 +192,40 @@ class ElementKind(Feature):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointKind(Feature):
+    """A type of joints of two bodies whose constraints are functions of their relative pose, such as a pair of gears.
+
+    Parameters
+    ----------
+    name
+        Value of the key `type` of such joints, such as ``gear``. With underscores in place of dashes, it is also the
+        name of the method of `mbdkit.Mechanism` that adds one.
+    summary
+        One line that describes the joint.
+    model
+        Class of the joints, derived from `mbdkit.plugin.FunctionJoint`.
+    example
+        Name of a packaged example, a run of a mechanism with such a joint, on which ``mbdkit plugins verify`` checks
+        the kind.
+    """
+
+    kind: ClassVar[str] = "joint-kind"
+    key: ClassVar[str] = "type"
+
+    model: Target
+    example: str = ""
+
+    @property
+    def builder(self) -> str:
+        """Name of the method of `mbdkit.Mechanism` that adds such a joint."""
+        return self.name.replace("-", "_")
+
+    def _check_name(self) -> None:
+        if not self.builder.isidentifier():
+            raise PluginError(f"the name {self.name!r} is not made of letters, digits and -")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class QuantityKind(Feature):
     """A kind of objects with quantities, which are a group of the archives of runs that have such objects.
 

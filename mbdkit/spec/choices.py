@@ -28,6 +28,7 @@ from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import value_text
 from mbdkit.base.strict_model import STRICT
 from mbdkit.base.text import listed
+from mbdkit.mechanism.joint_kinds import joint_class, joint_kinds
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import class_name, is_of_item, item_of, name_type, named_options
@@ -167,6 +168,15 @@ class RegistryLookup:
     def law_element(self, name: str) -> type[Law]:
         """Return the element class of the force law with this short or long name."""
         return law_element(self.registry().get("force-law", name))
+
+    def joint_class(self, name: str | int) -> type[BaseModel] | None:
+        """Return the class of the joints of a type that a plugin adds; None if there is no such type."""
+        item = joint_kinds().get(name) if isinstance(name, str) else None
+        return None if item is None else joint_class(item)
+
+    def joint_types(self) -> list[str]:
+        """Return the types of joints that plugins add."""
+        return [name for name in joint_kinds() if ":" not in name]
 
     def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
         """Return the options of an item; None unless `metadata` contains a `Choice`."""

@@ -4,13 +4,14 @@ Each element kernel writes the values of element `k` into row `k` of its output 
 calls the kernels of all pairs of constraint rows. Arguments:
 
 k : index of the element; a, b : first and second body; m : index of the motion that drives the element, or of the
-    first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative
+    first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative;
+    for a function of the pose, first row of its value and derivatives
 pairs : (P, 4) pairs of constraint rows, see `PairRow`
 q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, velocities and accelerations; ground comes last
 cs : (B + 1, 2) cosine and sine of every theta
 p : (K, 6) parameters, points in body frames first
 u : (motions, 3) value, first and second derivative of each motion with respect to time, and of each function that moves
-    a center with respect to the angle
+    a center with respect to the angle; then value and derivatives of functions of the pose, see `Scratch.u`
 lam : (K, 2) multipliers
 z, p : for cross-sections of beams, (G, 10) state, its rates, cosine and sine, and (G, 16) parameters, of which the
     first six are values and derivatives of the shape functions, which these kernels do not read
@@ -29,7 +30,7 @@ from mbdkit.engine.native.functions import subkernel
 
 
 
-CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle', 'moving_center')
+CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle', 'moving_center', 'function')
 
 
 PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y', 'pulley', 'lifted', 'travel', 'tangent')
@@ -44,6 +45,7 @@ JACOBIAN_ENTRIES = {
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (2, 5),
     "moving_center": (0, 2, 3, 5, 7, 8, 10, 11),
+    "function": (0, 1, 2, 3, 4, 5),
 }
 
 
@@ -56,6 +58,7 @@ STIFFNESS_ENTRIES = {
     "point_on_line": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "fixed_angle": (),
     "moving_center": (14, 17, 32, 35),
+    "function": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
 }
 
 
@@ -68,6 +71,7 @@ GAMMA_V_ENTRIES = {
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (),
     "moving_center": (2, 5, 8, 11),
+    "function": (0, 1, 2, 3, 4, 5),
 }
 
 
@@ -80,6 +84,7 @@ RESIDUAL_Q_ENTRIES = {
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (),
     "moving_center": (2, 5, 8, 11),
+    "function": (0, 1, 2, 3, 4, 5),
 }
 
 
@@ -801,6 +806,302 @@ def moving_center_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, 
 
 
 @subkernel
+def function_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = f(x, y, angle; theta_a, t) of the pose of b's point in a's frame, and Phi_t."""
+    f, f4 = u[m + 0, 0], u[m + 1, 2]
+    phi[k, 0] = f
+    phi_t[k, 0] = f4
+
+
+@subkernel
+def function_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    f0, f1, f2, f3, f00, f01, f02, f03, f04, f11, f12, f13, f14, f22, f23, f24, f33, f34, f44 = u[m + 0, 1], u[m + 0, 2], u[m + 1, 0], u[m + 1, 1], u[m + 2, 0], u[m + 2, 1], u[m + 2, 2], u[m + 3, 0], u[m + 3, 1], u[m + 3, 2], u[m + 4, 0], u[m + 4, 1], u[m + 4, 2], u[m + 5, 0], u[m + 5, 1], u[m + 5, 2], u[m + 6, 0], u[m + 6, 1], u[m + 6, 2]
+    p2, p3 = p[k, 2], p[k, 3]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    in_x, in_y = ca*(bx - xa + xb) + sa*(by - ya + yb), ca*(by - ya + yb) - sa*(bx - xa + xb)
+    t0 = ca*f0
+    t1 = -f1*sa + t0
+    t2 = ca*f1
+    t3 = f0*sa
+    t4 = t2 + t3
+    t5 = bx*ca + by*sa
+    t6 = bx*sa - by*ca
+    t7 = wa - wb
+    t8 = in_y*wa
+    t9 = -ca*vxa + ca*vxb - sa*vya + sa*vyb + t6*wb + t8
+    t10 = in_x*wa
+    t11 = ca*vya - ca*vyb - sa*vxa + sa*vxb + t10 - t5*wb
+    t12 = ca*f01
+    t13 = f01*sa
+    t14 = ca*f14 + f04*sa - f1*sa*wa + t0*wa - t11*(ca*f11 + t13) - t7*(ca*f12 + f02*sa) + t9*(f00*sa + t12) + wa*(ca*f13 + f03*sa)
+    t15 = -ca*f04 + f14*sa + t11*(-f11*sa + t12) + t2*wa + t3*wa + t7*(ca*f02 - f12*sa) - t9*(ca*f00 - t13) - wa*(ca*f03 - f13*sa)
+    jac[k, 0] = -t1
+    jac[k, 1] = -t4
+    jac[k, 2] = f0*in_y - f1*in_x - f2 + f3
+    jac[k, 3] = t1
+    jac[k, 4] = t4
+    jac[k, 5] = f0*t6 + f1*t5 + f2
+    gamma[k, 0] = -f04*t9 + f14*t11 + f24*t7 - f34*wa - f44 + t14*vya - t14*vyb - t15*vxa + t15*vxb - wa*(ca*(-f0*vya + f0*vyb + f1*vxa - f1*vxb + wb*(bx*f0 + by*f1)) - f0*t10 + f04*in_y - f1*t8 - f14*in_x - f24 + f34 - sa*(-f0*vxa + f0*vxb - f1*vya + f1*vyb + wb*(bx*f1 - by*f0)) - t11*(f01*in_y - f11*in_x - f12 + f13) - t7*(f02*in_y - f12*in_x - f22 + f23) + t9*(f00*in_y - f01*in_x - f02 + f03) + wa*(f03*in_y - f13*in_x - f23 + f33)) - wb*(-bx*t1*wb - by*t4*wb + f0*t5*wa + f04*t6 - f1*t6*wa + f14*t5 + f24 - t11*(f01*t6 + f11*t5 + f12) - t7*(f02*t6 + f12*t5 + f22) + t9*(f00*t6 + f01*t5 + f02) + wa*(f03*t6 + f13*t5 + f23))
+
+
+@subkernel
+def function_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    axa, aya, ala, axb, ayb, alb = acc[3*a+0], acc[3*a+1], acc[3*a+2], acc[3*b+0], acc[3*b+1], acc[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    f0, f1, f00, f01, f02, f03, f04, f11, f12, f13, f14, f22, f23, f24, f33, f34, f000, f001, f002, f003, f004, f011, f012, f013, f014, f022, f023, f024, f033, f034, f044, f111, f112, f113, f114, f122, f123, f124, f133, f134, f144, f222, f223, f224, f233, f234, f244, f333, f334, f344 = u[m + 0, 1], u[m + 0, 2], u[m + 2, 0], u[m + 2, 1], u[m + 2, 2], u[m + 3, 0], u[m + 3, 1], u[m + 3, 2], u[m + 4, 0], u[m + 4, 1], u[m + 4, 2], u[m + 5, 0], u[m + 5, 1], u[m + 5, 2], u[m + 6, 0], u[m + 6, 1], u[m + 7, 0], u[m + 7, 1], u[m + 7, 2], u[m + 8, 0], u[m + 8, 1], u[m + 8, 2], u[m + 9, 0], u[m + 9, 1], u[m + 9, 2], u[m + 10, 0], u[m + 10, 1], u[m + 10, 2], u[m + 11, 0], u[m + 11, 1], u[m + 11, 2], u[m + 12, 0], u[m + 12, 1], u[m + 12, 2], u[m + 13, 0], u[m + 13, 1], u[m + 13, 2], u[m + 14, 0], u[m + 14, 1], u[m + 14, 2], u[m + 15, 0], u[m + 15, 1], u[m + 15, 2], u[m + 16, 0], u[m + 16, 1], u[m + 16, 2], u[m + 17, 0], u[m + 17, 1], u[m + 17, 2], u[m + 18, 0]
+    p2, p3 = p[k, 2], p[k, 3]
+    lam0 = lam[k, 0]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    in_x, in_y = ca*(bx - xa + xb) + sa*(by - ya + yb), ca*(by - ya + yb) - sa*(bx - xa + xb)
+    t0 = f01*sa
+    t1 = ca*f00 - t0
+    t2 = ca*f01
+    t3 = -f11*sa + t2
+    t4 = ca*t1 - sa*t3
+    t5 = lam0*t4
+    t6 = f00*sa + t2
+    t7 = ca*f11 + t0
+    t8 = ca*t6 - sa*t7
+    t9 = lam0*t8
+    t10 = f01*in_y - f11*in_x - f12 + f13
+    t11 = f00*in_y - f01*in_x - f02 + f03
+    t12 = ca*f1
+    t13 = f0*sa
+    t14 = t12 + t13
+    t15 = -ca*t11 + sa*t10 + t14
+    t16 = -t4
+    t17 = lam0*t16
+    t18 = -t8
+    t19 = lam0*t18
+    t20 = bx*ca
+    t21 = by*sa
+    t22 = t20 + t21
+    t23 = bx*sa
+    t24 = by*ca
+    t25 = t23 - t24
+    t26 = f00*t25 + f01*t22 + f02
+    t27 = ca*t26
+    t28 = f01*t25 + f11*t22 + f12
+    t29 = -sa*t28 + t27
+    t30 = ca*t3 + sa*t1
+    t31 = lam0*t30
+    t32 = ca*t7 + sa*t6
+    t33 = lam0*t32
+    t34 = ca*f0
+    t35 = f1*sa
+    t36 = t34 - t35
+    t37 = ca*t10 + sa*t11 + t36
+    t38 = -t31
+    t39 = -t33
+    t40 = ca*t28
+    t41 = sa*t26
+    t42 = t40 + t41
+    t43 = lam0*t42
+    t44 = f13*sa
+    t45 = ca*f03
+    t46 = ca*f02 - f12*sa
+    t47 = in_x*t3 - in_y*t1 + t14 + t44 - t45 + t46
+    t48 = ca*f13 + f03*sa
+    t49 = -ca*f12 - f02*sa - in_x*t7 + in_y*t6 + t36 + t48
+    t50 = f0*in_x
+    t51 = f1*in_y
+    t52 = f13*in_x
+    t53 = -f22
+    t54 = f02*in_y - f12*in_x + t53
+    t55 = -f03*in_y + 2*f23 - f33 + in_x*t10 - in_y*t11 + t50 + t51 + t52 + t54
+    t56 = f0*t22
+    t57 = f02*t25
+    t58 = f12*t22
+    t59 = f03*t25 + f13*t22 + f23
+    t60 = -f1*t25 - in_x*t28 + in_y*t26 + t53 + t56 - t57 - t58 + t59
+    t61 = t1*t25 + t22*t3 + t46
+    t62 = lam0*t61
+    t63 = ca*f12 + f02*sa
+    t64 = t22*t7 + t25*t6 + t63
+    t65 = lam0*t64
+    t66 = bx*f0
+    t67 = by*f1
+    t68 = t66 + t67
+    t69 = bx*f1
+    t70 = by*f0
+    t71 = t69 - t70
+    t72 = f23 + t54
+    t73 = ca*t68 - sa*t71 + t10*t22 + t11*t25 + t72
+    t74 = f22 + t57 + t58
+    t75 = -bx*t36 - by*t14 + t22*t28 + t25*t26 + t74
+    t76 = -t1
+    t77 = -t3
+    t78 = vxa*(ca*t76 - sa*t77)
+    t79 = t4*vxb
+    t80 = t18*vya
+    t81 = t8*vyb
+    t82 = -t44 + t45
+    t83 = t82*wa
+    t84 = ca*vxb
+    t85 = in_y*wa
+    t86 = sa*vyb
+    t87 = ca*vxa
+    t88 = sa*vya
+    t89 = t25*wb + t84 + t85 + t86 - t87 - t88
+    t90 = t1*t89
+    t91 = t15*wa
+    t92 = wa - wb
+    t93 = t46*t92
+    t94 = ca*vya
+    t95 = in_x*wa
+    t96 = sa*vxb
+    t97 = ca*vyb
+    t98 = sa*vxa
+    t99 = t22*wb
+    t100 = t94 + t95 + t96 - t97 - t98 - t99
+    t101 = t100*t3
+    t102 = f14*sa
+    t103 = ca*f04
+    t104 = t12*wa
+    t105 = t13*wa
+    t106 = -t101 - 2*t102 + 2*t103 - t104 - t105 + t29*wb + t79 + t80 + t81 + t83 + t90 - t91 - t93
+    t107 = t30*vxb
+    t108 = t32*vyb
+    t109 = t37*wa
+    t110 = t32*vya
+    t111 = ca*f14
+    t112 = f04*sa
+    t113 = -t100*t7 + t34*wa - t35*wa + t48*wa + t6*t89 - t63*t92
+    t114 = t107 + t108 + t109 - t110 + 2*t111 + 2*t112 + t113 + t42*wb
+    t115 = 2*f24
+    t116 = 2*f04
+    t117 = 2*f14
+    t118 = f03*in_y - f23 + f33 - t52
+    t119 = -f0*vya + f0*vyb + f1*vxa - f1*vxb + t68*wb
+    t120 = f0*vxb
+    t121 = f1*vyb
+    t122 = f0*vxa
+    t123 = f1*vya
+    t124 = t71*wb
+    t125 = bx*wb - vya + vyb
+    t126 = ca*t125
+    t127 = by*wb + vxa - vxb
+    t128 = ala*in_y + alb*t25 - axa*ca + axb*ca - aya*sa + ayb*sa - t94*wa - t96*wa + t97*wa + t98*wa - wb*(t20*wb + t21*wb - t22*wa)
+    t129 = t128 - wa*(-sa*t127 - t126 + t95)
+    t130 = ca*f001
+    t131 = f011*sa
+    t132 = t130 - t131
+    t133 = sa*t89
+    t134 = ca*t89
+    t135 = -t100
+    t136 = vxa*(ca*t135 - t133) + vxb*(ca*t100 + t133) + vya*(sa*t135 + t134) - vyb*(-sa*t100 + t134) + wa*(in_x*t89 - in_y*t135) - wb*(-t100*t25 + t22*t89)
+    t137 = -t136
+    t138 = f012*sa
+    t139 = ca*f002 - t138
+    t140 = -t92
+    t141 = -t84*t92 - t86*t92 + t87*t92 + t88*t92 + wb*(-t25*t92 + t89)
+    t142 = t141 - wa*(-in_y*t140 + t89)
+    t143 = ala*in_x - alb*t22 - axa*sa + axb*sa + aya*ca - ayb*ca - ca*vxa*wa - sa*vya*wa + t84*wa + t86*wa + wa*(-ca*t127 + sa*t125 + t85) + wb*(-t23*wb + t24*wb + t25*wa)
+    t144 = -t143
+    t145 = ca*f012
+    t146 = -f112*sa + t145
+    t147 = t92*t97
+    t148 = t92*t98
+    t149 = -t95
+    t150 = t100 + t22*t92
+    t151 = -t147 - t148 - t150*wb + t92*t94 + t92*t96 - wa*(in_x*t140 + t149 - t94 - t96 + t97 + t98 + t99)
+    t152 = vxa*wa
+    t153 = f0*wa + f01*t89 + f13*wa + f14
+    t154 = vxb*wa
+    t155 = t7*wa
+    t156 = wa*wb
+    t157 = ala*f1 + f14*wa + t154*t3 - t155*vya + t155*vyb + t156*t28 + wa*(f11*t135 + f12*t140 + t10*wa + t153)
+    t158 = t152*t77 + t157
+    t159 = ca*f013
+    t160 = -f113*sa + t159
+    t161 = 2*wa
+    t162 = t135*t161
+    t163 = (wa*wa)
+    t164 = (t92*t92)
+    t165 = f001*sa
+    t166 = (t89*t89)
+    t167 = t6*wa
+    t168 = f00*t89 - f01*t100 - f02*t92 + f03*wa + f04 - f1*wa
+    t169 = ala*f0 + f04*wa - t1*t152 + t1*t154 + t156*t26 - t167*vya + t167*vyb + wa*(t11*wa + t168)
+    t170 = ala - alb
+    t171 = 2*t92
+    t172 = ca*f014
+    t173 = 2*t100
+    t174 = f014*sa
+    t175 = 2*t89
+    t176 = ca*f011
+    t177 = t100*t135
+    t178 = t140*t161
+    t179 = f013*sa
+    t180 = t161*t89
+    t181 = ala*t82 + ca*f044 - f144*sa - sa*t169 + t161*(ca*f034 - f134*sa) + t163*(ca*f033 - f133*sa) + t164*(ca*f022 - f122*sa) + t166*(ca*f000 - t165) - t170*t46 - t171*(ca*f024 - f124*sa) - t173*(-f114*sa + t172) + t175*(ca*f004 - t174) - t177*(-f111*sa + t176) + t178*(ca*f023 - f123*sa) + t180*(ca*f003 - t179)
+    t182 = t165 + t176
+    t183 = f002*sa + t145
+    t184 = ca*f112 + t138
+    t185 = ca*f113 + t179
+    t186 = ala*t48 + ca*f144 + ca*t169 + f044*sa + t161*(ca*f134 + f034*sa) + t163*(ca*f133 + f033*sa) + t164*(ca*f122 + f022*sa) + t166*(f000*sa + t130) - t170*t63 - t171*(ca*f124 + f024*sa) - t173*(ca*f114 + t174) + t175*(f004*sa + t172) - t177*(ca*f111 + t131) + t178*(ca*f123 + f023*sa) + t180*(f003*sa + t159)
+    t187 = t100*t161
+    t188 = t128 - wa*(-sa*t127 - t126 - t149)
+    t189 = t141 - wa*(in_y*t92 + t89)
+    t190 = ca*t92*vya + sa*t92*vxb - t147 - t148 - t150*wb - wa*(-in_x*t92 - t100)
+    t191 = -t152*t3 + t157
+    t192 = t125*t6 + t127*t7 + t168
+    t193 = -f11*t100 - f12*t92 + t153
+    t194 = -t1*t125 - t127*t3 + t193
+    t195 = by*f01
+    t196 = bx*f01
+    t197 = t125*t7 - t127*t6 + t193
+    t198 = -t1*t127 + t125*t3 + t168
+    stiff[k, 0] = stiff[k, 21] = t5
+    stiff[k, 1] = stiff[k, 22] = t9
+    stiff[k, 2] = lam0*t15
+    stiff[k, 3] = stiff[k, 18] = t17
+    stiff[k, 4] = stiff[k, 19] = t19
+    stiff[k, 5] = -lam0*t29
+    stiff[k, 6] = stiff[k, 27] = t31
+    stiff[k, 7] = stiff[k, 28] = t33
+    stiff[k, 8] = -lam0*t37
+    stiff[k, 9] = stiff[k, 24] = t38
+    stiff[k, 10] = stiff[k, 25] = t39
+    stiff[k, 11] = -t43
+    stiff[k, 12] = lam0*t47
+    stiff[k, 13] = -lam0*t49
+    stiff[k, 14] = -lam0*t55
+    stiff[k, 15] = -lam0*t47
+    stiff[k, 16] = lam0*t49
+    stiff[k, 17] = lam0*t60
+    stiff[k, 20] = -lam0*t15
+    stiff[k, 23] = lam0*t29
+    stiff[k, 26] = lam0*t37
+    stiff[k, 29] = t43
+    stiff[k, 30] = -t62
+    stiff[k, 31] = -t65
+    stiff[k, 32] = lam0*t73
+    stiff[k, 33] = t62
+    stiff[k, 34] = t65
+    stiff[k, 35] = lam0*t75
+    gamma_v[k, 0] = t106 + t78
+    gamma_v[k, 1] = t114 + vxa*(ca*t77 + sa*t76)
+    gamma_v[k, 2] = -ca*t119 - 2*f34 + in_x*t117 - in_y*t116 + sa*(t120 + t121 - t122 - t123 + t124) + t10*t100 - t11*t89 + t115 - t118*wa - t47*vxa + t47*vxb + t49*vya - t49*vyb + t50*wa + t51*wa + t55*wa - t60*wb + t72*t92
+    gamma_v[k, 3] = -t106 - t16*vxa
+    gamma_v[k, 4] = -t114 + t30*vxa
+    gamma_v[k, 5] = bx*t36*wb + by*t14*wb + f1*t25*wa + t100*t28 - t115 - t116*t25 - t117*t22 - t26*t89 - t56*wa - t59*wa + t61*vxa - t61*vxb + t64*vya - t64*vyb - t73*wa + t74*t92 - t75*wb
+    res_q[k, 0] = ca*t158 - t1*t129 - t132*t137 - t139*t142 - t144*t3 - t146*t151 - t160*t162 - t181
+    res_q[k, 1] = sa*t158 - t129*t6 - t137*t182 - t142*t183 - t144*t7 - t151*t184 - t162*t185 - t186
+    res_q[k, 2] = ala*t118 + ca*(alb*t68 + axa*f1 - axb*f1 - aya*f0 + ayb*f0 + f04*t125 + f14*t127 - t192*vya + t192*vyb + t194*vxa - t194*vxb + wa*(t10*t127 + t11*t125 - t120 - t121 + t122 + t123 - t124) + wb*(bx*f04 + by*f14 - t100*(by*f11 + t196) + t125*t26 + t127*t28 - t69*wa + t69*wb + t70*wa - t70*wb + t89*(bx*f00 + t195) - t92*(bx*f02 + by*f12) + wa*(bx*f03 + by*f13))) + f044*in_y - f144*in_x - f244 + f344 - in_x*t169 - in_y*t191 - sa*(alb*t71 - axa*f0 + axb*f0 - aya*f1 + ayb*f1 - f04*t127 + f14*t125 - t197*vya + t197*vyb - t198*vxa + t198*vxb + wa*(t10*t125 - t11*t127 + t119) + wb*(bx*f14 - by*f04 - t100*(bx*f11 - t195) + t125*t28 - t127*t26 + t66*wa - t66*wb + t67*wa - t67*wb + t89*(-by*f00 + t196) - t92*(bx*f12 - by*f02) + wa*(bx*f13 - by*f03))) - t10*t143 + t11*t188 - t136*(f001*in_y - f011*in_x - f012 + f013) + t161*(f034*in_y - f134*in_x - f234 + f334) + t163*(f033*in_y - f133*in_x - f233 + f333) + t164*(f022*in_y - f122*in_x - f222 + f223) + t166*(f000*in_y - f001*in_x - f002 + f003) - t170*t72 - t171*(f024*in_y - f124*in_x - f224 + f234) - t173*(f014*in_y - f114*in_x - f124 + f134) + t175*(f004*in_y - f014*in_x - f024 + f034) - t177*(f011*in_y - f111*in_x - f112 + f113) + t178*(f023*in_y - f123*in_x - f223 + f233) + t180*(f003*in_y - f013*in_x - f023 + f033) - t187*(f013*in_y - f113*in_x - f123 + f133) + t189*(f002*in_y - f012*in_x - f022 + f023) + t190*(f012*in_y - f112*in_x - f122 + f123)
+    res_q[k, 3] = -ca*t191 + t1*t188 - t132*t136 + t139*t189 - t143*t3 + t146*t190 - t160*t187 + t181
+    res_q[k, 4] = -sa*t191 - t136*t182 - t143*t7 + t183*t189 + t184*t190 - t185*t187 + t186 + t188*t6
+    res_q[k, 5] = ala*t59 - bx*(alb*t36 - t102*wb + t103*wb + t78*wb + t79*wb + t80*wb + t81*wb - t91*wb - wb*(sa*t28*wb + t101 + t102 - t103 + t104 + t105 - t14*wb - t27*wb - t83 - t90 + t93)) - by*(alb*t14 + t107*wb + t108*wb + t109*wb - t110*wb + t111*wb + t112*wb - t30*vxa*wb + wb*(t111 + t112 + t113 - t36*wb + t40*wb + t41*wb)) + f044*t25 + f144*t22 + f244 - t136*(f001*t25 + f011*t22 + f012) - t143*t28 + t161*(f034*t25 + f134*t22 + f234) + t163*(f033*t25 + f133*t22 + f233) + t164*(f022*t25 + f122*t22 + f222) + t166*(f000*t25 + f001*t22 + f002) + t169*t22 - t170*t74 - t171*(f024*t25 + f124*t22 + f224) - t173*(f014*t25 + f114*t22 + f124) + t175*(f004*t25 + f014*t22 + f024) - t177*(f011*t25 + f111*t22 + f112) + t178*(f023*t25 + f123*t22 + f223) + t180*(f003*t25 + f013*t22 + f023) - t187*(f013*t25 + f113*t22 + f123) + t188*t26 + t189*(f002*t25 + f012*t22 + f022) + t190*(f012*t25 + f112*t22 + f122) - t191*t25
+
+
+@subkernel
 def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
     """Evaluate Phi and Phi_t of every pair: (P, 2) arrays."""
     for k in range(len(pairs)):
@@ -820,8 +1121,10 @@ def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
             point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t)
         elif kind == 6:
             fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t)
-        else:
+        elif kind == 7:
             moving_center_position(k, a, b, m, q, cs, p, u, phi, phi_t)
+        else:
+            function_position(k, a, b, m, q, cs, p, u, phi, phi_t)
 
 
 @subkernel
@@ -844,8 +1147,10 @@ def constraint_accelerations(pairs, p, q, v, cs, u, jac, gamma):
             point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
         elif kind == 6:
             fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
-        else:
+        elif kind == 7:
             moving_center_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
+        else:
+            function_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
 
 
 @subkernel
@@ -868,8 +1173,10 @@ def constraint_tangents(pairs, p, q, v, acc, cs, u, lam, stiff, gamma_v, res_q):
             point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
         elif kind == 6:
             fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
-        else:
+        elif kind == 7:
             moving_center_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
+        else:
+            function_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
 
 
 @subkernel

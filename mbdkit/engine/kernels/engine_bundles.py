@@ -96,6 +96,8 @@ class Topology(NamedTuple):
     centers: Annotated[IntMatrix, 2]
     """(C, 2) first and second body of each center that moves with their relative angle; see
     `mbdkit.engine.kernels.motions`."""
+    functions: Annotated[IntMatrix, len(columns.FUNCTION)]
+    """(F,) constraints that are functions of the pose."""
     motion_start: IntVector
     """Start of the program of each motion; see `mbdkit.engine.kernels.motions.evaluate_motions`."""
     motion_ops: IntVector
@@ -152,8 +154,10 @@ class Scratch(NamedTuple):
     cs: Annotated[RealMatrix, 2]
     """(B + 1, 2) cosine and sine of every angle."""
     u: Annotated[RealMatrix, 3]
-    """(motions, 3) value, first and second derivative of each motion with respect to time, then of the functions of
-    each moving center with respect to the angle."""
+    """(motions + 19 F, 3) value, first and second derivative of each motion with respect to time, then of the functions
+    of each moving center with respect to the angle; then, for each function of the pose, its value and its derivatives
+    with respect to x, y, the relative angle, the angle of the first body, and time, in lexicographic order: 5 first and
+    15 second ones in 7 rows, 35 third ones in 12 rows."""
     stack: RealMatrix
     """Stack of `evaluate_motions`."""
     force: RealVector

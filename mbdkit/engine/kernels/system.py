@@ -18,6 +18,7 @@ from mbdkit.engine.kernels.constraints import (
     turn_bodies,
 )
 from mbdkit.engine.kernels.motions import OF_CENTER, centers, motions
+from mbdkit.engine.kernels.pose_functions import evaluate_functions, evaluate_third_derivatives
 from mbdkit.engine.kernels.table_rows import PAIR, SPARE
 from mbdkit.engine.kernels.vectors import fill, fill_rows
 from mbdkit.engine.native.arithmetic import any_of, is_dual, is_lanes
@@ -29,9 +30,13 @@ OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
 
 @inlined
 def prepare(top, w, t, q):
-    """Evaluate the quantities that all elements share at a time and position: motions, centers, cosines and sines."""
+    """Evaluate the quantities that elements share at a time and position: motions, centers, cosines and sines,
+    functions of the pose.
+    """
     prepare_motions(top, w, t)
     prepare_angles(top, w, q)
+    if len(top.functions) > 0:
+        evaluate_functions(top, w, q)
 
 
 @inlined
@@ -246,6 +251,8 @@ def evaluate_tangents(top, w, t, q, v, acc, lam):
     take_multipliers(top, w, lam)
     solved_rows(top, w, q, v)
     stabilized = top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0
+    if len(top.functions) > 0:
+        evaluate_third_derivatives(top, w)
     if stabilized:  # `stabilize_tangents` fills entries that element kernels never write
         fill_rows(w.gamma_v, 0.0)
         fill_rows(w.res_q, 0.0)

@@ -23,7 +23,22 @@ class PairRow(NamedTuple):
     second: int
     """Second body."""
     motion: int
-    """Motion, or first function of a moving center; -1 for none."""
+    """Motion, first function of a moving center, or first row of a function of the pose in `Scratch.u`; -1 for none."""
+
+
+class FunctionRow(NamedTuple):
+    """A constraint that is a function of the pose of its second body in the frame of its first body."""
+
+    first: int
+    """First body."""
+    second: int
+    """Second body."""
+    pair: int
+    """Its pair of constraint rows."""
+    law: int
+    """Row of the law of its value and first two derivatives; the next row is that of its third derivatives."""
+    row: int
+    """First row of its values in `Scratch.u`."""
 
 
 class SpareRow(NamedTuple):
@@ -196,6 +211,7 @@ class JointRow(NamedTuple):
 
 
 PAIR = PairRow(*range(4))
+FUNCTION = FunctionRow(*range(5))
 SPARE = SpareRow(*range(2))
 SPRING = SpringRow(*range(6))
 COUPLING = CouplingRow(*range(2))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.constraints import KINDS
+from mbdkit.engine.kernels.pose_functions import evaluate_functions
 from mbdkit.engine.kernels.system import prepare_angles, prepare_motions
 from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.functions import inlined, subkernel
@@ -132,9 +133,13 @@ def turn_tree(top, w, tree, t, y, rates, q, v):
 
 @subkernel
 def place_bodies(top, w, tree, t, y, rates, q, v):
-    """Write the state of all bodies into `q` and `v`; evaluate motions, centers, cosines and sines at `t`."""
+    """Write the state of all bodies into `q` and `v`; evaluate motions, centers, functions of the pose, cosines
+    and sines at `t`.
+    """
     turn_tree(top, w, tree, t, y, rates, q, v)
     _place(top, w, tree, y, rates, q, v)
+    if len(top.functions) > 0:
+        evaluate_functions(top, w, q)
 
 
 @subkernel

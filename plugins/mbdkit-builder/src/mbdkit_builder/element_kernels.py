@@ -27,13 +27,14 @@ Each element kernel writes the values of element `k` into row `k` of its output 
 calls the kernels of all pairs of constraint rows. Arguments:
 
 k : index of the element; a, b : first and second body; m : index of the motion that drives the element, or of the
-    first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative
+    first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative;
+    for a function of the pose, first row of its value and derivatives
 pairs : (P, 4) pairs of constraint rows, see `PairRow`
 q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, velocities and accelerations; ground comes last
 cs : (B + 1, 2) cosine and sine of every theta
 p : (K, 6) parameters, points in body frames first
 u : (motions, 3) value, first and second derivative of each motion with respect to time, and of each function that moves
-    a center with respect to the angle
+    a center with respect to the angle; then value and derivatives of functions of the pose, see `Scratch.u`
 lam : (K, 2) multipliers
 z, p : for cross-sections of beams, (G, 10) state, its rates, cosine and sine, and (G, 16) parameters, of which the
     first six are values and derivatives of the shape functions, which these kernels do not read
@@ -83,6 +84,7 @@ _READS = {
     **{name: f"u[m, {i}]" for i, name in enumerate(("u_value", "u_dot", "u_ddot"))},
     **{f"cx{i}": f"u[m, {i}]" for i in range(3)},
     **{f"cy{i}": f"u[m + 2, {i}]" for i in range(3)},
+    **{str(symbol): f"u[m + {i // 3}, {i % 3}]" for i, symbol in enumerate(d.FUNCTION.values())},
     "cx3": "u[m + 1, 2]",
     "cy3": "u[m + 3, 2]",
     **{f"p{i}": f"p[k, {i}]" for i in range(6)},

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import sympy as sp
 
@@ -41,6 +42,19 @@ the relative angle ``theta_b - theta_a``.
 _TURNED = (sp.symbols("hx0:4", real=True), sp.symbols("hy0:4", real=True))
 """Global components of the vectors in `CENTER`."""
 
+VARIABLES = 5
+"""Variables of a function of the pose: x, y and angle of the second body's point in the frame of the first body, the
+angle of the first body, and the time."""
+TIME = VARIABLES - 1
+FUNCTION = {
+    chosen: sp.Symbol("f" + "".join(map(str, chosen)), real=True)
+    for order in range(4)
+    for chosen in combinations_with_replacement(range(VARIABLES), order)
+}
+"""Value of a function of the pose and its derivatives up to third order, by the indices of the variables."""
+in_x, in_y = sp.symbols("in_x in_y", real=True)
+"""Position of the second body's point relative to the first body's centre of mass, in the frame of the first body."""
+
 SECTION = sp.symbols("dx dy th dth", real=True)
 """State of a cross-section of a beam: derivatives of its position (x, y) with respect to the arc length, its angle, and
 the derivative of the angle with respect to the arc length. Position and angle are interpolated between the nodes."""
@@ -69,6 +83,8 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     ny: ca * PARAMETERS[4] - sa * PARAMETERS[5],
     gx: xb + bx - xa - ax,
     gy: yb + by - ya - ay,
+    in_x: ca * (xb + bx - xa) + sa * (yb + by - ya),
+    in_y: ca * (yb + by - ya) - sa * (xb + bx - xa),
     length: sp.sqrt(gx**2 + gy**2),
     straight: sp.sqrt(gx**2 + gy**2 - PARAMETERS[4] ** 2),
     tangent_x: (straight * gx - PARAMETERS[4] * gy) / (gx**2 + gy**2),
@@ -100,6 +116,20 @@ _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
     along: {_dx: c, _dy: s, _th: across},
     across: {_dx: -s, _dy: c, _th: -along},
 }
+_POSE = (
+    {xa: -ca, ya: -sa, tha: in_y, xb: ca, yb: sa, thb: sa * bx - ca * by},
+    {xa: sa, ya: -ca, tha: -in_x, xb: -sa, yb: ca, thb: ca * bx + sa * by},
+    {tha: sp.Integer(-1), thb: sp.Integer(1)},
+    {tha: sp.Integer(1)},
+)
+"""Derivatives of the first four variables of functions of the pose."""
+_DERIVATIVES[in_x], _DERIVATIVES[in_y] = _POSE[:2]
+for _chosen, _symbol in FUNCTION.items():
+    if len(_chosen) < 3:
+        _next = [FUNCTION[tuple(sorted((*_chosen, _i)))] for _i in range(TIME)]
+        _DERIVATIVES[_symbol] = {
+            q: sum(_f * _rules.get(q, 0) for _f, _rules in zip(_next, _POSE, strict=True)) for q in BODY_COORDINATES
+        }
 _DERIVATIVES[length] = {
     q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / length for q in BODY_COORDINATES
 }
@@ -168,6 +198,9 @@ CONSTRAINTS = (
         "moving_center",
         (gx - _TURNED[0][0], gy - _TURNED[1][0]),
         "Phi = p_b - p_a - c, c in a's frame a function of theta_b - theta_a",
+    ),
+    ConstraintKind(
+        "function", (FUNCTION[()],), "Phi = f(x, y, angle; theta_a, t) of the pose of b's point in a's frame"
     ),
 )
 
@@ -277,9 +310,9 @@ def derive_constraint(kind: ConstraintKind) -> dict[str, sp.Matrix]:
     q, v, a = BODY_COORDINATES, sp.Matrix(BODY_VELOCITIES), sp.Matrix(BODY_ACCELERATIONS)
     lam = sp.Matrix(sp.symbols(f"lam0:{len(kind.rows)}", real=True))
     phi_q = jacobian(kind.rows, q)
-    phi_t = sp.Matrix([row.diff(u) * u_dot for row in kind.rows])
+    phi_t = sp.Matrix(kind.rows).applyfunc(_by_time)
     rate = phi_q * v + phi_t
-    gamma = -(jacobian(rate, q) * v + rate.diff(u) * u_dot + rate.diff(u_dot) * u_ddot)
+    gamma = -(jacobian(rate, q) * v + rate.applyfunc(_by_time))
     return {
         "phi": sp.Matrix(kind.rows),
         "phi_t": phi_t,
@@ -289,6 +322,15 @@ def derive_constraint(kind: ConstraintKind) -> dict[str, sp.Matrix]:
         "gamma_v": gamma.jacobian(v),
         "residual_q": jacobian(phi_q * a - gamma, q),
     }
+
+
+def _by_time(expr: sp.Expr) -> sp.Expr:
+    """Return the partial derivative by time, on which motions and functions of the pose depend."""
+    total = expr.diff(u) * u_dot + expr.diff(u_dot) * u_ddot
+    for chosen, symbol in FUNCTION.items():
+        if len(chosen) < 3 and expr.has(symbol):
+            total += expr.diff(symbol) * FUNCTION[tuple(sorted((*chosen, TIME)))]
+    return total
 
 
 def derive_pathway(kind: PathwayKind) -> dict[str, sp.Matrix]:

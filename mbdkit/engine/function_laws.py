@@ -1,0 +1,44 @@
+"""Laws of constraints that are functions of the pose: programs of the value and of all derivatives, for kernels."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
+from mbdkit.engine.function_program import block
+from mbdkit.engine.kernels import law_programs
+from mbdkit.engine.kernels.pose_functions import THIRD, VALUES
+from mbdkit.expressions.recorded import Recorder, derivatives
+from mbdkit.mechanism.joint_base import Function, Pose, PoseFunction
+
+
+def laws_of_function(function: PoseFunction, name: str) -> tuple[CompiledLaw, CompiledLaw]:
+    """Return the law of the value and the first two derivatives of a function, and that of its third derivatives.
+
+    Raises
+    ------
+    SpecError
+        If the function cannot be differentiated; `name` is the name of the joint.
+    """
+    return _laws(function.function, tuple(parameter for parameter, _ in function.parameters), name)
+
+
+@lru_cache(maxsize=256)
+def _laws(function: Function, parameters: tuple[str, ...], name: str) -> tuple[CompiledLaw, CompiledLaw]:
+    recorder = Recorder()
+    *pose, time = (recorder.input(variable) for variable in Pose._fields)
+    given = {parameter: recorder.input(f"parameter {parameter}") for parameter in parameters}
+    try:
+        with blaming(f"the constraint of joint '{name}' cannot be computed", SpecError):
+            value: Any = function(Pose(*pose, time), given)
+        terms = derivatives(value, (*pose, time), order=3)
+        inputs = (*pose, *given.values(), time)
+        return _law(block(inputs, terms[:VALUES])), _law(block(inputs, terms[VALUES : VALUES + THIRD]))
+    except (PluginError, SpecError) as error:
+        raise SpecError(f"the constraint of joint '{name}': {error}") from None
+
+
+def _law(program: Any) -> CompiledLaw:
+    return native_law(NativeLaw(law_programs.run_function, tuple(program.tolist())))

@@ -1,0 +1,93 @@
+"""Texts that are smooth functions of variables with given names, such as the equation of a coupling of two bodies."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+from mbdkit.base.text import listed
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.parser import Code, Compiler, ExpressionError
+from mbdkit.expressions.program import Program, value_of
+
+_VARIABLE = "variable:"
+"""Prefix of the instructions that push a variable."""
+
+
+class VariableExpressionError(ExpressionError):
+    """An expression of variables that is not valid.
+
+    Attributes
+    ----------
+    variables
+        Names of the variables.
+    """
+
+    variables: tuple[str, ...] = ()
+
+
+class VariableCompiler(Compiler):
+    """Compiles an expression of variables with given names."""
+
+    variable = ""
+    error = VariableExpressionError
+
+    def __init__(self, text: str, variables: tuple[str, ...], parameters: Mapping[str, float] | None = None):
+        self.variables = variables
+        self.wanted = f"an expression of {listed(variables, 'and')}, which consists of numbers, these names, pi"
+        super().__init__(text, parameters)
+
+    def refuse(self, message: str, place: ast.AST | int) -> Any:
+        """Raise an error that knows the names of the variables."""
+        try:
+            super().refuse(message, place)
+        except VariableExpressionError as error:
+            error.variables = self.variables
+            raise
+
+    def operand(self, node: ast.expr) -> Code:
+        """Return the program of a variable; the base class rejects all other operands."""
+        if isinstance(node, ast.Name) and node.id in self.variables:
+            return [(_VARIABLE + node.id, 0.0)]
+        return super().operand(node)
+
+
+@lru_cache(maxsize=1024)
+def smooth_program(text: str, variables: tuple[str, ...]) -> Program:
+    """Return the program of a text; raises SpecError if it is not valid, or not smooth."""
+    compiler = VariableCompiler(text, variables)
+    program = tuple(compiler.program())
+    kinks = {name for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch and name != "atan2"}
+    if kinks:
+        compiler.refuse(f"{listed(sorted(kinks), 'and')} cannot be used here, because a derivative is discontinuous", 0)
+    return program
+
+
+def function_of(*variables: str) -> Callable[[object], object]:
+    """Return a validator, for `pydantic.BeforeValidator`, of texts that are smooth functions of these variables."""
+
+    def check(value: object) -> object:
+        if isinstance(value, str):
+            smooth_program(value, variables)
+        return value
+
+    return check
+
+
+def value_of_text(text: str, values: Mapping[str, Any]) -> Any:
+    """Return the value of a function of variables.
+
+    Parameters
+    ----------
+    text
+        Text that `function_of` accepted.
+    values
+        Values of all its variables by name: numbers, arrays, or numbers that record operations.
+    """
+
+    def leaf(operation: str, number: float) -> Any:
+        return number if operation == "const" else values[operation.removeprefix(_VARIABLE)]
+
+    return value_of(smooth_program(text, tuple(values)), leaf)
