@@ -14,7 +14,8 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.engine_bundles import Topology
-from mbdkit.engine.kernels.table_rows import BODIES, LINEAR, PAIR, STATE_ROW
+from mbdkit.engine.kernels.pose_functions import OF_TIME
+from mbdkit.engine.kernels.table_rows import BODIES, FUNCTION, LAW_ROW, LINEAR, PAIR, STATE_ROW
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.pathways import LawForce
 from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
@@ -326,7 +327,10 @@ class CompiledMechanism:
     def does_work(self, top: Topology) -> bool:
         """Return the same for a topology without some of these loads and laws."""
         damped = np.any(top.linear[:, LINEAR.damping]) or np.any(top.section_parameters[:, -3:])
-        return bool(len(top.loads) or len(self.drives) or damped or len(top.laws))
+        of_joints = np.concatenate([top.functions[:, FUNCTION.law], top.functions[:, FUNCTION.law] + 1])
+        laws = np.delete(np.arange(len(top.laws)), of_joints)
+        moved = np.any(top.laws[top.functions[:, FUNCTION.law], LAW_ROW.claims] == OF_TIME)
+        return bool(len(top.loads) or len(self.drives) or damped or len(laws) or moved)
 
     @cached_property
     def drives(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -9,9 +10,13 @@ from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
 from mbdkit.engine.function_program import block
 from mbdkit.engine.kernels import law_programs
-from mbdkit.engine.kernels.pose_functions import THIRD, VALUES
-from mbdkit.expressions.recorded import Recorder, derivatives
+from mbdkit.engine.kernels.pose_functions import OF_TIME, THIRD, VALUES
+from mbdkit.expressions.recorded import Recorder
+from mbdkit.expressions.recorded_derivatives import derivatives
 from mbdkit.mechanism.joint_base import Function, Pose, PoseFunction
+
+
+VARIABLES = len(Pose._fields)
 
 
 def laws_of_function(function: PoseFunction, name: str) -> tuple[CompiledLaw, CompiledLaw]:
@@ -35,7 +40,8 @@ def _laws(function: Function, parameters: tuple[str, ...], name: str) -> tuple[C
             value: Any = function(Pose(*pose, time), given)
         terms = derivatives(value, (*pose, time), order=3)
         inputs = (*pose, *given.values(), time)
-        return _law(block(inputs, terms[:VALUES])), _law(block(inputs, terms[VALUES : VALUES + THIRD]))
+        first = replace(_law(block(inputs, terms[:VALUES])), claims=0 if terms[VARIABLES].number == 0.0 else OF_TIME)
+        return first, _law(block(inputs, terms[VALUES : VALUES + THIRD]))
     except (PluginError, SpecError) as error:
         raise SpecError(f"the constraint of joint '{name}': {error}") from None
 

@@ -52,6 +52,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.force_law import (
         ExpressionLaw as ExpressionLaw, FunctionLaw as FunctionLaw, LawState as LawState, TracedLaw as TracedLaw,
     )
+    from mbdkit.mechanism.joint_base import FunctionJoint as FunctionJoint, Pose as Pose, PoseFunction as PoseFunction
     from mbdkit.mechanism.joint_friction import regularised_friction as regularised_friction
     from mbdkit.mechanism.joints import Driver as Driver, Joint as Joint, Revolute as Revolute
     from mbdkit.mechanism.mechanism import Mechanism as Mechanism
@@ -83,7 +84,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.quantities.states import States as States
     from mbdkit.registry.element_items import (
         ElementDerivatives as ElementDerivatives, ElementFailures as ElementFailures, ElementForces as ElementForces,
-        ElementKind as ElementKind, QuantityKind as QuantityKind,
+        ElementKind as ElementKind, JointKind as JointKind, QuantityKind as QuantityKind,
     )
     from mbdkit.registry.feature_items import (
         Accessor as Accessor, CriterionItem as CriterionItem, Example as Example, FileFormat as FileFormat,

@@ -20,8 +20,9 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         Torque as Torque, TorsionSpring as TorsionSpring,
     )
     from mbdkit.mechanism.joint_friction import PinFriction as PinFriction
+    from mbdkit.mechanism.joint_base import Constraint as Constraint
     from mbdkit.mechanism.joints import (
-        Constraint as Constraint, SlidingJoint as SlidingJoint, Weld as Weld,
+        SlidingJoint as SlidingJoint, Weld as Weld,
         joint_with_friction as joint_with_friction,
     )
     from mbdkit.mechanism.law_element import Law as Law
@@ -48,6 +49,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         BodyPair as BodyPair, Motion as Motion, Points as Points, curve_of as curve_of,
         number_or_table as number_or_table, pair as pair, sequence as sequence,
     )
+    from mbdkit.mechanism.variable_functions import function_of as function_of, value_of_text as value_of_text
     from mbdkit.symbolic.symbolic_law import LENGTH as LENGTH, RATE as RATE, T as T, law_expressions as law_expressions
     from mbdkit.mechanism.extent import points_of_elements as points_of_elements
     from mbdkit.mechanism.mechanism_seams import lines_of as lines_of

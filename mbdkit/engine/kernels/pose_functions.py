@@ -11,28 +11,64 @@ import numpy as np
 
 from mbdkit.engine.kernels.applied_forces import evaluate_law
 from mbdkit.engine.kernels.table_rows import FUNCTION, LAW_ROW
-from mbdkit.engine.native.arithmetic import is_refused, put_in_place
-from mbdkit.engine.native.functions import subkernel
+from mbdkit.engine.native.arithmetic import is_lanes, is_refused, put_in_place
+from mbdkit.engine.native.functions import inlined, overload, subkernel
 
 VALUES, THIRD = 21, 35
 """Numbers that the two laws of a function write: value with first and second derivatives; third derivatives."""
 VALUE_ROWS = VALUES // 3
 ROWS = VALUE_ROWS + (THIRD + 2) // 3
 """Rows of ``Scratch.u`` of a function."""
+OF_TIME = 4
+"""Claim (`LawRow.claims`) of a function that depends on the time, so that its constraint does work."""
 POSE = 4
 """Number of parameters of the laws that hold the pose; they come before the parameters of the function."""
+
+
+@inlined
+def _write(top, w, law, row, q):
+    # the law writes all its results from this row on, and the length of a row gives the address
+    evaluate_law(top, w, law, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.u, row, 3)
+
+
+@inlined
+def _write_values_in_lanes(top, w, law, row, q):
+    evaluate_law(top, w, law, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.u, row, 21)
+
+
+@inlined
+def _write_third_in_lanes(top, w, law, row, q):
+    evaluate_law(top, w, law, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.u, row, 35)
+
+
+def write_values(top, w, law, row, q):
+    """Write the value and the first two derivatives of a function into ``w.u`` from row `row` on."""
+    _write(top, w, law, row, q)
+
+
+def write_third(top, w, law, row, q):
+    """Write the third derivatives of a function into ``w.u`` from row `row` on."""
+    _write(top, w, law, row, q)
+
+
+@overload(write_values)
+def _write_values(top, w, law, row, q):
+    write = _write_values_in_lanes if is_lanes(q) else _write
+    return lambda top, w, law, row, q: write(top, w, law, row, q)
+
+
+@overload(write_third)
+def _write_third(top, w, law, row, q):
+    write = _write_third_in_lanes if is_lanes(q) else _write
+    return lambda top, w, law, row, q: write(top, w, law, row, q)
 
 
 @subkernel
 def evaluate_functions(top, w, q):
     """Evaluate all functions with their first two derivatives into ``w.u``; requires cosines, sines and ``w.time``."""
     for k in range(len(top.functions)):
-        a, b, pair = (
-            top.functions[k, FUNCTION.first],
-            top.functions[k, FUNCTION.second],
-            top.functions[k, FUNCTION.pair],
-        )
-        law, row = top.functions[k, FUNCTION.law], top.functions[k, FUNCTION.row]
+        a, b = top.functions[k, FUNCTION.first], top.functions[k, FUNCTION.second]
+        pair, law, row = top.functions[k, FUNCTION.pair], top.functions[k, FUNCTION.law], top.functions[k, FUNCTION.row]
         ca, sa, cb, sb = w.cs[a, 0], w.cs[a, 1], w.cs[b, 0], w.cs[b, 1]
         px, py = top.pair_parameters[pair, 2], top.pair_parameters[pair, 3]
         bx, by = cb * px - sb * py, sb * px + cb * py
@@ -42,14 +78,14 @@ def evaluate_functions(top, w, q):
         put_in_place(w.law_values, place + 1, ca * gy - sa * gx - top.pair_parameters[pair, 1])
         put_in_place(w.law_values, place + 2, q[3 * b + 2] - q[3 * a + 2])
         put_in_place(w.law_values, place + 3, q[3 * a + 2])
-        evaluate_law(top, w, law, 0.0 * ca, 0.0, w.time[0], w.u, row, 21)
+        write_values(top, w, law, row, q)
         if is_refused(abs(w.u[row, 0]) < np.inf):
             w.faulty[0] = law
 
 
 @subkernel
-def evaluate_third_derivatives(top, w):
+def evaluate_third_derivatives(top, w, q):
     """Evaluate the third derivatives of all functions into ``w.u``; requires `evaluate_functions`."""
     for k in range(len(top.functions)):
         law, row = top.functions[k, FUNCTION.law] + 1, top.functions[k, FUNCTION.row] + VALUE_ROWS
-        evaluate_law(top, w, law, 0.0 * w.cs[0, 0], 0.0, w.time[0], w.u, row, 35)
+        write_third(top, w, law, row, q)

@@ -252,7 +252,7 @@ def evaluate_tangents(top, w, t, q, v, acc, lam):
     solved_rows(top, w, q, v)
     stabilized = top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0
     if len(top.functions) > 0:
-        evaluate_third_derivatives(top, w)
+        evaluate_third_derivatives(top, w, q)
     if stabilized:  # `stabilize_tangents` fills entries that element kernels never write
         fill_rows(w.gamma_v, 0.0)
         fill_rows(w.res_q, 0.0)

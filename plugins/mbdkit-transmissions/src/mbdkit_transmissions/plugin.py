@@ -1,0 +1,48 @@
+"""What this part adds to mbdkit: joints that are functions of the relative pose, examples, and a page of the guide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from mbdkit.plugin import GuidePage, Item, JointKind, Target, hookimpl
+
+_HERE = Path(__file__).parent
+
+
+@hookimpl
+def mbdkit_items() -> Iterable[Item]:
+    """Return the types of joints, the examples, and the page of the guide."""
+    return [
+        JointKind(
+            name="gear",
+            summary="two gears whose pitch circles roll on each other",
+            order=100,
+            model=Target("mbdkit_transmissions.gears:Gear"),
+        ),
+        JointKind(
+            name="rack",
+            summary="a gear that rolls on a rack",
+            order=110,
+            model=Target("mbdkit_transmissions.gears:Rack"),
+        ),
+        JointKind(
+            name="rolling",
+            summary="a wheel that rolls without slip on a line or a circle",
+            order=120,
+            model=Target("mbdkit_transmissions.gears:Rolling"),
+        ),
+        JointKind(
+            name="belt",
+            summary="a belt over two pulleys",
+            order=130,
+            model=Target("mbdkit_transmissions.gears:Belt"),
+        ),
+        JointKind(
+            name="coupling",
+            summary="an equation between the relative coordinates of two bodies",
+            order=160,
+            model=Target("mbdkit_transmissions.coupling:Coupling"),
+        ),
+        *GuidePage.folder(_HERE / "guide"),
+    ]
