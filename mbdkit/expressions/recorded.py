@@ -136,7 +136,7 @@ class Recorder:
             places = [self.terms[operand].place for operand in operands]
             own = len(self.terms) if self.place is None else self.place
             self._known[known] = len(self.terms)
-            self.terms.append(Term(operation, operands, data, max(own, *places, 0)))
+            self.terms.append(Term(operation, operands, data, max(own, *places) if places else 0))
         return Recorded(self, self._known[known])
 
     def ancestors(
@@ -160,12 +160,12 @@ class Recorder:
         return sorted(needed)
 
     def replaced(self, of: Recorded, old: Recorded, new: Recorded) -> Recorded:
-        """Return a number with an input replaced by another number."""
+        """Return a number with an input replaced by another number; the unknown of a root is no input of this root."""
         memo = self._replaced.setdefault((old.index, new.index), {old.index: new.index})
         for index in self.ancestors([of], memo):
             term = self.terms[index]
             operands = tuple(memo[operand] for operand in term.operands)
-            if operands == term.operands:
+            if operands == term.operands or (term.operation == "root" and term.operands[-1] == old.index):
                 memo[index] = index
             else:
                 memo[index] = self.apply(term.operation, [Recorded(self, one) for one in operands], term.data).index

@@ -74,7 +74,7 @@ def derivative(of: Recorded, by: Recorded) -> Recorded:
     try:
         for index in recorder.ancestors([of], memo, _varying):
             recorder.place = recorder.terms[index].place
-            memo[index] = _slope(Recorded(recorder, index), memo, zero).index
+            memo[index] = _slope(Recorded(recorder, index), by, memo, zero).index
     finally:
         recorder.place = outer
     return Recorded(recorder, memo[of.index])
@@ -102,12 +102,13 @@ def _varying(term: Term) -> tuple[int, ...]:
     return () if term.operation in _CONSTANT else term.operands
 
 
-def _slope(of: Recorded, memo: Mapping[int, int], zero: int) -> Recorded:
+def _slope(of: Recorded, by: Recorded, memo: Mapping[int, int], zero: int) -> Recorded:
     """Return the derivative of a number, given those of its operands."""
     recorder, term = of.recorder, of.term
     operands = [Recorded(recorder, operand) for operand in term.operands]
     own = [Recorded(recorder, memo[operand]) for operand in _varying(term)]
-    if all(slope.index == zero for slope in own):
+    is_bound = term.operation == "root" and term.operands[-1] == by.index  # by its own unknown
+    if is_bound or all(slope.index == zero for slope in own):
         return Recorded(recorder, zero)
     match term.operation:
         case "select":
