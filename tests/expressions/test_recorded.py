@@ -154,8 +154,8 @@ def test_what_cannot_be_recorded_is_refused() -> None:
         derivative(x, 2.0 * x)
     with pytest.raises(PluginError, match="depends on 'x', which is not one of its inputs"):
         block([recorder.input("t")], [x])
-    with pytest.raises(PluginError, match="need .* registers, more than 512"):
-        terms = [np.sin(k * x) for k in range(600)]
+    terms = [np.sin(k * x) for k in range(600)]
+    with pytest.raises(PluginError, match=r"need \d+ registers, more than 512"):
         block([x], [sum(terms[k] * terms[-1 - k] for k in range(600))])
 
 
