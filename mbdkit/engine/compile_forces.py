@@ -26,7 +26,6 @@ from mbdkit.engine.kernels.applied_forces import (
 )
 from mbdkit.engine.kernels.pose_functions import POSE
 from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression
-from mbdkit.engine.traced_law import Source, Traced
 from mbdkit.mechanism.element_kinds import element_kinds, forces_of
 from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
@@ -425,5 +424,4 @@ def acting_kinds(mechanism: Mechanism) -> list[ElementKind]:
 
 @cache
 def _held_law() -> TracedLaw:
-    held = Traced(Source(), "parameters[0]")
-    return TracedLaw(lambda length, rate, time, p: held, dict, has_derivatives=False)
+    return TracedLaw(lambda length, rate, time, p: p["held"], dict, has_derivatives=False)

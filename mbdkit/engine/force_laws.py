@@ -18,12 +18,15 @@ import numpy as np
 
 from mbdkit.base.errors import PluginError
 from mbdkit.base.text import one_line
+from mbdkit.engine import function_program
+from mbdkit.engine.function_program import Assembler
 from mbdkit.engine.kernels import law_kernels, law_programs
-from mbdkit.engine.kernels.law_programs import HEAD, ONLY_OF_NUMBERS, OPCODES, REGISTERS, WORDS
+from mbdkit.engine.kernels.law_programs import HEAD, ONLY_OF_NUMBERS, OPCODES, WORDS
 from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE
 from mbdkit.engine.native.kernel import LawFunction
 from mbdkit.engine.native.machine_code import BUILDER, builder
-from mbdkit.engine.traced_law import traced_source
+from mbdkit.expressions.recorded import Recorder
+from mbdkit.expressions.recorded_derivatives import derivative
 from mbdkit.laws import exponential, gas_spring, linear, one_sided, tabulated
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, LawState, TracedLaw
 from mbdkit.mechanism.law_parameters import law_parameters
@@ -189,15 +192,25 @@ def _code_of(law: ForceLaw | NativeLaw, example: dict[str, float], *, duals: boo
 def _program_of(law: ExpressionLaw | TracedLaw, example: tuple[tuple[str, float], ...]) -> np.ndarray:
     """Return the program of a law as integers, some of which are the bits of constants."""
     if isinstance(law, TracedLaw):
-        return _Compiler(traced_source(law, list(dict(example))), len(example)).block()
+        return _recorded(law, list(dict(example)))
     from mbdkit.symbolic.symbolic_law import law_source
 
-    return _Compiler(law_source(law, dict(example)), len(example)).block()
+    return _compiled(law_source(law, dict(example)), len(example))
 
 
 def _names_in(block: np.ndarray) -> list[str]:
-    names = list(OPCODES)
-    return [names[code] for code in block[HEAD : HEAD + WORDS * block[0] : WORDS]]
+    names, begin = list(OPCODES), HEAD + block[2]
+    return [names[code] for code in block[begin : begin + WORDS * block[0] : WORDS]]
+
+
+def _recorded(law: TracedLaw, names: Sequence[str]) -> np.ndarray:
+    """Return the program of a law that is a Python function, with derivatives if they are needed, else 0."""
+    recorder = Recorder()
+    length, rate, time = arguments = [recorder.input(name) for name in ARGUMENTS]
+    parameters = {name: recorder.input(f"parameter {name}") for name in names}
+    value = recorder.constant(law.function(length, rate, time, parameters))
+    slopes = [derivative(value, by) for by in (length, rate)] if law.has_derivatives else [0.0, 0.0]
+    return function_program.block([*arguments, *parameters.values()], [value, *slopes, 0.0])
 
 
 _BINARY = {
@@ -214,126 +227,76 @@ _NAMES = {"abs": "abs", "fabs": "abs", "ceil": "ceil", "floor": "floor"}
 _CONSTANTS = {"pi": np.pi, "e": np.e, "inf": np.inf, "nan": np.nan}
 
 
+def _compiled(source: str, parameters: int) -> np.ndarray:
+    """Return the program of the source of a law, a function that returns four numbers."""
+    (function,) = ast.parse(source).body
+    assert isinstance(function, ast.FunctionDef)
+    compiler = _Compiler(parameters)
+    for statement in function.body:
+        if isinstance(statement, ast.Assign):
+            (target,) = statement.targets
+            assert isinstance(target, ast.Name)
+            compiler.names[target.id] = compiler.value(statement.value)
+    assert isinstance(statement, ast.Return)
+    assert isinstance(statement.value, ast.Tuple)
+    return compiler.assembler.block([compiler.value(result) for result in statement.value.elts])
+
+
 class _Compiler:
-    """Compiles the source of a law, a function that returns four numbers, to a program.
+    """Appends the operations of the source of a law, in their order, which determines the rounding errors."""
 
-    Operations stay in the order of the source, because it determines the rounding errors. Registers of intermediate
-    results are reused after their last use.
-    """
-
-    def __init__(self, source: str, parameters: int):
-        (function,) = ast.parse(source).body
-        assert isinstance(function, ast.FunctionDef)
-        self.parameters = parameters
-        self.constants: list[float] = []
-        self.places: dict[str, int] = {}
-        self.code: list[tuple[str, int, int, int]] = []
+    def __init__(self, parameters: int):
+        self.assembler = Assembler(3 + parameters)
         self.names: dict[str, int] = {name: i for i, name in enumerate(ARGUMENTS)}
-        # Numbers of values: first the arguments and parameters, then the results of instructions in their order.
-        # Constants have negative numbers, since their count is not known yet.
-        self.values = 3 + parameters
-        for statement in function.body:
-            if isinstance(statement, ast.Assign):
-                (target,) = statement.targets
-                assert isinstance(target, ast.Name)
-                self.names[target.id] = self.value(statement.value)
-            elif isinstance(statement, ast.Return):
-                assert isinstance(statement.value, ast.Tuple)
-                self.results = [self.value(one) for one in statement.value.elts]
 
     def value(self, node: ast.expr) -> int:
         """Append the instructions of an expression; return the index of its value."""
         number = _number(node)
         if number is not None:
-            return self._constant(number)
+            return self.assembler.constant(number)
         match node:
             case ast.Name(id=name):
-                return self.names[name] if name in self.names else self._constant(_CONSTANTS[name])
+                return self.names[name] if name in self.names else self.assembler.constant(_CONSTANTS[name])
             case ast.Subscript(slice=ast.Constant(value=int(index))):
                 return 3 + index
             case ast.UnaryOp(op=ast.USub()):
-                return self._append("negate", self.value(node.operand))
+                return self.assembler.append("negate", self.value(node.operand))
             case ast.UnaryOp(op=ast.Not()):
-                return self._append("not", self.value(node.operand))
+                return self.assembler.append("not", self.value(node.operand))
             case ast.UnaryOp(op=ast.UAdd()):
                 return self.value(node.operand)
             case ast.BinOp(op=ast.Pow()):
                 return self._power(node)
             case ast.BinOp():
-                return self._append(_BINARY[type(node.op)], self.value(node.left), self.value(node.right))
+                return self.assembler.append(_BINARY[type(node.op)], self.value(node.left), self.value(node.right))
             case ast.Compare(ops=[sign], comparators=[right]):
-                return self._append(_COMPARED[type(sign)], self.value(node.left), self.value(right))
+                return self.assembler.append(_COMPARED[type(sign)], self.value(node.left), self.value(right))
             case ast.BoolOp():
                 name = "and" if isinstance(node.op, ast.And) else "or"
                 result, *others = (self.value(operand) for operand in node.values)
                 for other in others:
-                    result = self._append(name, result, other)
+                    result = self.assembler.append(name, result, other)
                 return result
             case ast.IfExp():
-                return self._append("select", *map(self.value, (node.test, node.body, node.orelse)))
+                return self.assembler.append("select", *map(self.value, (node.test, node.body, node.orelse)))
             case ast.Call(func=ast.Name(id="float")):
                 return self.value(node.args[0])
             case ast.Call(func=ast.Name(id=name)) if _NAMES.get(name, name) in OPCODES:
-                return self._append(_NAMES.get(name, name), *map(self.value, node.args))
+                return self.assembler.append(_NAMES.get(name, name), *map(self.value, node.args))
         raise PluginError(f"'{ast.unparse(node)}' in its force or a derivative cannot be compiled")
 
     def _power(self, node: ast.BinOp) -> int:
         exponent = _number(node.right)
         base = self.value(node.left)
         if isinstance(exponent, int):
-            return self._constant(1.0) if exponent == 0 else self._append("power_of_integer", base, exponent)
+            if exponent == 0:
+                return self.assembler.constant(1.0)
+            return self.assembler.append("power_of_integer", base, exponent)
         if exponent == 0.5:
-            return self._append("sqrt", base)
+            return self.assembler.append("sqrt", base)
         if exponent == 2.0:
-            return self._append("multiply", base, base)
-        return self._append("power", base, self.value(node.right))
-
-    def _constant(self, number: float) -> int:
-        bits = float(number).hex()  # 0.0 and -0.0 are different constants
-        if bits not in self.places:
-            self.places[bits] = len(self.constants)
-            self.constants.append(float(number))
-        return -1 - self.places[bits]
-
-    def _append(self, name: str, *operands: int) -> int:
-        self.values += 1
-        first, second, third = (*operands, 0, 0)[:3]
-        self.code.append((name, first, second, third))
-        return self.values - 1
-
-    def block(self) -> np.ndarray:
-        """Return the program as integers for the kernel."""
-        places = self._registers()
-        code = [len(self.code), len(self.constants), *(places[one] for one in self.results)]
-        for number, (name, first, second, third) in enumerate(self.code, 3 + self.parameters):
-            second = second if name == "power_of_integer" else places[second]
-            code += [OPCODES[name], places[first], second, places[third], places[number]]
-        return np.concatenate([np.array(code, dtype=np.int64), np.array(self.constants).view(np.int64)])
-
-    def _registers(self) -> dict[int, int]:
-        fixed = 3 + self.parameters
-        places = {i: i for i in range(fixed)} | {-1 - i: fixed + i for i in range(len(self.constants))}
-        last = {value: i for i, (name, *operands) in enumerate(self.code) for value in _used(name, operands)}
-        last |= dict.fromkeys(self.results, len(self.code))
-        free: list[int] = []
-        count = fixed + len(self.constants)
-        for i, (name, *operands) in enumerate(self.code):
-            ended = {value for value in _used(name, operands) if value >= fixed and last[value] == i}
-            free += sorted({places[value] for value in ended})
-            if free:
-                places[fixed + i] = free.pop()
-            else:
-                places[fixed + i], count = count, count + 1
-            if fixed + i not in last:
-                free.append(places[fixed + i])
-        if count > REGISTERS:
-            raise PluginError(f"its force and derivatives need {count} registers, more than {REGISTERS}")
-        return places
-
-
-def _used(name: str, operands: list[int]) -> list[int]:
-    count = {"select": 3, "power_of_integer": 1}.get(name, 2)
-    return operands[:count]
+            return self.assembler.append("multiply", base, base)
+        return self.assembler.append("power", base, self.value(node.right))
 
 
 def _number(node: ast.expr) -> int | float | None:

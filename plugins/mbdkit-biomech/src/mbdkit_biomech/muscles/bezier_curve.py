@@ -101,7 +101,7 @@ class BezierCurve:
 
     def value(self, x: Traced) -> Traced:
         """Return values at x, computed by a fixed sequence of operations that can be traced; see
-        `mbdkit.engine.traced_law`.
+        `mbdkit.expressions.recorded`.
         """
         plain, (first, last) = without_slopes(x), self._ends
         inside = np.where(plain < first, first, np.where(plain > last, last, x))
