@@ -168,3 +168,20 @@ CONVERGED = 1e-8
 """Largest last change of a root by Newton's method, relative to the root or 1.
 
 The error of the root is about its square before the last step, and its fourth power after it."""
+
+
+def with_slope_at(function: Callable[[Recorded], Any], at: Recorded) -> tuple[Recorded, Recorded]:
+    """Return the value and the derivative of a function of one number at a recorded number.
+
+    Parameters
+    ----------
+    function
+        Function of a recorded number; it is called once.
+    at
+        The number, which need not be an input.
+    """
+    recorder: Recorder = at.recorder
+    argument = recorder.input(f"argument {len(recorder.terms)}")
+    value = recorder.constant(function(argument))
+    slope = derivative(value, argument)
+    return recorder.replaced(value, argument, at), recorder.replaced(slope, argument, at)

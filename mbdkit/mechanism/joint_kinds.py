@@ -38,9 +38,7 @@ def joint_class(item: Registered) -> type[FunctionJoint]:
     kind = cast(JointKind, item.plugin)
     found: object = kind.model()
     if not (isinstance(found, type) and issubclass(found, FunctionJoint)):
-        raise PluginError(
-            f"the `model` of {item.id} is {described(found)}, not a class derived from FunctionJoint"
-        )
+        raise PluginError(f"the `model` of {item.id} is {described(found)}, not a class derived from FunctionJoint")
     return found
 
 

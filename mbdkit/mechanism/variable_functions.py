@@ -11,6 +11,8 @@ from mbdkit.base.text import listed
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, value_of
+from mbdkit.expressions.recorded import Recorded
+from mbdkit.mechanism.values import Table, curve_of
 
 _VARIABLE = "variable:"
 """Prefix of the instructions that push a variable."""
@@ -74,6 +76,12 @@ def function_of(*variables: str) -> Callable[[object], object]:
         return value
 
     return check
+
+
+def value_of_table(table: Table, at: Recorded) -> Recorded:
+    """Return the value of the spline of a table at a number that records operations."""
+    curve = curve_of(table)
+    return at.recorder.table(curve.x, curve.c[::-1].T, at, table.period)
 
 
 def value_of_text(text: str, values: Mapping[str, Any]) -> Any:

@@ -6,7 +6,11 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
-    from mbdkit.mechanism.angle_function import Center as Center, expression_of as expression_of
+    from mbdkit.expressions.recorded_derivatives import root as root, with_slope_at as with_slope_at
+    from mbdkit.mechanism.angle_function import (
+        AngleFunction as AngleFunction, AngleTable as AngleTable, Center as Center, expression_of as expression_of,
+        value_at as value_at,
+    )
     from mbdkit.mechanism.beam_shape import places_with_ends as places_with_ends, with_ends as with_ends
     from mbdkit.mechanism.beams import Beam as Beam, beam_of as beam_of, named_body as named_body, parts_of as parts_of
     from mbdkit.mechanism.bodies import Attachment as Attachment, Marker as Marker
@@ -47,9 +51,11 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.mechanism.values import (
         BodyPair as BodyPair, Motion as Motion, Points as Points, curve_of as curve_of,
-        number_or_table as number_or_table, pair as pair, sequence as sequence,
+        columns_of as columns_of, number_or_table as number_or_table, pair as pair, sequence as sequence,
     )
-    from mbdkit.mechanism.variable_functions import function_of as function_of, value_of_text as value_of_text
+    from mbdkit.mechanism.variable_functions import (
+        function_of as function_of, value_of_table as value_of_table, value_of_text as value_of_text,
+    )
     from mbdkit.symbolic.symbolic_law import LENGTH as LENGTH, RATE as RATE, T as T, law_expressions as law_expressions
     from mbdkit.mechanism.extent import points_of_elements as points_of_elements
     from mbdkit.mechanism.mechanism_seams import lines_of as lines_of

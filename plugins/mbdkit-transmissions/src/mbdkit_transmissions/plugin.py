@@ -39,6 +39,18 @@ def mbdkit_items() -> Iterable[Item]:
             model=Target("mbdkit_transmissions.gears:Belt"),
         ),
         JointKind(
+            name="cam",
+            summary="a cam and a follower",
+            order=140,
+            model=Target("mbdkit_transmissions.cams:Cam"),
+        ),
+        JointKind(
+            name="slot",
+            summary="a point that slides along a curve",
+            order=150,
+            model=Target("mbdkit_transmissions.cams:Slot"),
+        ),
+        JointKind(
             name="coupling",
             summary="an equation between the relative coordinates of two bodies",
             order=160,

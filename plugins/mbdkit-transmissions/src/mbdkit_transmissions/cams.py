@@ -1,0 +1,251 @@
+"""Cams and slots: points, rollers and flat faces of one body on a curve of another.
+
+The constraint is the signed distance of the follower from the curve, up to higher powers of this distance: for points,
+the function of the curve divided by the norm of its gradient; for rollers and flat faces, the distance along the normal
+at the point of the curve where its tangent is parallel, the root of an equation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from mbdkit.plugin import FunctionJoint, Point, Pose, PoseFunction, Positive, SpecError, StrictModel
+from mbdkit.plugin.mechanisms import root, with_slope_at
+
+from mbdkit_transmissions.profiles import Curve, OfAngle, OfX, check_closed
+
+Lines = Sequence[Sequence[tuple[int, tuple[float, float]]]]
+
+
+@dataclass(frozen=True)
+class OnClosedCurve:
+    """The distance of a point from a polar curve."""
+
+    radius: Curve
+
+    def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
+        """Return the distance [m], positive outside."""
+        radius, slope = with_slope_at(self.radius, np.arctan2(pose.y, pose.x))
+        ratio = slope / radius
+        return (np.sqrt(pose.x * pose.x + pose.y * pose.y) - radius) / np.sqrt(1.0 + ratio * ratio)
+
+
+@dataclass(frozen=True)
+class OnGraph:
+    """The distance of a point from the graph of a function y(x)."""
+
+    height: Curve
+
+    def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
+        """Return the distance [m], positive above."""
+        height, slope = with_slope_at(self.height, pose.x)
+        return (pose.y - height) / np.sqrt(1.0 + slope * slope)
+
+
+@dataclass(frozen=True)
+class RollerOnCurve:
+    """The distance of a roller from a polar curve."""
+
+    radius: Curve
+
+    def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
+        """Return the distance [m], positive outside."""
+
+        def foot(s: Any) -> Any:
+            x, y, dx, dy = _point_and_tangent(self.radius, s)
+            return ((pose.x - x) * dx + (pose.y - y) * dy) / p["size"] ** 2
+
+        x, y, dx, dy = _point_and_tangent(self.radius, root(foot, np.arctan2(pose.y, pose.x)))
+        return ((pose.x - x) * dy - (pose.y - y) * dx) / np.sqrt(dx * dx + dy * dy) - p["roller"]
+
+
+@dataclass(frozen=True)
+class FaceOnCurve:
+    """The distance of a flat face from a polar curve."""
+
+    radius: Curve
+
+    def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
+        """Return the distance [m], positive outside."""
+        direction = pose.angle + p["normal"]
+        nx, ny = np.cos(direction), np.sin(direction)
+
+        def touching(s: Any) -> Any:
+            _, _, dx, dy = _point_and_tangent(self.radius, s)
+            return (dx * nx + dy * ny) / p["size"]
+
+        x, y, _, _ = _point_and_tangent(self.radius, root(touching, direction))
+        return (pose.x - x) * nx + (pose.y - y) * ny
+
+
+def _point_and_tangent(radius: Curve, s: Any) -> tuple[Any, Any, Any, Any]:
+    """Return the point of a polar curve at an angle, and its derivative by the angle."""
+    r, slope = with_slope_at(radius, s)
+    c, sine = np.cos(s), np.sin(s)
+    return r * c, r * sine, slope * c - r * sine, slope * sine + r * c
+
+
+class Roller(StrictModel):
+    """A follower that is a roller around the second body's point."""
+
+    roller: Positive
+    """Radius of the roller [m]."""
+
+
+class Flat(StrictModel):
+    """A follower that is a flat face through the second body's point."""
+
+    flat: Point
+    """Direction of the normal of the face in b's frame, which points away from the cam."""
+
+
+class Cam(FunctionJoint):
+    """A cam of a and a follower of b, which other joints guide. The follower does not lift off.
+
+    A force that pulls the follower to the cam is a doubt about the run: a real follower would lift off.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "follower")
+
+    type: Literal["cam"] = "cam"
+    profile: OfAngle
+    """Radius of the cam [m] from its centre, a's point, as a function of the `angle` from a's x axis [rad]: a number, an
+    expression, or a table with `ends: periodic`."""
+    follower: Literal["point"] | Roller | Flat = "point"
+    """What touches the cam at b's point: the `point` itself, `{roller: radius}`, or `{flat: [x, y]}`, a face with this
+    normal in b's frame."""
+    rows: ClassVar[tuple[str, ...]] = ("normal",)
+    units: ClassVar[tuple[str, ...]] = ("m",)
+
+    def angles(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
+        return self.places() if isinstance(self.follower, Flat) else self.places()[:1]
+
+    def functions(self, start: Pose) -> Sequence[PoseFunction]:
+        """Return the constraint of each row; see `FunctionJoint.functions`."""
+        radius = Curve(self.profile, "angle")
+        size = float(np.max(check_closed(radius, "profile")))
+        self._check_curvature(radius)
+        if isinstance(self.follower, Roller):
+            return [PoseFunction(RollerOnCurve(radius), (("roller", self.follower.roller), ("size", size)))]
+        if isinstance(self.follower, Flat):
+            normal = math.atan2(self.follower.flat[1], self.follower.flat[0])
+            return [PoseFunction(FaceOnCurve(radius), (("normal", normal), ("size", size)))]
+        return [PoseFunction(OnClosedCurve(radius))]
+
+    def _check_curvature(self, radius: Curve) -> None:
+        """Raise SpecError if the follower cannot touch the profile everywhere."""
+        if self.follower == "point":
+            return
+        step = 2 * np.pi / 7200
+        angles = np.arange(-np.pi, np.pi, step)
+        before, r, after = (np.asarray(radius(angles + shift)) for shift in (-step, 0.0, step))
+        slope, bend = (after - before) / (2 * step), (after - 2 * r + before) / step**2
+        curvature = (r * r + 2 * slope * slope - r * bend) / (r * r + slope * slope) ** 1.5
+        worst = int(np.argmin(curvature))
+        if isinstance(self.follower, Flat) and curvature[worst] <= 0.0:
+            raise SpecError(
+                f"the profile is hollow at the angle {angles[worst]:.4g} rad, where a flat face cannot follow it",
+                key="profile",
+            )
+        if isinstance(self.follower, Roller) and -curvature[worst] * self.follower.roller >= 1.0:
+            raise SpecError(
+                f"the profile is hollow at the angle {angles[worst]:.4g} rad, with a radius of curvature of "
+                f"{-1.0 / curvature[worst]:.4g} m, where a roller of radius {self.follower.roller:.4g} m cannot follow it",
+                key="follower",
+            )
+
+    def lines(self, start: Pose) -> Lines:
+        """Return the profile and the follower."""
+        profile = _closed_line(Curve(self.profile, "angle"), self.points[0])
+        (x, y), follower = self.points[1], self.follower
+        if isinstance(follower, Roller):
+            turns = np.linspace(0.0, 2 * np.pi, 25)
+            return [
+                profile,
+                [(1, (x + follower.roller * math.cos(s), y + follower.roller * math.sin(s))) for s in turns],
+            ]
+        if isinstance(follower, Flat):
+            length = math.hypot(*follower.flat)
+            dx, dy = -follower.flat[1] / length, follower.flat[0] / length
+            half = float(np.max(np.asarray(Curve(self.profile, "angle")(np.linspace(-np.pi, np.pi, 181)))))
+            return [profile, [(1, (x - half * dx, y - half * dy)), (1, (x + half * dx, y + half * dy))]]
+        return [profile]
+
+
+class Graph(StrictModel):
+    """A curve ``y(x)`` in the frame of the first body."""
+
+    y: OfX
+    """y [m] as a function of `x` [m]: a number, an expression, or a table."""
+
+
+class Polar(StrictModel):
+    """A closed curve around a's point."""
+
+    radius: OfAngle
+    """Distance from a's point [m] as a function of the `angle` from a's x axis [rad]: a number, an expression, or a
+    table with `ends: periodic`."""
+
+
+class Slot(FunctionJoint):
+    """A point of b that slides along a curve of a, in both directions of the normal; b may turn."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "point")
+
+    type: Literal["slot"] = "slot"
+    curve: Graph | Polar
+    """The curve, with a's point as its origin: ``{y: EXPRESSION of x}``, or ``{radius: EXPRESSION of angle}`` for a
+    closed one. Each may also be a table."""
+    point: Point | None = None
+    """The point in b's frame [m], in place of the second of `points`."""
+    rows: ClassVar[tuple[str, ...]] = ("normal",)
+    units: ClassVar[tuple[str, ...]] = ("m",)
+
+    @model_validator(mode="after")
+    def _point_once(self) -> Slot:
+        if self.point is not None and self.points[1] != (0.0, 0.0):
+            raise SpecError("give b's point either as `point`, or as the second of `points`", key="point")
+        return self
+
+    @property
+    def flat_points(self) -> tuple[float, float, float, float]:
+        """The points (x_a, y_a, x_b, y_b) [m], each in the frame of its body, to which a `Pose` refers."""
+        return (*self.points[0], *(self.points[1] if self.point is None else self.point))
+
+    def angles(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
+        return self.places()[:1]
+
+    def functions(self, start: Pose) -> Sequence[PoseFunction]:
+        """Return the constraint of each row; see `FunctionJoint.functions`."""
+        if isinstance(self.curve, Polar):
+            radius = Curve(self.curve.radius, "angle")
+            check_closed(radius, "curve.radius")
+            return [PoseFunction(OnClosedCurve(radius))]
+        return [PoseFunction(OnGraph(Curve(self.curve.y, "x")))]
+
+    def lines(self, start: Pose) -> Lines:
+        """Return the curve, or the part of it near the start."""
+        if isinstance(self.curve, Polar):
+            return [_closed_line(Curve(self.curve.radius, "angle"), self.points[0])]
+        height, (x0, y0) = Curve(self.curve.y, "x"), self.points[0]
+        half = max(abs(float(start.x)), abs(float(start.y)), 0.1)
+        first, last = getattr(self.curve.y, "span", (start.x - half, start.x + half))
+        x = np.linspace(first, last, 61)
+        return [[(0, (x0 + float(a), y0 + float(b))) for a, b in zip(x, np.asarray(height(x)), strict=True)]]
+
+
+def _closed_line(radius: Curve, center: tuple[float, float]) -> list[tuple[int, tuple[float, float]]]:
+    angles = np.linspace(-np.pi, np.pi, 145)
+    values = np.asarray(radius(angles))
+    return [
+        (0, (center[0] + float(r) * math.cos(s), center[1] + float(r) * math.sin(s)))
+        for r, s in zip(values, angles, strict=True)
+    ]
