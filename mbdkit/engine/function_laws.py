@@ -15,7 +15,6 @@ from mbdkit.expressions.recorded import Recorder
 from mbdkit.expressions.recorded_derivatives import derivatives
 from mbdkit.mechanism.joint_base import Function, Pose, PoseFunction
 
-
 VARIABLES = len(Pose._fields)
 
 

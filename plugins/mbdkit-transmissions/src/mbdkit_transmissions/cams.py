@@ -17,7 +17,6 @@ from pydantic import model_validator
 
 from mbdkit.plugin import FunctionJoint, Point, Pose, PoseFunction, Positive, SpecError, StrictModel
 from mbdkit.plugin.mechanisms import root, with_slope_at
-
 from mbdkit_transmissions.profiles import Curve, OfAngle, OfX, check_closed
 
 Lines = Sequence[Sequence[tuple[int, tuple[float, float]]]]
