@@ -13,7 +13,7 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import ActingForce, ElementState, ForceElement, SampledController
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
-from mbdkit.engine.friction_forces import FrictionForce, friction_forces
+from mbdkit.engine.friction_forces import FollowingForce, FrictionForce, following_forces, friction_forces
 from mbdkit.engine.function_laws import laws_of_function
 from mbdkit.engine.kernels import table_rows as rows
 from mbdkit.engine.kernels.applied_forces import (
@@ -99,8 +99,9 @@ class Lowering:
                 self._add_kind(kind)
         self.friction = friction_forces(mechanism)
         self.first_friction = len(self.elements)
-        for number_of_friction, friction in enumerate(self.friction):
-            self._add_friction(number_of_friction, friction)
+        self.following = following_forces(mechanism)
+        for place, force_of_joint in enumerate((*self.friction, *self.following)):
+            self._add_friction(place, force_of_joint)
         for kind in further:
             if kind.order >= FRICTION:
                 self._add_kind(kind)
@@ -191,13 +192,13 @@ class Lowering:
             self._add_law_row(name, one, begin)
         self.law_parameters += block
 
-    def _add_friction(self, number: int, friction: FrictionForce) -> None:
-        """Add the friction of a joint, and note which parameters of its law stand for multipliers of the joint."""
+    def _add_friction(self, number: int, friction: FrictionForce | FollowingForce) -> None:
+        """Add a force that follows the reaction of a joint, and note which parameters of its law are multipliers."""
         begin, law = len(self.law_parameters), len(self.laws)
         self.frictions.append(len(self.springs))
         self._add_law(friction.name, friction, "joints")
         names = [parameter for parameter, _ in self.laws[law][1].parameters]
-        for row, name in enumerate(friction.reactions):
+        for row, name in friction.reactions:
             self.reactions.append((friction.number, row, begin + 1 + names.index(name), number))
 
     def _add_load(self, name: str, load: AppliedLoad) -> None:

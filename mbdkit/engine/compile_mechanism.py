@@ -142,6 +142,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         acting=tuple(forces.acting),
         friction=tuple(one.number for one in forces.friction),
         first_friction=forces.first_friction,
+        following=tuple(forces.following),
         extensions=forces.extensions,
         members=_members(mechanism, forces.extensions),
         treatments=tuple(chosen for chosen in mechanism.treatments if chosen.key in forces.extensions),

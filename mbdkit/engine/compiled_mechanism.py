@@ -13,6 +13,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.force_laws import CompiledLaw
+from mbdkit.engine.friction_forces import FollowingForce
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.pose_functions import OF_TIME
 from mbdkit.engine.kernels.table_rows import BODIES, FUNCTION, LAW_ROW, LINEAR, PAIR, STATE_ROW
@@ -179,6 +180,8 @@ class CompiledMechanism:
         Indices of the joints with friction.
     first_friction
         Index of the first friction force among all force elements.
+    following
+        Side forces of joints, which follow their reactions; their force elements come after those of friction.
     extensions
         What further kinds of elements need in runs, by their key in the model; see `mbdkit.plugin.ElementKind`.
     beams
@@ -239,6 +242,7 @@ class CompiledMechanism:
     acting: tuple[ActingForce, ...] = ()
     friction: tuple[int, ...] = ()
     first_friction: int = 0
+    following: tuple[FollowingForce, ...] = ()
     extensions: Mapping[str, Any] = field(default_factory=dict)
     treatments: tuple[ChosenTreatment, ...] = ()
     members: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
@@ -291,6 +295,14 @@ class CompiledMechanism:
         if self.states:
             names = listed([state.name for state in self.states], "and")
             raise SpecError(f"{what} does not include first-order states ({names}){hint and '; ' + hint}", key="model")
+
+    def refuse_side_forces(self, what: str) -> None:
+        """Raise SpecError if a joint has a side force; `what` names the computation that does not support them."""
+        for force in self.following:
+            raise SpecError(
+                f"{what} does not include {force.side.name} of joint '{force.name}'; set it to 0",
+                key=f"model.joints.{quoted(force.name)}.{force.side.key}",
+            )
 
     def refuse_friction(self, sentence: str) -> None:
         """Raise SpecError with the message `sentence` if any joint has friction."""

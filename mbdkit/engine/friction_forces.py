@@ -1,5 +1,5 @@
-"""Friction in joints as force elements: their pathways, and their laws, which depend on the multipliers of the
-joint.
+"""Friction in joints, and side forces of joints, as force elements: their pathways, and their laws, which depend on the
+multipliers of the joint.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mbdkit.mechanism.force_law import TracedLaw
+from mbdkit.mechanism.joint_base import FunctionJoint, SideForce
 from mbdkit.mechanism.joint_friction import JointFriction, PinFriction, SlideFriction, regularised_friction
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
@@ -64,9 +65,9 @@ class FrictionForce:
         return friction_law(_pin if isinstance(self.friction, PinFriction) else _slide)
 
     @property
-    def reactions(self) -> tuple[str, ...]:
-        """Names of the parameters that are multipliers, in the order of the rows of the joint."""
-        return REACTIONS[: len(self.joint.rows)]
+    def reactions(self) -> tuple[tuple[int, str], ...]:
+        """Row and name of each parameter of the law that is a multiplier."""
+        return tuple(enumerate(REACTIONS[: len(self.joint.rows)]))
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -80,6 +81,56 @@ class FrictionForce:
         given = {"static": static, "kinetic": kinetic, "transition": self.friction.transition_speed, "arm": arm}
         return {**dict.fromkeys(REACTIONS, 0.0), **given}
 
+
+@dataclass(frozen=True)
+class FollowingForce:
+    """The side force of a joint as a force element along the line between its points, which is also the pathway.
+
+    Attributes
+    ----------
+    name, joint
+        Name of the joint, and the joint.
+    number
+        Index of the joint.
+    side
+        The side force.
+    """
+
+    name: str
+    joint: FunctionJoint
+    number: int
+    side: SideForce
+    law_id: ClassVar[str] = "side-force"
+    length_unit: ClassVar[str] = "m"
+
+    @property
+    def pathway(self) -> FollowingForce:
+        """The pathway along which the force acts, which is this object."""
+        return self
+
+    def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
+        """Return the segment of the pathway."""
+        return (Segment("two_points", self.joint.bodies, self.joint.flat_points),)
+
+    @property
+    def force_law(self) -> TracedLaw:
+        """The law of the force."""
+        return _SIDE
+
+    @property
+    def reactions(self) -> tuple[tuple[int, str], ...]:
+        """Row and name of each parameter of the law that is a multiplier."""
+        return ((self.side.row, REACTIONS[0]),)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Values of the parameters of the law by name; that of the multiplier is 0."""
+        return {REACTIONS[0]: 0.0, "ratio": self.side.ratio}
+
+
+_SIDE = TracedLaw(
+    lambda length, rate, time, p: p["ratio"] * np.absolute(p[REACTIONS[0]]) + 0.0 * length, lambda one: one.numbers
+)
 
 Law = Callable[[Any, Mapping[str, Any]], Any]
 
@@ -117,3 +168,12 @@ def friction_forces(mechanism: Mechanism) -> list[FrictionForce]:
         if (friction := getattr(joint, "friction", None)) is not None:
             found.append(FrictionForce(name, joint, number, friction))
     return found
+
+
+def following_forces(mechanism: Mechanism) -> list[FollowingForce]:
+    """Return the side forces of all joints that have one, as force elements."""
+    return [
+        FollowingForce(name, joint, number, side)
+        for number, (name, joint) in enumerate(mechanism.joints.items())
+        if isinstance(joint, FunctionJoint) and (side := joint.side_force()) is not None
+    ]

@@ -154,6 +154,28 @@ class JointBase(Between):
         return separation
 
 
+@dataclass(frozen=True)
+class SideForce:
+    """A force of a joint along the line between its two points, in proportion to the size of a reaction.
+
+    The radial part of the force between two teeth is one. It follows the reaction as friction does.
+
+    Attributes
+    ----------
+    row
+        Index of the constraint row whose multiplier is the reaction.
+    ratio
+        Force divided by the size of this multiplier; positive if it pulls the points together.
+    name, key
+        Name of the force in messages, and the key of the joint that causes it.
+    """
+
+    row: int
+    ratio: float
+    name: str
+    key: str
+
+
 class FunctionJoint(JointBase):
     """Base class of joints whose constraints are functions of the relative pose, one row each, such as gears.
 
@@ -207,6 +229,10 @@ class FunctionJoint(JointBase):
             The relative pose at the initial positions before assembly, in numbers.
         """
         raise NotImplementedError
+
+    def side_force(self) -> SideForce | None:
+        """Return the force along the line between both points that follows a reaction; None if there is none."""
+        return None
 
     def lines(self, start: Pose) -> Sequence[Sequence[tuple[int, tuple[float, float]]]]:
         """Return the lines with which the joint is drawn.

@@ -52,7 +52,9 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.force_law import (
         ExpressionLaw as ExpressionLaw, FunctionLaw as FunctionLaw, LawState as LawState, TracedLaw as TracedLaw,
     )
-    from mbdkit.mechanism.joint_base import FunctionJoint as FunctionJoint, Pose as Pose, PoseFunction as PoseFunction
+    from mbdkit.mechanism.joint_base import (
+        FunctionJoint as FunctionJoint, Pose as Pose, PoseFunction as PoseFunction, SideForce as SideForce,
+    )
     from mbdkit.mechanism.joint_friction import regularised_friction as regularised_friction
     from mbdkit.mechanism.joints import Driver as Driver, Joint as Joint, Revolute as Revolute
     from mbdkit.mechanism.mechanism import Mechanism as Mechanism

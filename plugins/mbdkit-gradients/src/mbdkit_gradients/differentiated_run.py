@@ -240,6 +240,7 @@ def _stepper(
     method = make_method(spec)
     workspace, _ = build(spec)
     workspace.mechanism.refuse_kinds("gradients")
+    workspace.mechanism.refuse_side_forces("the gradient of a run")
     workspace.mechanism.refuse_friction("gradients of runs do not include friction in joints; leave it out")
     if needs != Needs():
         workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")

@@ -95,6 +95,7 @@ def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
     if not mechanism.states:
         return prepared
     mechanism.refuse_kinds("statics")
+    mechanism.refuse_side_forces("an analysis of a mechanism at rest")
     if prepared.equations.n > DENSE:
         mechanism.refuse_states(f"an analysis of more than {DENSE // 3} bodies")
     return replace(prepared, equations=StaticEquations(prepared.workspace))

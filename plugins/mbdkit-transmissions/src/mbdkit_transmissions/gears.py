@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from mbdkit.plugin import FunctionJoint, Number, Point, Pose, PoseFunction, Positive, SpecError
+from mbdkit.plugin import FunctionJoint, Number, Point, Pose, PoseFunction, Positive, SideForce, SpecError
 from mbdkit.plugin.mechanisms import pair
 
 PITCH = 1e-3
@@ -79,6 +79,9 @@ class Gear(FunctionJoint):
     """Module of the teeth, the pitch diameter divided by the number of teeth [m]."""
     internal: bool = False
     """Whether the larger gear is a ring, with teeth inside."""
+    pressure_angle: Annotated[Number, Field(ge=0, lt=1.2)] = math.radians(20.0)
+    """Pressure angle of the teeth [rad]: the force on a tooth has a radial part, the tangent of this angle times the
+    tangential one, which pushes the teeth apart. It changes the forces in the bearings, and not the motion."""
     rows: ClassVar[tuple[str, ...]] = ("mesh",)
     units: ClassVar[tuple[str, ...]] = ("m",)
 
@@ -110,6 +113,13 @@ class Gear(FunctionJoint):
         text = f"pitch radii of {first:.6g} m and {second:.6g} m{' of a ring and a gear' if self.internal else ''}"
         _check_distance(start, second + sign * first, "radii" if self.teeth is None else "teeth", text)
         return [_rolling(start, sign * first, second)]
+
+    def side_force(self) -> SideForce | None:
+        """Return the radial part of the force on the teeth, which pushes the centres apart, or together in a ring."""
+        if self.pressure_angle == 0.0:
+            return None
+        ratio = math.tan(self.pressure_angle) * (1.0 if self.internal else -1.0)
+        return SideForce(0, ratio, "the radial force of the teeth", "pressure_angle")
 
     def lines(self, start: Pose) -> Sequence[Sequence[tuple[int, tuple[float, float]]]]:
         """Return the pitch circles, each with a radius that shows how it turns."""

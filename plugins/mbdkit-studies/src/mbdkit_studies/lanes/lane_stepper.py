@@ -110,6 +110,7 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
         and not table.stops
         and not mechanism.controllers
         and not mechanism.friction
+        and not mechanism.following
         and not mechanism.needs_pivots
         and len(mechanism.topology.spare) == 0
     )
