@@ -401,6 +401,8 @@ class CriterionItem(Feature):
         Level of sentences, which become findings of the criterion `name`.
     elements
         Key in the model of a kind of elements; without such elements, nothing is examined. Empty for all mechanisms.
+    types
+        Types of these elements; without elements of one of these types, nothing is examined. Empty for all types.
     """
 
     kind: ClassVar[str] = "criterion"
@@ -412,11 +414,21 @@ class CriterionItem(Feature):
     criteria: tuple[str, ...] | None = None
     level: Literal["doubtful", "bad"] | None = "doubtful"
     elements: str = ""
+    types: frozenset[str] = frozenset()
 
     @property
     def accepted(self) -> tuple[str, ...]:
         """Names of the criteria, which `accept` may list."""
         return ((self.name,) if self.level else ()) if self.criteria is None else self.criteria
+
+    def examines(self, elements: Mapping[str, Mapping[str, object]]) -> bool:
+        """Return whether there are elements of the kind and the types that the criterion is about."""
+        if not self.elements:
+            return True
+        of_kind = elements.get(self.elements, {})
+        return bool(of_kind) and (
+            not self.types or any(getattr(element, "type", "") in self.types for element in of_kind.values())
+        )
 
     def seam_of(self, field: str) -> str:
         """Return the decorator of the function, which depends on the stage."""

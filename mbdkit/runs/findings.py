@@ -19,7 +19,7 @@ def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> Iterator[tupl
     for item in registry().of_kind(CriterionItem.kind):
         criterion = cast(CriterionItem, item.plugin)
         is_examined = criterion.stage == stage and kind in criterion.of
-        if is_examined and (spec is None or not criterion.elements or criterion.elements in spec.mechanism().elements):
+        if is_examined and (spec is None or not criterion.elements or criterion.examines(spec.mechanism().elements)):
             yield item, criterion
 
 

@@ -114,8 +114,8 @@ class Cam(FunctionJoint):
 
     type: Literal["cam"] = "cam"
     profile: OfAngle
-    """Radius of the cam [m] from its centre, a's point, as a function of the `angle` from a's x axis [rad]: a number, an
-    expression, or a table with `ends: periodic`."""
+    """Radius of the cam [m] from its centre, a's point, as a function of the `angle` from a's x axis [rad]: a number,
+    an expression, or a table with `ends: periodic`."""
     follower: Literal["point"] | Roller | Flat = "point"
     """What touches the cam at b's point: the `point` itself, `{roller: radius}`, or `{flat: [x, y]}`, a face with this
     normal in b's frame."""
@@ -155,8 +155,8 @@ class Cam(FunctionJoint):
             )
         if isinstance(self.follower, Roller) and -curvature[worst] * self.follower.roller >= 1.0:
             raise SpecError(
-                f"the profile is hollow at the angle {angles[worst]:.4g} rad, with a radius of curvature of "
-                f"{-1.0 / curvature[worst]:.4g} m, where a roller of radius {self.follower.roller:.4g} m cannot follow it",
+                f"the profile is hollow at the angle {angles[worst]:.4g} rad with a radius of curvature of "
+                f"{-1.0 / curvature[worst]:.4g} m, less than that of the roller, {self.follower.roller:.4g} m",
                 key="follower",
             )
 

@@ -177,7 +177,7 @@ def rack_travel(pose: Pose, p: Mapping[str, Any]) -> Any:
 
 
 class Rack(FunctionJoint):
-    """A gear and a rack: the pitch circle of a rolls on the pitch line of b. Other joints hold both at this distance."""
+    """A gear and a rack: the pitch circle of a rolls on the pitch line of b. Other joints keep their distance."""
 
     type: Literal["rack"] = "rack"
     radius: Positive
@@ -235,7 +235,7 @@ def distance_of_circles(pose: Pose, p: Mapping[str, Any]) -> Any:
 class Rolling(FunctionJoint):
     """A wheel of b that rolls without slip on a line or a circle of a, and does not lift off."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "axis", "on_radius")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "axis", "on_radius", "available_friction")
 
     type: Literal["rolling"] = "rolling"
     radius: Positive
@@ -244,6 +244,9 @@ class Rolling(FunctionJoint):
     """Direction of the line in a's frame; by default, [1, 0], unless `on_radius` is given."""
     on_radius: Number | None = None
     """Radius of the circle on which the wheel rolls [m]; negative if it rolls inside."""
+    available_friction: Positive | None = None
+    """Coefficient of friction that is available. A run that needs a larger one to roll is doubtful; by default, the
+    summary only says how large it must be."""
     rows: ClassVar[tuple[str, ...]] = ("normal", "tangential")
     units: ClassVar[tuple[str, ...]] = ("m", "m")
 
@@ -256,6 +259,13 @@ class Rolling(FunctionJoint):
         if self.on_radius is not None and -self.radius <= self.on_radius <= 0.0:
             raise SpecError("a circle in which a wheel rolls is larger than the wheel", key="on_radius")
         return self
+
+    def push(self, start: Pose) -> float:
+        """Return 1 if a negative multiplier of the first row pushes the wheel away from what it rolls on, else -1."""
+        if self.on_radius is not None:
+            return math.copysign(1.0, self.on_radius)
+        ex, ey = self.axis or (1.0, 0.0)
+        return math.copysign(1.0, ex * start.y - ey * start.x)
 
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import GuidePage, Item, JointKind, Target, hookimpl
+from mbdkit.plugin import CriterionItem, GuidePage, Item, JointKind, SummaryLine, Target, hookimpl
 
 _HERE = Path(__file__).parent
 
@@ -55,6 +55,23 @@ def mbdkit_items() -> Iterable[Item]:
             summary="an equation between the relative coordinates of two bodies",
             order=160,
             model=Target("mbdkit_transmissions.coupling:Coupling"),
+        ),
+        CriterionItem(
+            name="pulled-joints",
+            summary="Cams and rolling wheels whose reaction pulls, so that they would lift off.",
+            order=180,
+            stage="rows",
+            find=Target("mbdkit_transmissions.unilateral:watch_reactions"),
+            of=frozenset({"run"}),
+            criteria=("lift-off", "rolling-friction"),
+            elements="joints",
+            types=frozenset({"cam", "rolling"}),
+        ),
+        SummaryLine(
+            name="rolling",
+            summary="Friction that rolling wheels need.",
+            order=1030,
+            text=Target("mbdkit_transmissions.rolling_summary:needed_friction"),
         ),
         *GuidePage.folder(_HERE / "guide"),
     ]

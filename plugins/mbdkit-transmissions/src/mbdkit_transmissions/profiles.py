@@ -93,7 +93,7 @@ def check_closed(radius: Curve, key: str) -> np.ndarray:
     jump = float(np.max(np.abs(np.asarray(radius(begin)) - np.asarray(radius(end)))))
     if jump > CLOSED * float(np.max(values)):
         raise SpecError(
-            f"the curve is not closed: its radius, or its slope, differs by {jump:.3g} m between the angles -pi and pi; "
+            f"the curve is not closed: its radius or slope differs by {jump:.3g} m between the angles -pi and pi; "
             "a table needs `ends: periodic` and covers 2*pi",
             key=key,
         )

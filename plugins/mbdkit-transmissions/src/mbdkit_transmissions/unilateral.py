@@ -1,0 +1,99 @@
+"""Reactions that a real cam or wheel cannot have: a force that pulls, and more friction than there is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mbdkit.plugin import Finding
+from mbdkit.plugin.equations import fill
+from mbdkit.plugin.seams import rows_criterion
+from mbdkit_transmissions.gears import Rolling
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import RunSpec, States
+    from mbdkit.plugin.doubts import EnergyRecord
+    from mbdkit.plugin.equations import CompiledMechanism
+
+ROUND_OFF = 1e-9
+"""Pulling forces up to this share of the largest pushing force are rounding errors."""
+
+
+class _Touching(NamedTuple):
+    """A joint that can only push: its name, its first row, the sign of pushing multipliers, and its friction."""
+
+    name: str
+    row: int
+    sign: float
+    friction: float | None
+    rolls: bool
+
+
+class Reactions:
+    """Largest pushing and pulling forces of such joints, and the friction that rolling wheels need."""
+
+    def __init__(self, joints: list[_Touching]):
+        self._joints = joints
+        self._push, self._pull, self._pull_time, self._need, self._need_time = np.zeros((5, len(joints)))
+
+    def add(self, states: States) -> None:
+        """Take note of states."""
+        if not len(states.time):
+            return
+        for k, joint in enumerate(self._joints):
+            normal = -joint.sign * states.multiplier[:, joint.row]
+            self._push[k] = max(self._push[k], float(np.max(normal)))
+            worst = int(np.argmin(normal))
+            if -normal[worst] > self._pull[k]:
+                self._pull[k], self._pull_time[k] = -normal[worst], states.time[worst]
+            if joint.rolls:
+                across = np.abs(states.multiplier[:, joint.row + 1])
+                ratio = np.divide(across, normal, out=np.zeros_like(normal), where=normal > 0.0)
+                worst = int(np.argmax(ratio))
+                if ratio[worst] > self._need[k]:
+                    self._need[k], self._need_time[k] = ratio[worst], states.time[worst]
+
+    def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, object]) -> Iterator[Finding]:
+        """Yield a sentence for each joint that pulls or slips."""
+        for k, joint in enumerate(self._joints):
+            if self._pull[k] > ROUND_OFF * self._push[k]:
+                yield Finding(
+                    "lift-off",
+                    "doubtful",
+                    f"joint '{joint.name}' pulls with {self._pull[k]:.4g} N at t = {self._pull_time[k]:.6g} s, where a "
+                    "real one would lift off; a spring or more weight would hold it",
+                )
+            if joint.friction is not None and self._need[k] > joint.friction:
+                yield Finding(
+                    "rolling-friction",
+                    "doubtful",
+                    f"joint '{joint.name}' needs a coefficient of friction of {self._need[k]:.4g} to roll at t = "
+                    f"{self._need_time[k]:.6g} s, but has {joint.friction:g}, so that it would slip",
+                )
+
+    def stored(self) -> dict[str, Any]:
+        """Return the state as plain values, for a checkpoint."""
+        names = ("push", "pull", "pull_time", "need", "need_time")
+        return {name: getattr(self, f"_{name}") for name in names}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
+        for name, values in state.items():
+            fill(getattr(self, f"_{name}"), values)
+
+
+@rows_criterion
+def watch_reactions(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> Reactions | None:
+    """Return what watches the cams and rolling wheels of a mechanism; None if there are none."""
+    mechanism = spec.mechanism()
+    labels = [row.label for row in compiled.rows]
+    joints = []
+    for name, joint in mechanism.joints.items():
+        if joint.type == "cam":
+            joints.append(_Touching(name, labels.index(f"{name}.normal"), 1.0, None, False))
+        elif isinstance(joint, Rolling):
+            sign = joint.push(mechanism.relative_pose(joint))
+            joints.append(_Touching(name, labels.index(f"{name}.normal"), sign, joint.available_friction, True))
+    return Reactions(joints) if joints else None
