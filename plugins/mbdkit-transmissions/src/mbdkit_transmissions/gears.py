@@ -25,14 +25,13 @@ Teeth = Annotated[tuple[int, int], BeforeValidator(pair("two numbers of teeth, [
 
 
 def rolling_circles(pose: Pose, p: Mapping[str, Any]) -> Any:
-    """Return how far two circles have slipped on each other [m], with turns of the line of centres counted.
+    """Return how far two circles have slipped on each other [m], up to its third power.
 
-    The angle of the line of centres is compared with the one that follows from the relative angle, so that it never
-    jumps, however often it turns.
+    This is the distance of the second centre from the line of centres that follows from the relative angle. It counts
+    turns of this line, and never jumps.
     """
     wanted = (p["radius"] * pose.angle - p["offset"]) / p["distance"]
-    c, s = np.cos(wanted), np.sin(wanted)
-    return -p["distance"] * np.arctan2(pose.y * c - pose.x * s, pose.x * c + pose.y * s)
+    return p["side"] * (pose.x * np.sin(wanted) - pose.y * np.cos(wanted))
 
 
 def equal_turns(pose: Pose, p: Mapping[str, Any]) -> Any:
@@ -46,7 +45,8 @@ def _rolling(start: Pose, first: float, second: float) -> PoseFunction:
     if distance == 0.0:
         return PoseFunction(equal_turns, (("radius", second), ("start", start.angle)))
     offset = second * start.angle - distance * math.atan2(start.y, start.x)
-    return PoseFunction(rolling_circles, (("distance", distance), ("offset", offset), ("radius", second)))
+    numbers = {"distance": distance, "offset": offset, "radius": second, "side": math.copysign(1.0, distance)}
+    return PoseFunction(rolling_circles, tuple(numbers.items()))
 
 
 def _check_distance(start: Pose, wanted: float, key: str, text: str) -> None:
