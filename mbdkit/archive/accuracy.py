@@ -29,23 +29,15 @@ nothing.
 class JointAccuracy:
     """Accuracy of the reaction force of one joint.
 
-    Attributes
-    ----------
-    name
-        Name of the joint.
-    peak
-        Largest reaction force over the run [N].
-    peak_known
-        Largest reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
-    error
-        Largest estimated error of the reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
-    missed
-        By how much the largest force between recorded rows exceeds `peak` [N]; 0 if every step is recorded, nan if it
-        is unknown.
-    share
-        Sum of two shares: `error` divided by the sum of `peak_known` and `missed`, and `missed` divided by the sum of
-        `peak` and `missed`. Sums below the share `SMALL_FORCE` of the largest sum of all joints are replaced by this
-        share.
+    - `name`: name of the joint.
+    - `peak`: largest reaction force over the run [N].
+    - `peak_known`: largest reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
+    - `error`: largest estimated error of the reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
+    - `missed`: by how much the largest force between recorded rows exceeds `peak` [N]; 0 if every step is recorded, nan
+      if it is unknown.
+    - `share`: sum of two shares: `error` divided by the sum of `peak_known` and `missed`, and `missed` divided by the
+      sum of `peak` and `missed`. Sums below the share `SMALL_FORCE` of the largest sum of all joints are replaced by
+      this share.
     """
 
     name: str
@@ -60,12 +52,8 @@ class JointAccuracy:
 class AccuracyFigures:
     """The figures on which a verdict on a run is based.
 
-    Attributes
-    ----------
-    known_until, end
-        Time until which the errors are known [s], nan if no error is known; time of the last row [s], nan without rows.
-    joints
-        Accuracy of the reaction force of each joint.
+    `known_until`, `end`: time until which the errors are known [s], nan if no error is known; time of the last row [s],
+    nan without rows. `joints`: accuracy of the reaction force of each joint.
     """
 
     known_until: float

@@ -101,11 +101,6 @@ def _largest_known_force(run: Run, count: int) -> str:
 def asked_sentence(run: Run) -> str:
     """Return sentences on the requested accuracy, the accuracy reached, and the choice of method; empty if none was
     requested.
-
-    Parameters
-    ----------
-    run
-        The run.
     """
     accuracy = run.accuracy
     if accuracy is None or math.isnan(accuracy.asked):

@@ -35,15 +35,8 @@ from mbdkit.trust.criteria import LEVELS
 def check(path: str | Path) -> list[str]:
     """Check the structure, units, dimension scales, times, values and hashes of a run archive or a block of runs.
 
-    Returns
-    -------
-    list of str
-        One sentence per problem; empty if the archive is valid.
-
-    Raises
-    ------
-    ResourceError
-        If a run is still writing the file, or the system refuses to read it.
+    Returns one sentence per problem; empty if the archive is valid. Raises ResourceError if a run is still writing the
+    file, or the system refuses to read it.
     """
     path = Path(path)
     try:

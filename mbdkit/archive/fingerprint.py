@@ -99,10 +99,7 @@ def mismatches(file: h5py.File, data: str = "") -> dict[str, str]:
 
     A hash that is not stored, as in archives of crashed runs, matches everything.
 
-    Parameters
-    ----------
-    data
-        Hash of the arrays if it is known, as returned by `data_sha256`.
+    `data`: hash of the arrays if it is known, as returned by `data_sha256`.
     """
     stored = file.attrs
     checks: tuple[tuple[str, str, Callable[[], str]], ...] = (

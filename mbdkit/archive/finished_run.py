@@ -64,21 +64,11 @@ class FinishedRun(Ending):
 class ArrayWriter(RunWriter):
     """Stores the rows of a run in memory.
 
-    Parameters
-    ----------
-    names, arrays
-        See `RunWriter`.
-    shared
-        See `ArchiveWriter`.
-    assembly
-        Sentence on how the start was made consistent.
-
-    Attributes
-    ----------
-    finished
-        The run, once it is finished.
-    created_utc
-        Time at which the run began, ISO 8601.
+    - `names`, `arrays`: see `RunWriter`.
+    - `shared`: see `ArchiveWriter`.
+    - `assembly`: sentence on how the start was made consistent.
+    - `finished`: the run, once it is finished.
+    - `created_utc`: time at which the run began, ISO 8601.
     """
 
     def __init__(
@@ -153,12 +143,8 @@ class ArrayWriter(RunWriter):
 class ArrayHash:
     """Computes `data_sha256` for runs that record the same arrays and whose mechanisms have the same names.
 
-    Parameters
-    ----------
-    names
-        Names of bodies, joints and other elements.
-    recorded
-        Arrays of the layout that the runs record, including those of names.
+    `names`: names of bodies, joints and other elements. `recorded`: arrays of the layout that the runs record,
+    including those of names.
     """
 
     def __init__(self, names: ArchiveNames, recorded: Sequence[Array]):
@@ -185,11 +171,8 @@ class ArrayHash:
         """Return the digests of arrays that are equal in all of several runs, such as the times; they are computed only
         once.
 
-        Parameters
-        ----------
-        arrays
-            Contiguous numbers (R, ...) of the R runs by `Array.key`, with the same keys in every call. Arrays that
-            differed between runs in the first call are not compared again.
+        `arrays`: contiguous numbers (R, ...) of the R runs by `Array.key`, with the same keys in every call. Arrays
+        that differed between runs in the first call are not compared again.
         """
         first, self._shared = self._shared is None, self._shared or {}
         for key in list(arrays if first else self._shared):
@@ -205,10 +188,7 @@ class ArrayHash:
     def of(self, arrays: Mapping[str, np.ndarray], known: Mapping[str, str] = MappingProxyType({})) -> str:
         """Return the hash of a run from its contiguous arrays by `Array.key`.
 
-        Parameters
-        ----------
-        known
-            Known digests of arrays, by key; arrays that several runs share are then hashed only once.
+        `known`: known digests of arrays, by key; arrays that several runs share are then hashed only once.
         """
         digests, parts = dict(known), list[str]()
         for before, key, is_text in self._lines(tuple([arrays[key].shape for _, _, key, _ in self._arrays])):

@@ -72,16 +72,8 @@ class Source(Protocol):
 class Column:
     """A property that returns one column of an array of the archive as a read-only array.
 
-    Parameters
-    ----------
-    array
-        The array.
-    part
-        Index or slice of the array's third axis; None for arrays with two axes.
-    is_sum
-        Whether the values are summed over the array's second axis.
-    what
-        Docstring with shape and unit.
+    `part`: index or slice of the array's third axis; None for arrays with two axes. `is_sum`: whether the values are
+    summed over the array's second axis. `what`: docstring with shape and unit.
     """
 
     def __init__(self, array: Array, part: slice | int | None, what: str, *, is_sum: bool = False):
@@ -139,12 +131,8 @@ class View:
     Subclasses have the columns and labels of a kind, which is given by its group or as such;
     `mbdkit.archive.recorded_columns` declares them for type checkers and completion.
 
-    Parameters
-    ----------
-    name
-        Name of the body, joint or constraint row; empty for a whole group.
-    index
-        Index or indices along the second axis of the arrays.
+    `name`: name of the body, joint or constraint row; empty for a whole group. `index`: index or indices along the
+    second axis of the arrays.
     """
 
     def __init_subclass__(cls, of: str | Kind) -> None:
@@ -188,12 +176,7 @@ V = TypeVar("V", bound=View)
 class Histories(ReadOnlyDict[str, V]):
     """The histories of the objects of one kind by name, in the order of the archive.
 
-    Parameters
-    ----------
-    kind
-        Kind of the objects, such as bodies or joints.
-    run
-        The run.
+    `kind`: kind of the objects, such as bodies or joints.
     """
 
     def __init__(self, kind: Kind, run: Source):

@@ -387,14 +387,9 @@ class Target:
 def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:
     """Write the bytes of an HDF5 file that was created in memory.
 
-    Raises
-    ------
-    SpecError
-        If no archive may be written at `path`.
-    ResourceError
-        If the file cannot be written, as on a full disk, or another run is writing it.
-    MbdkitError
-        If the file was created by another program in the meantime, and `overwrite` is not set.
+    Raises SpecError if no archive may be written at `path`. Raises ResourceError if the file cannot be written, as on a
+    full disk, or another run is writing it. Raises MbdkitError if the file was created by another program in the
+    meantime, and `overwrite` is not set.
     """
     target = Target(path, overwrite=overwrite)
     try:

@@ -42,20 +42,12 @@ from mbdkit.spec import RunSpec
 class Header:
     """The data of a run except its arrays.
 
-    Parameters
-    ----------
-    attributes
-        Values of `layout.ROOT_ATTRIBUTES`.
-    provenance
-        Attributes of ``/provenance``.
-    verdict, verdict_reasons, warnings
-        Verdict on the run, its reasons, and warnings; empty if the run crashed.
-    stats
-        Counters and times [s].
-    misalignment_max
-        (J,) largest misalignment of each joint over all steps [m]; None if unknown.
-    redundancy
-        Description of the redundant constraints; empty if there are none.
+    - `attributes`: values of `layout.ROOT_ATTRIBUTES`.
+    - `provenance`: attributes of ``/provenance``.
+    - `verdict`, `verdict_reasons`, `warnings`: verdict on the run, its reasons, and warnings; empty if the run crashed.
+    - `stats`: counters and times [s].
+    - `misalignment_max`: (J,) largest misalignment of each joint over all steps [m]; None if unknown.
+    - `redundancy`: description of the redundant constraints; empty if there are none.
     """
 
     attributes: Mapping[str, str]
@@ -91,32 +83,18 @@ class Header:
 class RunContents(ABC):
     """Interface through which a `Run` reads its data.
 
-    Attributes
-    ----------
-    header
-        Status, spec, verdict and counters.
-    names
-        Names and units along the axes, by path.
-    kinds
-        Kinds of quantities by group: those of the core, and those of plugins whose groups the run has.
-    path
-        Path of the archive; None without a file.
-    run_spec
-        The validated spec; None if it has to be read from `header`.
-    cause
-        The exception of a plugin that ended the run in this process.
-    whole_rows
-        For a crashed run, the number of complete rows along each growing axis, by name of the axis.
-    measures
-        Values of the measures in the spec.
-    integrals
-        Integrals over time and extrema by their expressions.
-    gradients
-        Gradients of the measures; see `Run.gradients`.
-    accuracy
-        Estimated errors; None if there are none, or if a study did not store them.
-    tables
-        Tables of further results by name.
+    - `header`: status, spec, verdict and counters.
+    - `names`: names and units along the axes, by path.
+    - `kinds`: kinds of quantities by group: those of the core, and those of plugins whose groups the run has.
+    - `path`: path of the archive; None without a file.
+    - `run_spec`: the validated spec; None if it has to be read from `header`.
+    - `cause`: the exception of a plugin that ended the run in this process.
+    - `whole_rows`: for a crashed run, the number of complete rows along each growing axis, by name of the axis.
+    - `measures`: values of the measures in the spec.
+    - `integrals`: integrals over time and extrema by their expressions.
+    - `gradients`: gradients of the measures; see `Run.gradients`.
+    - `accuracy`: estimated errors; None if there are none, or if a study did not store them.
+    - `tables`: tables of further results by name.
     """
 
     header: Header
@@ -158,19 +136,9 @@ class RunContents(ABC):
 class ArchiveContents(RunContents):
     """The contents of an archive.
 
-    Parameters
-    ----------
-    file
-        The open archive. It is closed if its header is damaged.
-    path
-        Path of the archive; None if it is in memory.
-    header
-        The header of the archive, if it is known already; by default, it is read from the file.
-
-    Raises
-    ------
-    ArchiveError
-        If the header is read and is damaged.
+    `file`: the open archive. It is closed if its header is damaged. `path`: path of the archive; None if it is in
+    memory. `header`: the header of the archive, if it is known already; by default, it is read from the file. Raises
+    ArchiveError if the header is read and is damaged.
     """
 
     def __init__(self, file: h5py.File, path: Path | None = None, header: Header | None = None):

@@ -152,12 +152,8 @@ class SharedForces:
 class RunWriter(ABC):
     """Base class of writers, which store the rows of one run as they are recorded.
 
-    Parameters
-    ----------
-    names
-        Names of bodies, joints and constraint rows.
-    arrays
-        The arrays of the layout that the run records; by default, those of all quantities.
+    `names`: names of bodies, joints and constraint rows. `arrays`: the arrays of the layout that the run records; by
+    default, those of all quantities.
     """
 
     def __init__(self, names: ArchiveNames, arrays: tuple[Array, ...] | None = None):
@@ -198,27 +194,17 @@ class RunWriter(ABC):
     def append(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append recorded rows; the values are copied.
 
-        Parameters
-        ----------
-        rows
-            An array with T rows for every key of `row_keys`: paths such as ``trajectory/position`` (T, B, 3), and
-            ``time`` (T,) for the times of all groups.
-
-        Raises
-        ------
-        ResourceError
-            If the archive cannot be written, as on a full disk.
+        `rows`: an array with T rows for every key of `row_keys`: paths such as ``trajectory/position`` (T, B, 3), and
+        ``time`` (T,) for the times of all groups. Raises ResourceError if the archive cannot be written, as on a full
+        disk.
         """
         self._append("time", rows)
 
     def append_steps(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append the statistics of recorded intervals; the values are copied.
 
-        Parameters
-        ----------
-        rows
-            ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, and the corrections of a
-            stabilized run, each (N,).
+        `rows`: ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, and the corrections of
+        a stabilized run, each (N,).
         """
         keyed = {f"steps/{name}": values for name, values in rows.items()}
         self._append("interval", {**keyed, "steps/interval": self._numbers("interval", len(rows["time"]))})
@@ -226,10 +212,7 @@ class RunWriter(ABC):
     def append_events(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append crossings of events; the values are copied.
 
-        Parameters
-        ----------
-        rows
-            ``name`` (strings), ``time`` and ``direction``, each (E,), and ``position`` and ``velocity`` (E, B, 3).
+        `rows`: ``name`` (strings), ``time`` and ``direction``, each (E,), and ``position`` and ``velocity`` (E, B, 3).
         """
         keyed = {f"events/{name}": values for name, values in rows.items()}
         self._append("event", {**keyed, "events/event": self._numbers("event", len(rows["name"]))})

@@ -39,16 +39,9 @@ _VARYING = "assembly"
 class Skeleton:
     """An HDF5 file with the groups, arrays and names of an archive, and the provenance that all runs share.
 
-    Parameters
-    ----------
-    image
-        The bytes of the file.
-    texts
-        The arrays of strings over time.
-    places
-        Where the values of arrays of numbers over time begin in `image`, by path.
-    unread, known
-        Lines in `attributes_sha256`: see there. Timings are left out.
+    `image`: the bytes of the file. `texts`: the arrays of strings over time. `places`: where the values of arrays of
+    numbers over time begin in `image`, by path. `unread`, `known`: lines in `attributes_sha256`: see there. Timings are
+    left out.
     """
 
     image: bytes
@@ -125,14 +118,8 @@ def skeleton_of(
 ) -> Skeleton:
     """Return the skeleton of an archive.
 
-    Parameters
-    ----------
-    names, arrays
-        Names of the elements of the mechanism, and the arrays that its runs record.
-    rows
-        Numbers of rows along the growing axes, by name.
-    provenance
-        Attributes of ``/provenance``.
+    `names`, `arrays`: names of the elements of the mechanism, and the arrays that its runs record. `rows`: numbers of
+    rows along the growing axes, by name. `provenance`: attributes of ``/provenance``.
     """
     sizes = sizes_of(names) | dict(rows)
     values = sum(math.prod([sizes[dim] for dim in array.dims]) for array in arrays if array.grows)

@@ -131,10 +131,7 @@ def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
 
     Only models of mbdkit itself build it, because those of plugins may read files.
 
-    Parameters
-    ----------
-    spec
-        The spec of the run as a plain mapping.
+    `spec`: the spec of the run as a plain mapping.
     """
     name = str(spec.get("model", {}).get("name", ""))
     item = next((one for one in registry().only("mbdkit").of_kind("model") if name in (one.name, one.id)), None)
@@ -186,10 +183,7 @@ def _add(mechanism: Mechanism, section: str, name: str, element: Any) -> None:
 def _without_wrong_references(mechanism: Mechanism) -> list[str]:
     """Remove the elements that refer to unknown ones, and return their names.
 
-    Raises
-    ------
-    ArchiveError
-        If there are too many.
+    Raises ArchiveError if there are too many.
     """
     removed: list[str] = []
     while len(removed) < _MOST_UNKNOWN:

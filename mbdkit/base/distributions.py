@@ -20,12 +20,7 @@ _OWN = "mbdkit.builtin_plugin"
 class UnusableDistribution:
     """A distribution whose entry points are not used.
 
-    Parameters
-    ----------
-    folder
-        Name of the folder with its metadata.
-    why
-        Reason, as a sentence without a full stop.
+    `folder`: name of the folder with its metadata. `why`: reason, as a sentence without a full stop.
     """
 
     folder: str

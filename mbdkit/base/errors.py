@@ -61,12 +61,7 @@ class UnsupportedMechanismError(SpecError):
 class _FileError(MbdkitError):
     """Base class of errors about a file or a folder that the content of a spec does not cause.
 
-    Parameters
-    ----------
-    message
-        What is wrong, and how to correct it.
-    file
-        The file or folder, if any.
+    `message`: what is wrong, and how to correct it. `file`: the file or folder, if any.
     """
 
     def __init__(self, message: str, *, file: str | Path | None = None):
@@ -179,12 +174,7 @@ def _place_of(error: BaseException) -> str:
 class MissingPartError(MbdkitError, ImportError):
     """A part of mbdkit is needed that is not installed.
 
-    Parameters
-    ----------
-    wanted
-        What needs the part.
-    part
-        The part, such as ``mbdkit-studies``.
+    `wanted`: what needs the part. `part`: the part, such as ``mbdkit-studies``.
     """
 
     def __init__(self, wanted: str, part: str):

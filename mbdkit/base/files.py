@@ -35,20 +35,10 @@ def check_regular(path: str | Path) -> None:
 def read_bytes(path: str | Path, largest: int, advice: str = "") -> bytes:
     """Return the content of a file of the user, such as a model of another program.
 
-    Parameters
-    ----------
-    largest
-        Largest number of bytes. They are also counted as they are read, because a file may have more of them than the
-        system states.
-    advice
-        Advice on a file that is too large, which is appended to the message.
-
-    Raises
-    ------
-    SpecError
-        If the file does not exist, is not a regular file, or is too large.
-    ResourceError
-        If the system refuses to read the file.
+    `largest`: largest number of bytes. They are also counted as they are read, because a file may have more of them
+    than the system states. `advice`: advice on a file that is too large, which is appended to the message. Raises
+    SpecError if the file does not exist, is not a regular file, or is too large. Raises ResourceError if the system
+    refuses to read the file.
     """
     try:
         check_regular(path)

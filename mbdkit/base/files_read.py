@@ -105,10 +105,7 @@ def read_data(path: str | Path, largest: int, advice: str = "") -> bytes:
 def note_read(path: str | Path, content: bytes) -> None:
     """Record a file that was read.
 
-    Raises
-    ------
-    SpecError
-        If the spec comes from an archive, and this is not the content with which the run was made.
+    Raises SpecError if the spec comes from an archive, and this is not the content with which the run was made.
     """
     known = _KNOWN.get()
     if not _RECORDS.get() and known is None:

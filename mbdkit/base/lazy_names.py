@@ -32,12 +32,7 @@ def import_part(module: str, wanted: str) -> ModuleType:
 def lazy(package: MutableMapping[str, Any], homes: Mapping[str, str]) -> Callable[[str], Any]:
     """Return the ``__getattr__`` of a package.
 
-    Parameters
-    ----------
-    package
-        The ``globals()`` of the package.
-    homes
-        Module of each name.
+    `package`: the ``globals()`` of the package. `homes`: module of each name.
     """
 
     def __getattr__(name: str) -> Any:  # noqa: N807

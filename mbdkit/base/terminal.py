@@ -34,10 +34,7 @@ class PlainStream:
     """A text stream that escapes control characters, so that titles, names and messages from files cannot control the
     terminal.
 
-    Parameters
-    ----------
-    stream
-        The stream to write to. Progress bars need its control characters and use it directly.
+    `stream`: the stream to write to. Progress bars need its control characters and use it directly.
     """
 
     def __init__(self, stream: TextIO):
@@ -133,10 +130,7 @@ def guard(command: Any, words: tuple[str, ...]) -> None:
     """Wrap the functions of a command and its subcommands: while they run, stdout goes to stderr, and the command is
     recorded for archives.
 
-    Parameters
-    ----------
-    words
-        The names with which the command is called.
+    `words`: the names with which the command is called.
     """
     for name, subcommand in getattr(command, "commands", {}).items():
         guard(subcommand, (*words, name))

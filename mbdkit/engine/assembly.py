@@ -100,27 +100,11 @@ def assemble(
     subject to Phi_q v + Phi_t = 0, a linear problem. Bodies named in ``assembly.fix`` keep their position and velocity.
     Positions and velocities whose residuals are within the tolerance are not changed, not even in the last bit.
 
-    Parameters
-    ----------
-    mechanism
-        Validated mechanism. Its initial values may be approximate.
-    t0
-        Start time [s].
-    compiled
-        The compiled mechanism, if it is available already.
-    search
-        The result of `search_for`, if it is available already.
-
-    Returns
-    -------
-    AssembledState
-        The consistent initial state and the changes that were made.
-
-    Raises
-    ------
-    SpecError
-        If a driver, a load or a moving center is not finite at the start, or if the constraints cannot be satisfied.
-        In the latter case, the message names the joints with the largest remaining residuals.
+    `mechanism`: validated mechanism. Its initial values may be approximate. `t0`: start time [s]. `compiled`: the
+    compiled mechanism, if it is available already. `search`: the result of `search_for`, if it is available already.
+    Returns the consistent initial state and the changes that were made. Raises SpecError if a driver, a load or a
+    moving center is not finite at the start, or if the constraints cannot be satisfied. In the latter case, the message
+    names the joints with the largest remaining residuals.
     """
     compiled = compiled or compile_mechanism(mechanism)
     return _Assembly(mechanism, search or search_for(mechanism, compiled, t0)).run()

@@ -84,12 +84,8 @@ class ActingForce:
 class ElementState:
     """A first-order state of a force element or of the mechanism.
 
-    Attributes
-    ----------
-    name, unit
-        Name, such as ``element.state``, and unit.
-    by_method
-        Whether the method of the run itself sets its value, such as those of reactions of a plugin's elements.
+    `name`, `unit`: name, such as ``element.state``, and unit. `by_method`: whether the method of the run itself sets
+    its value, such as those of reactions of a plugin's elements.
     """
 
     name: str
@@ -101,17 +97,9 @@ class ElementState:
 class SampledController:
     """A sampled controller.
 
-    Attributes
-    ----------
-    name
-        Its name.
-    period
-        Time between two samples [s].
-    delay
-        Time from a sample until its outputs apply [s].
-    outputs, states
-        For each output and each state, its index among the first-order states, and the row of ``topology.laws`` that
-        computes its value at a sample.
+    `period`: time between two samples [s]. `delay`: time from a sample until its outputs apply [s]. `outputs`,
+    `states`: for each output and each state, its index among the first-order states, and the row of ``topology.laws``
+    that computes its value at a sample.
     """
 
     name: str
@@ -125,14 +113,9 @@ class SampledController:
 class Redundancy:
     """Redundant constraints of a mechanism; none by default.
 
-    Attributes
-    ----------
-    rows
-        Number of redundant constraint rows. They are excluded from the equations that are solved.
-    joints
-        Joints that the redundant rows belong to, drivers included, in the order of the mechanism.
-    not_unique
-        Joints whose reactions are not uniquely determined by the motion.
+    `rows`: number of redundant constraint rows. They are excluded from the equations that are solved. `joints`: joints
+    that the redundant rows belong to, drivers included, in the order of the mechanism. `not_unique`: joints whose
+    reactions are not uniquely determined by the motion.
     """
 
     rows: int = 0

@@ -111,10 +111,7 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
 
     Parameters and errors are those of `workspace_at_start`.
 
-    Returns
-    -------
-    MechanismAtStart
-        The mechanism and its start, without working arrays.
+    Returns the mechanism and its start, without working arrays.
     """
     return Starts().at_start(mechanism, t0, end)
 
@@ -145,10 +142,7 @@ MOST_MECHANISMS = 8
 class CompiledForStarts:
     """A compiled mechanism with the solver of assembly, shared by mechanisms that differ only in their initial state.
 
-    Attributes
-    ----------
-    has_loops
-        Whether constraint rows may be redundant.
+    `has_loops`: whether constraint rows may be redundant.
     """
 
     mechanism: CompiledMechanism

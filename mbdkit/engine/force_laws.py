@@ -144,10 +144,7 @@ def _compile(law: ForceLaw | NativeLaw, example: dict[str, float], name: str) ->
 def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
     """Return a law for dual numbers; `name` is the name of the force element in error messages.
 
-    Raises
-    ------
-    PluginError
-        If the law cannot be compiled for dual numbers.
+    Raises PluginError if the law cannot be compiled for dual numbers.
     """
     law, example = compiled_law.law, dict(compiled_law.parameters)
     try:

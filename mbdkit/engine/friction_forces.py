@@ -25,14 +25,7 @@ REACTIONS = ("reaction_0", "reaction_1")
 class FrictionForce:
     """Friction in a joint as a force element along the coordinate of the joint. This object is also the pathway.
 
-    Attributes
-    ----------
-    name, joint
-        Name of the joint, and the joint.
-    number
-        Index of the joint.
-    friction
-        Friction of the joint.
+    `name`, `joint`: name of the joint, and the joint. `number`: index of the joint.
     """
 
     name: str

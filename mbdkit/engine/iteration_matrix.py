@@ -104,14 +104,8 @@ class Pivots:
 class Storage:
     """Storage for a matrix and for the vectors of its solution, with the kernels that use them.
 
-    Attributes
-    ----------
-    force, rows, x, mu
-        (n,) and (m,) right-hand side and solution.
-    factorize
-        Takes the values of all terms and the coefficients; see `factorize_real`.
-    solve
-        Solves the system and returns the largest relative residual.
+    `force`, `rows`, `x`, `mu`: (n,) and (m,) right-hand side and solution. `factorize`: takes the values of all terms
+    and the coefficients; see `factorize_real`. `solve`: solves the system and returns the largest relative residual.
     """
 
     def __init__(self, pivots: Pivots, dtype: np.dtype[Any]):
@@ -263,15 +257,8 @@ class IterationMatrixWithStates:
 class IterationMatrices:
     """The iteration matrices of one mechanism, and the pivots for each choice of coefficients that are not zero.
 
-    Parameters
-    ----------
-    workspace
-        The workspace that evaluates the terms of the matrices.
-
-    Attributes
-    ----------
-    classes
-        Class of each term; see `classes_of`.
+    `workspace`: the workspace that evaluates the terms of the matrices. `classes`: class of each term; see
+    `classes_of`.
     """
 
     def __init__(self, workspace: Workspace):
@@ -290,19 +277,10 @@ class IterationMatrices:
         The first pivots are chosen from the values at the start, if possible. This choice does not depend on where the
         run was interrupted, so that a resumed run has the same pivots as an uninterrupted one.
 
-        Parameters
-        ----------
-        coefficients
-            (6,) coefficient of each class of terms, real or complex.
-        evaluate_at_start, evaluate
-            Functions that evaluate the terms at the start, and where the matrix is wanted.
-        factorize
-            Function that factorizes the terms last evaluated, for given pivots and coefficients.
-
-        Raises
-        ------
-        SingularSystemError
-            If the matrix is singular.
+        `coefficients`: (6,) coefficient of each class of terms, real or complex. `evaluate_at_start`, `evaluate`:
+        functions that evaluate the terms at the start, and where the matrix is wanted. `factorize`: function that
+        factorizes the terms last evaluated, for given pivots and coefficients. Raises SingularSystemError if the matrix
+        is singular.
         """
         key = (coefficients.dtype == COMPLEX, *(coefficients != 0).tolist())
         if key not in self._pivots:

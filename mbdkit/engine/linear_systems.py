@@ -143,12 +143,8 @@ def inverse_of(matrix: np.ndarray) -> np.ndarray:
 def least_norm(matrix: np.ndarray, right: np.ndarray, least: float) -> np.ndarray:
     """Return the least-squares solution (K,) of least norm.
 
-    Parameters
-    ----------
-    matrix, right
-        (I, K) matrix and (I,) right-hand side.
-    least
-        Remainders of columns below this share of the norm of the largest column count as zero.
+    `matrix`, `right`: (I, K) matrix and (I,) right-hand side. `least`: remainders of columns below this share of the
+    norm of the largest column count as zero.
     """
     return least_norms(matrix[None], right[None], least)[0]
 

@@ -46,10 +46,7 @@ def sparse_order(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[int]
 
     The result has the format of `minimum_degree`.
 
-    Parameters
-    ----------
-    adjacent
-        For each node, the adjacent nodes.
+    `adjacent`: for each node, the adjacent nodes.
     """
     order, below = minimum_degree(adjacent)
     nodes = len(order)

@@ -81,19 +81,9 @@ def without_redundancy(
 
     Rows of drivers are kept if possible, then rows of joints that come first in the mechanism.
 
-    Parameters
-    ----------
-    compiled
-        The compiled mechanism with all constraint rows.
-    t0, end
-        Start and end of the run [s].
-    q0, v0
-        (3 B,) consistent positions and velocities at the start.
-
-    Raises
-    ------
-    SpecError
-        If redundant joints are inconsistent, or the start is a singular position. The message names the joints.
+    `compiled`: the compiled mechanism with all constraint rows. `t0`, `end`: start and end of the run [s]. `q0`, `v0`:
+    (3 B,) consistent positions and velocities at the start. Raises SpecError if redundant joints are inconsistent, or
+    the start is a singular position. The message names the joints.
     """
     rows = looped_rows(compiled)
     if len(rows) == 0:
@@ -341,11 +331,8 @@ def _named(names: list[str], kind: str = "joint") -> str:
 def require_unique_start(workspace: Workspace) -> None:
     """Raise SpecError if the accelerations at the start are not unique or not finite.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism at its start, with independent rows. If its solver is pivoted, it has pivots for the start
-        afterwards.
+    `workspace`: the mechanism at its start, with independent rows. If its solver is pivoted, it has pivots for the
+    start afterwards.
     """
     mechanism = workspace.mechanism
     acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))

@@ -22,13 +22,8 @@ _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
 class RepeatedCall:
     """A kernel with fixed arguments, for calls from one thread at a time.
 
-    Parameters
-    ----------
-    kernel
-        The kernel; it returns no result, or one number.
-    arguments
-        All arguments: integers, arrays and bundles, and None for each one that is given anew in each call. The arrays
-        must not be replaced while this object is in use.
+    `kernel`: the kernel; it returns no result, or one number. `arguments`: all arguments: integers, arrays and bundles,
+    and None for each one that is given anew in each call. The arrays must not be replaced while this object is in use.
     """
 
     def __init__(self, kernel: Kernel, *arguments: Any):

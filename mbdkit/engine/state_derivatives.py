@@ -64,10 +64,7 @@ def differences(values: Callable[[np.ndarray], np.ndarray], y: np.ndarray, colum
 class StateDerivatives:
     """What is constant in the derivatives of the first-order form of one mechanism.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism and its working arrays.
+    `workspace`: the mechanism and its working arrays.
     """
 
     def __init__(self, workspace: Workspace):
@@ -142,10 +139,7 @@ class StateDerivatives:
     ) -> np.ndarray:
         """Return the derivatives of (v, a, z') with respect to (q, v, z); requires the tangents at this state.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the system is singular.
+        Raises numpy.linalg.LinAlgError if the system is singular.
         """
         n, y = len(q), np.concatenate([q, v, z])
 

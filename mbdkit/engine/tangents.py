@@ -41,12 +41,7 @@ class Tangents:
 class SparseParts:
     """Sparse arrays that are sums of terms of some classes: (n, n), or (m, n) for classes of constraint rows.
 
-    Parameters
-    ----------
-    workspace
-        The workspace that evaluates the terms.
-    classes
-        Class of the terms of each array.
+    `workspace`: the workspace that evaluates the terms. `classes`: class of the terms of each array.
     """
 
     def __init__(self, workspace: Workspace, classes: Iterable[int]):

@@ -172,10 +172,7 @@ def traced_source(law: TracedLaw, names: Sequence[str]) -> str:
     They are the force, its derivatives with respect to length and rate, and 0 for the potential. The derivatives are 0
     if the law has none.
 
-    Parameters
-    ----------
-    names
-        Names of the law's parameters in the order of the array.
+    `names`: names of the law's parameters in the order of the array.
     """
     source = Source()
     seeds: tuple[tuple[float, ...], ...] = ((1.0, 0.0), (0.0, 1.0)) if law.has_derivatives else ((), ())

@@ -417,11 +417,8 @@ def _new_reacting(size: int, pairs: int) -> Reacting:
 def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scratch]) -> Scratch:
     """Return working arrays of dual numbers or of lanes.
 
-    Parameters
-    ----------
-    converted
-        Function that returns an array of such numbers for a given array, with an additional last axis for the parts of
-        a number.
+    `converted`: function that returns an array of such numbers for a given array, with an additional last axis for the
+    parts of a number.
     """
     plain, offsets = new_scratch(mechanism)
     scratch = converted(plain)

@@ -47,17 +47,11 @@ Function = Callable[[Sequence[Any]], Any]
 class CompiledExpression(NamedTuple):
     """An expression as a function, with functions that determine how densely it must be sampled.
 
-    Attributes
-    ----------
-    value
-        The expression.
-    phases
-        Arguments of the periodic functions in the expression.
-    breaks
-        Functions at whose zeros the expression has kinks, zeros or poles: arguments of ``abs``, differences of the
-        operands of ``min`` and ``max``, and the factors of a product or quotient.
-    is_product
-        Whether the expression is a product or quotient, whose sign changes are those of `breaks`.
+    - `value`: the expression.
+    - `phases`: arguments of the periodic functions in the expression.
+    - `breaks`: functions at whose zeros the expression has kinks, zeros or poles: arguments of ``abs``, differences of
+      the operands of ``min`` and ``max``, and the factors of a product or quotient.
+    - `is_product`: whether the expression is a product or quotient, whose sign changes are those of `breaks`.
     """
 
     value: Function
@@ -197,12 +191,7 @@ def check_state(name: str, mechanism: Mechanism) -> None:
 class WordsOfKinds(Mapping[str, Sequence[str]]):
     """Names of the quantities of each kind by its word; plugins are imported for the words that are looked up.
 
-    Parameters
-    ----------
-    names
-        Function that returns the names of a kind.
-    more
-        Names by further words.
+    `names`: function that returns the names of a kind. `more`: names by further words.
     """
 
     def __init__(
@@ -228,10 +217,7 @@ class WordsOfKinds(Mapping[str, Sequence[str]]):
 class RunCompiler(Compiler):
     """Compiles one expression with the quantities of a run.
 
-    Attributes
-    ----------
-    attributes
-        Names of the quantities of each kind of element.
+    `attributes`: names of the quantities of each kind of element.
     """
 
     attributes: ClassVar[Mapping[str, Sequence[str]]] = WordsOfKinds(

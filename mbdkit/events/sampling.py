@@ -80,21 +80,14 @@ def refined(
 ) -> list[tuple[float, float]]:
     """Return samples (position in the step, value) of a scalar in order, with samples added where they are needed.
 
-    Parameters
-    ----------
-    points
-        Positions in the step, from 0 to 1, with the values of the quantities there.
-    values_at
-        Function that evaluates the quantities at a position, by dense output.
-    scalar
-        The scalar of the event as a function of the quantities.
-    phases, breaks
-        Arguments of the periodic functions in the scalar; and scalars at whose sign changes the derivative of the
-        scalar is discontinuous: arguments of its `abs`, and differences of the operands of its `min` and `max`.
-    largest
-        Largest absolute value of the scalar so far.
-    is_product
-        Whether the scalar changes its sign only where one of `breaks` does.
+    - `points`: positions in the step, from 0 to 1, with the values of the quantities there.
+    - `values_at`: function that evaluates the quantities at a position, by dense output.
+    - `scalar`: the scalar of the event as a function of the quantities.
+    - `phases`, `breaks`: arguments of the periodic functions in the scalar; and scalars at whose sign changes the
+      derivative of the scalar is discontinuous: arguments of its `abs`, and differences of the operands of its `min`
+      and `max`.
+    - `largest`: largest absolute value of the scalar so far.
+    - `is_product`: whether the scalar changes its sign only where one of `breaks` does.
     """
     known = dict(points)
 

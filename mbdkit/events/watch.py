@@ -152,14 +152,8 @@ class Lookahead:
 
     It depends on earlier steps only, not on wall time, so that a run can be repeated to the bit.
 
-    Attributes
-    ----------
-    steps
-        Number of steps that are taken next.
-    single
-        Number of steps that are taken one by one before.
-    pause
-        The value of `single` after the next step that may contain an event.
+    `steps`: number of steps that are taken next. `single`: number of steps that are taken one by one before. `pause`:
+    the value of `single` after the next step that may contain an event.
     """
 
     steps: int = 8

@@ -14,15 +14,7 @@ from mbdkit.registry.manager import registry
 
 @dataclass(frozen=True)
 class Page:
-    """A page of the guide.
-
-    Attributes
-    ----------
-    topic
-        Name of the page: its file name without ``.md``.
-    text
-        The page, as Markdown.
-    """
+    """A page of the guide. `topic`: name of the page: its file name without ``.md``. `text`: the page, as Markdown."""
 
     topic: str
     text: str
@@ -73,13 +65,7 @@ def _plain(text: str) -> str:
 
 
 def find_page(topic: str) -> Page:
-    """Return the page on a topic.
-
-    Raises
-    ------
-    SpecError
-        If there is no such page.
-    """
+    """Return the page on a topic. Raises SpecError if there is no such page."""
     known = pages()
     if topic not in known:
         raise SpecError(

@@ -39,12 +39,8 @@ def step_control(traits: Traits, mechanism: CompiledMechanism) -> Control | None
 def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMethod, Control | None]:
     """Return a compiled method, and its step-size control, which is None for fixed steps.
 
-    Raises
-    ------
-    mbdkit.methods.tableau.TableauError
-        If a tableau cannot be used with the formulation of the workspace.
-    mbdkit.base.errors.UnsupportedMechanismError
-        If the method does not support the mechanism.
+    Raises mbdkit.methods.tableau.TableauError if a tableau cannot be used with the formulation of the workspace. Raises
+    mbdkit.base.errors.UnsupportedMechanismError if the method does not support the mechanism.
     """
     method.require_formulation(FORMULATIONS[workspace.formulation])
     method.require_mechanism(workspace.mechanism)

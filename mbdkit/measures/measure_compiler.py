@@ -38,18 +38,12 @@ _OF_VECTORS = ("mean", "final", "integral", "at")
 class _Value:
     """Properties of an operand that are known before a run.
 
-    Parameters
-    ----------
-    unit
-        SI unit of the operand; None if it depends on named parameters, whose units are unknown.
-    is_number
-        Whether the operand consists of numbers in the text only; in sums, numbers have the unit of the other operand.
-    is_series
-        Whether the operand changes over time.
-    is_vector
-        Whether the operand has two components.
-    along
-        Name of the beam if the operand has a value in each of its elements; otherwise empty.
+    - `unit`: SI unit of the operand; None if it depends on named parameters, whose units are unknown.
+    - `is_number`: whether the operand consists of numbers in the text only; in sums, numbers have the unit of the other
+      operand.
+    - `is_series`: whether the operand changes over time.
+    - `is_vector`: whether the operand has two components.
+    - `along`: name of the beam if the operand has a value in each of its elements; otherwise empty.
     """
 
     unit: Unit | None

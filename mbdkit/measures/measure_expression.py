@@ -155,11 +155,8 @@ class MeasureExpression:
     ) -> np.ndarray:
         """Return the value of the program for a run, in SI units; see `applied` for its shape.
 
-        Parameters
-        ----------
-        compared
-            Function called for each extremum of the continuous motion with ``max`` or ``min``, the extremum, and the
-            values in the recorded rows.
+        `compared`: function called for each extremum of the continuous motion with ``max`` or ``min``, the extremum,
+        and the values in the recorded rows.
         """
         series = Series(run.time, lambda one: recorded(one, run))
 
@@ -192,11 +189,8 @@ class SeriesExpression(MeasureExpression):
 
         Named parameters are not available, because their values may differ between runs.
 
-        Raises
-        ------
-        SpecError
-            If the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value is
-            not one number in each row.
+        Raises SpecError if the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or
+        the value is not one number in each row.
         """
         compiler = MeasureCompiler(text, spec, {})
         program, value = compiler.series()

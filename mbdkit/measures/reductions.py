@@ -19,12 +19,8 @@ from mbdkit.quantities.quantity import Quantity
 class Series:
     """Quantities of a run over time, at the recorded times or at other times of its motion.
 
-    Parameters
-    ----------
-    time
-        (T,) times [s].
-    of
-        Function that returns the values of a quantity: (T,), (2, T) for a vector, or (elements, T) along a beam.
+    `time`: (T,) times [s]. `of`: function that returns the values of a quantity: (T,), (2, T) for a vector, or
+    (elements, T) along a beam.
     """
 
     time: np.ndarray

@@ -57,20 +57,12 @@ class SectionStiffness(NamedTuple):
 class BeamSection(NamedTuple):
     """A cross-section at which an element is integrated.
 
-    Attributes
-    ----------
-    element
-        Number of the element in its beam.
-    nodes
-        Names of the nodes of the element.
-    shape
-        Values of the shape functions of these nodes at the cross-section.
-    slope
-        Derivatives of the shape functions with respect to the arc length [1/m].
-    length
-        Length of the part of the beam that the cross-section represents [m].
-    reference
-        Axial strain plus 1, shear strain and curvature [1/m] of the stress-free beam.
+    - `element`: number of the element in its beam.
+    - `nodes`: names of the nodes of the element.
+    - `shape`: values of the shape functions of these nodes at the cross-section.
+    - `slope`: derivatives of the shape functions with respect to the arc length [1/m].
+    - `length`: length of the part of the beam that the cross-section represents [m].
+    - `reference`: axial strain plus 1, shear strain and curvature [1/m] of the stress-free beam.
     """
 
     element: int

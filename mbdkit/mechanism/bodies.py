@@ -339,10 +339,7 @@ class FromTo(BetweenPoints):
 def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float], key: str) -> tuple[float, float]:
     """Return a global point in the frame of a body at its initial position; (0, 0) for a point mass.
 
-    Raises
-    ------
-    SpecError
-        If the body is a point mass at another position. The error has the key path `key`.
+    Raises SpecError if the body is a point mass at another position. The error has the key path `key`.
     """
     if name == GROUND:
         return point

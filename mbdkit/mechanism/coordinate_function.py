@@ -109,12 +109,7 @@ def value_and_slopes(
 
     The derivatives are with respect to those coordinates that the function contains.
 
-    Parameters
-    ----------
-    coordinates
-        Values (T,) of the coordinates by name.
-    frames
-        The number T.
+    `coordinates`: values (T,) of the coordinates by name. `frames`: the number T.
     """
     none = np.zeros(frames)
     if isinstance(function, CoordinateTable):

@@ -87,26 +87,14 @@ class PluginLookup(Protocol):
     def law_element(self, name: str) -> type[Law]:
         """Return the element class of the force law with this short or full name.
 
-        Raises
-        ------
-        SpecError
-            If there is no such law. The error has the key ``law``.
+        Raises SpecError if there is no such law. The error has the key ``law``.
         """
 
     def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
         """Return the model of the options of a plugin item, such as a force law, that a field selects by name.
 
-        Parameters
-        ----------
-        metadata
-            Metadata of the annotation of the field.
-        item
-            Full id of the item.
-
-        Returns
-        -------
-        type of BaseModel or None
-            The model; None if fields with these metadata do not select an item.
+        `metadata`: metadata of the annotation of the field. `item`: full id of the item. Returns the model; None if
+        fields with these metadata do not select an item.
         """
 
     def owners_of(self, key: str, options: type[BaseModel]) -> str:

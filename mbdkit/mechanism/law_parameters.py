@@ -48,17 +48,8 @@ def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, 
 
     The values are infinite for arguments without a bound.
 
-    Parameters
-    ----------
-    name
-        Name of the law for error messages.
-
-    Raises
-    ------
-    PluginError
-        If the law fails to compute its range, or if the result is not a range.
-    SpecError
-        If the law itself raises it for these options.
+    `name`: name of the law for error messages. Raises PluginError if the law fails to compute its range, or if the
+    result is not a range. Raises SpecError if the law itself raises it for these options.
     """
     with blaming(f"force law {name} failed to compute its valid range"):
         given: Any = law.valid_range(options) if callable(law.valid_range) else law.valid_range

@@ -60,19 +60,12 @@ The corners of a table with 10 000 points take 6 MB and 0.06 s.
 class Corner:
     """A time at which a motion or one of its derivatives is discontinuous.
 
-    Parameters
-    ----------
-    time
-        The time [s].
-    margin
-        Uncertainty of `time` due to rounding [s]. Only within this distance of `time` is it uncertain whether
-        another time is before or after the corner.
-    is_knot
-        Whether the corner is a point of a table.
-    before, after
-        Value, rate and acceleration of the motion before and after `time`.
-    jumps
-        Whether the value, the rate and the acceleration are discontinuous.
+    - `time`: the time [s].
+    - `margin`: uncertainty of `time` due to rounding [s]. Only within this distance of `time` is it uncertain whether
+      another time is before or after the corner.
+    - `is_knot`: whether the corner is a point of a table.
+    - `before`, `after`: value, rate and acceleration of the motion before and after `time`.
+    - `jumps`: whether the value, the rate and the acceleration are discontinuous.
     """
 
     time: float

@@ -24,18 +24,9 @@ def unit_of_expression(text: str, units: Mapping[str, Unit], *, of_time: bool = 
     It cannot be derived if no parameter has a unit, and usually not from powers that are not whole numbers, or if other
     parameters have no unit. In functions of time, numbers as factors may have any unit: in ``A*t/0.5``, 0.5 is a time.
 
-    Parameters
-    ----------
-    units
-        Units of the parameters that have one, by name.
-    of_time
-        Whether the name ``t`` is the time.
-
-    Raises
-    ------
-    SpecError
-        If quantities of different kinds are added or subtracted, or if a frequency, such as one in Hz or 1/min, is used
-        as an angular velocity.
+    `units`: units of the parameters that have one, by name. `of_time`: whether the name ``t`` is the time. Raises
+    SpecError if quantities of different kinds are added or subtracted, or if a frequency, such as one in Hz or 1/min,
+    is used as an angular velocity.
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body

@@ -113,10 +113,7 @@ def parameter_values(given: Any) -> ParameterValues:
 def without_units(parameters: Mapping[Any, Any]) -> dict[Any, Any]:
     """Return named parameters in which numbers with a unit are replaced by numbers in SI units.
 
-    Raises
-    ------
-    SpecError
-        If a unit is not known. The error has the key path.
+    Raises SpecError if a unit is not known. The error has the key path.
     """
     return dict(parameters) | {name: quantity[0] for name, quantity in _quantities(parameters).items()}
 
@@ -137,15 +134,8 @@ def _quantities(parameters: Mapping[Any, Any]) -> dict[Any, tuple[float, Unit]]:
 def evaluate(text: str, values: Values, known: list[str] | None = None) -> float:
     """Return the value of an expression of parameters.
 
-    Parameters
-    ----------
-    known
-        Names that an error message may suggest in place of a misspelled one; by default those in `values`.
-
-    Raises
-    ------
-    SpecError
-        For the first error; it contains the position in the text.
+    `known`: names that an error message may suggest in place of a misspelled one; by default those in `values`. Raises
+    SpecError for the first error; it contains the position in the text.
     """
     (_, value), *_ = _NumberCompiler(text, values, known).program()
     return value
@@ -178,34 +168,16 @@ def with_expressions(
 ) -> tuple[Validated, Written]:
     """Validate plain data whose numbers may be expressions of parameters.
 
-    Parameters
-    ----------
-    validate
-        Function that validates the data and returns the result.
-    data
-        The data; expressions are replaced by their values in place.
-    root
-        The model that is validated.
-    values
-        Values of the parameters by name.
-    section
-        Key path of the part that may contain expressions; numbers with units may be anywhere.
-    prefix
-        Key path of the data in a spec; empty if the data are a whole spec.
-    plugins
-        Lookup of the models that plugins add; by default, of the installed plugins.
+    - `validate`: function that validates the data and returns the result.
+    - `data`: the data; expressions are replaced by their values in place.
+    - `root`: the model that is validated.
+    - `values`: values of the parameters by name.
+    - `section`: key path of the part that may contain expressions; numbers with units may be anywhere.
+    - `prefix`: key path of the data in a spec; empty if the data are a whole spec.
+    - `plugins`: lookup of the models that plugins add; by default, of the installed plugins.
 
-    Returns
-    -------
-    Validated
-        The result of `validate`.
-    Written
-        The expressions that were replaced, by key path; numbers with units are not included.
-
-    Raises
-    ------
-    SpecError
-        For the first error; it contains the key path.
+    Returns the result of `validate`, and the expressions that were replaced, by key path; numbers with units are not
+    included. Raises SpecError for the first error; it contains the key path.
     """
     lookup: PluginLookup = plugins or higher_layers.installed_plugins()
     written: Written = {}

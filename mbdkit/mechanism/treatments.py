@@ -13,12 +13,8 @@ from mbdkit.registry.manager import registry
 class ChosenTreatment(NamedTuple):
     """The treatment of the elements of a kind in a run.
 
-    Attributes
-    ----------
-    key
-        Key of the elements in the model.
-    section
-        The section of the run spec, see `mbdkit.plugin.ElementKind.section_model`.
+    `key`: key of the elements in the model. `section`: the section of the run spec, see
+    `mbdkit.plugin.ElementKind.section_model`.
     """
 
     key: str

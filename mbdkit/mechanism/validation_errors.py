@@ -253,14 +253,8 @@ Model = type[BaseModel]
 def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tuple[Path, Model | None]:
     """Return the key path of a location, without union tags, and the model that contains its last key.
 
-    Parameters
-    ----------
-    location
-        ``loc`` of a pydantic error.
-    root
-        The model or type that was validated.
-    plugins
-        Lookup of the models that plugins add.
+    `location`: ``loc`` of a pydantic error. `root`: the model or type that was validated. `plugins`: lookup of the
+    models that plugins add.
     """
     rest: Path = tuple(location)
     path: Path = ()

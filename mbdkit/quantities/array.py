@@ -192,16 +192,8 @@ class Chart:
 class Attribute:
     """A quantity in expressions, such as ``force_x``: an array, or a part of its last axis.
 
-    Parameters
-    ----------
-    array
-        The array.
-    name
-        Name in expressions.
-    part
-        Part of the last axis; None for the whole array.
-    units
-        SI unit; empty if it is the unit of the element.
+    `name`: name in expressions. `part`: part of the last axis; None for the whole array. `units`: SI unit; empty if it
+    is the unit of the element.
     """
 
     array: Recorded

@@ -149,14 +149,8 @@ def kinds_of(names: ArchiveNames) -> tuple[Kind, ...]:
 class Peaks(NamedTuple):
     """Quantities of the elements of a kind whose largest values checked runs determine; see `QuantityKind.peaks`.
 
-    Attributes
-    ----------
-    of
-        Key of the elements in the model.
-    quantities
-        Quantities as `QuantityKind.peaks` has them, after the word of the kind and a dot.
-    names
-        Names of the elements.
+    `of`: key of the elements in the model. `quantities`: quantities as `QuantityKind.peaks` has them, after the word of
+    the kind and a dot. `names`: names of the elements.
     """
 
     of: str

@@ -38,15 +38,8 @@ def assembled_text(spec: RunSpec, start: AssembledState, text: str) -> tuple[str
     replaced in the text. If this does not define the same mechanism, for example because a body is an alias of another
     one or the model computes the bodies, the text contains the mechanism in full.
 
-    Parameters
-    ----------
-    text
-        The text of the spec in YAML or JSON; empty if there is none, or if it lacks values that were set otherwise.
-
-    Raises
-    ------
-    SpecError
-        If the start of the new spec would be doubtful again.
+    `text`: the text of the spec in YAML or JSON; empty if there is none, or if it lacks values that were set otherwise.
+    Raises SpecError if the start of the new spec would be doubtful again.
     """
     mechanism = spec.mechanism()
     moved = {
@@ -188,10 +181,8 @@ def _is_same(one: Any, other: Any) -> bool:
 def write_assembled(spec: RunSpec, start: AssembledState, text: str, path: Path) -> bool:
     """Write `assembled_text` to a new file, and return whether it keeps the given text.
 
-    Raises
-    ------
-    SpecError
-        If the file exists, if it is in another folder than files that the spec names, or if its start stays doubtful.
+    Raises SpecError if the file exists, if it is in another folder than files that the spec names, or if its start
+    stays doubtful.
     """
     from mbdkit.base.files import check_suffix, replacing
 

@@ -125,14 +125,11 @@ def watch_coarse_beams(spec: RunSpec, compiled: CompiledMechanism, _size: float)
 class _WatchedBeam:
     """A beam, with the largest values of its recorded states.
 
-    Attributes
-    ----------
-    turns
-        (K - 1,) largest angles by which bending turns each of K nodes relative to the one before [rad].
-    largest
-        Largest sums of the squares of the axial forces of the elements, of their moments, and of the variations of both
-        within the elements; largest axial force and largest magnitude of the force [N]. The variation of the moment in
-        an element of length h is h times the shear force; with three nodes, it is h^2 times the load per length.
+    - `turns`: (K - 1,) largest angles by which bending turns each of K nodes relative to the one before [rad].
+    - `largest`: largest sums of the squares of the axial forces of the elements, of their moments, and of the
+      variations of both within the elements; largest axial force and largest magnitude of the force [N]. The variation
+      of the moment in an element of length h is h times the shear force; with three nodes, it is h^2 times the load per
+      length.
     """
 
     def __init__(self, name: str, beam: Beam, compiled: CompiledMechanism):

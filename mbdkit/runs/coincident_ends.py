@@ -37,12 +37,7 @@ accepted at tolerances of 1e-6 turn the direction by at most 145 degrees, and th
 class CoincidentEnds:
     """Watches K forces between two points over the steps of a run.
 
-    Parameters
-    ----------
-    names
-        Names of the forces.
-    columns
-        Indices of the forces among the force elements.
+    `names`: names of the forces. `columns`: indices of the forces among the force elements.
     """
 
     def __init__(self, names: list[str], columns: list[int]):

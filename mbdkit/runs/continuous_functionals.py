@@ -63,17 +63,12 @@ class _Ends:
 class ContinuousFunctionals:
     """Integrals, extrema and values at given times of the motion between the ends of steps.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does not use.
-    functionals
-        The integrals, extrema and values to compute. A functional is nested if its integrand contains others, as in
-        ``rms(x - mean(x))``.
-    timetable
-        The times of the run.
-    uses_accelerations
-        Whether the polynomials between the ends of steps use accelerations; see `StepEnds`.
+    - `workspace`: the mechanism at its start. Accelerations and reactions are computed with pivots that the stepper
+      does not use.
+    - `functionals`: the integrals, extrema and values to compute. A functional is nested if its integrand contains
+      others, as in ``rms(x - mean(x))``.
+    - `timetable`: the times of the run.
+    - `uses_accelerations`: whether the polynomials between the ends of steps use accelerations; see `StepEnds`.
     """
 
     def __init__(
@@ -205,10 +200,7 @@ class ContinuousFunctionals:
     def nested(self, one: Functional, known: Integrals, events: EventTimes) -> np.ndarray:
         """Return the value of a nested functional from the values of its inner functionals.
 
-        Parameters
-        ----------
-        events
-            Function that returns quantities of events.
+        `events`: function that returns quantities of events.
         """
         whole = [part for part in self._parts if len(part.time) > 1]
         span = (whole[0].time[0], whole[-1].time[-1]) if whole else (math.nan, math.nan)

@@ -347,12 +347,7 @@ def steps_of_extremum(
 
     This largest value is the maximum of `best` and of the values at the ends of all steps.
 
-    Parameters
-    ----------
-    known, duration
-        See `sampled`.
-    best
-        The largest value found so far (for a minimum, of ``-x``).
+    `known`, `duration`: see `sampled`. `best`: the largest value found so far (for a minimum, of ``-x``).
     """
     sign = -1.0 if functional.reduction == "min" else 1.0
     values = sign * functional.values(part.at_ends, known, duration)

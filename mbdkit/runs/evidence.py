@@ -112,20 +112,12 @@ def estimated_errors(
 ) -> EstimatedErrors:
     """Return the estimated errors of a checked run in the form used by the verdict.
 
-    Parameters
-    ----------
-    spec
-        Spec of the run.
-    recorder
-        The recorder, which has stored the rows.
-    accuracy
-        The estimates.
-    position_error
-        Largest estimated error of positions as a share of the mechanism's size; nan if nothing is known.
-    missed
-        Reason why the requested accuracy is not reached, as a clause.
-    integrals
-        Integrals and extrema of the run.
+    - `recorder`: the recorder, which has stored the rows.
+    - `accuracy`: the estimates.
+    - `position_error`: largest estimated error of positions as a share of the mechanism's size; nan if nothing is
+      known.
+    - `missed`: reason why the requested accuracy is not reached, as a clause.
+    - `integrals`: integrals and extrema of the run.
     """
     skips_steps = not steps_are_rows(spec) and "joints" in spec.recorded
     measures = {measure.name: measure.expression for measure in spec.defined_measures() if measure.item is None}

@@ -38,18 +38,11 @@ def finish(
 ) -> Run:
     """Finish what a writer has recorded, and return the run with its measures.
 
-    Parameters
-    ----------
-    writer
-        The writer, which has all rows.
-    spec
-        Spec of the run.
-    ending
-        How the run has ended.
-    measured
-        Evaluates the measures; by default, `mbdkit.plugin.measures.take_all`.
-    gradients
-        Gradients of the measures as JSON; empty if there are none.
+    - `writer`: the writer, which has all rows.
+    - `spec`: spec of the run.
+    - `ending`: how the run has ended.
+    - `measured`: evaluates the measures; by default, `mbdkit.plugin.measures.take_all`.
+    - `gradients`: gradients of the measures as JSON; empty if there are none.
     """
     if isinstance(writer, ArrayWriter):
         assert isinstance(spec, RunSpec)

@@ -89,10 +89,7 @@ def compared_loads(spec: RunSpec, integrals: Integrals, peaks: Iterable[Peaks]) 
     These are the first quantities of `peaks`, of the elements with the largest ones. The forces of joints have errors
     in every row, and those of elements whose impacts are not located include impulses.
 
-    Parameters
-    ----------
-    integrals
-        Integrals and extrema of the run.
+    `integrals`: integrals and extrema of the run.
     """
     chosen, compared = spec.reacting, list[str]()
     for kind in peaks:

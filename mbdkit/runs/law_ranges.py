@@ -56,16 +56,9 @@ def steps_are_rows(spec: RunSpec) -> bool:
 class WatchedLaw:
     """A force element whose law holds only for a range of values of its arguments: length, rate and time.
 
-    Attributes
-    ----------
-    name, law
-        Kind and name of the element, and full name of its law.
-    column
-        Index of the element among all force elements.
-    unit
-        Unit of the length of the element.
-    bounds
-        Lowest and highest length, rate and time for which the law holds.
+    `name`, `law`: kind and name of the element, and full name of its law. `column`: index of the element among all
+    force elements. `unit`: unit of the length of the element. `bounds`: lowest and highest length, rate and time for
+    which the law holds.
     """
 
     name: str

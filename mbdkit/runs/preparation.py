@@ -103,12 +103,8 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
     The check is skipped if the number of rows is not known in advance, because wall time is limited, or because an
     adaptive method records its steps.
 
-    Raises
-    ------
-    SpecError
-        If the archive is larger than the whole disk or memory.
-    ResourceError
-        If the archive is larger than the space that is free now.
+    Raises SpecError if the archive is larger than the whole disk or memory. Raises ResourceError if the archive is
+    larger than the space that is free now.
     """
     rows = rows_expected(spec)
     if rows is None or spec.limits.wall_time is not None:

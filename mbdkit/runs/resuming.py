@@ -202,12 +202,8 @@ def _refused(part: Path, why: str, *, hint: str = _ANEW) -> SpecError:
 def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
     """Rename the archive of a run that was killed after its end, and return the run.
 
-    Raises
-    ------
-    SpecError
-        If the run had not ended, or its archive is damaged.
-    ResourceError
-        If the archive cannot be renamed.
+    Raises SpecError if the run had not ended, or its archive is damaged. Raises ResourceError if the archive cannot be
+    renamed.
     """
     with load(part) as run:
         if run.status == "running":
@@ -253,13 +249,8 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any])
 class _Unfinished:
     """An unfinished run that is continued from its checkpoint.
 
-    Parameters
-    ----------
-    path
-        Final name of the archive.
-    stream
-        The open ``.part``, from which the rows are read. It also shows whether another file has replaced the ``.part``
-        in the meantime.
+    `path`: final name of the archive. `stream`: the open ``.part``, from which the rows are read. It also shows whether
+    another file has replaced the ``.part`` in the meantime.
     """
 
     def __init__(self, part: Path, checkpoint: Checkpoint, path: Path, overwrite: bool, stream: BinaryIO):

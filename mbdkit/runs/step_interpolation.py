@@ -197,14 +197,9 @@ class StepEnds:
 class StepStates:
     """The states of a run at any time, from the ends of its steps.
 
-    Parameters
-    ----------
-    workspace
-        Workspace of the mechanism.
-    time, q, v
-        (N,) times [s], and (N, 3 (B + 1)) positions and velocities at the start and the ends of all steps.
-    stops, margins
-        Times of discontinuities of motions and loads, at which steps end [s], and their margins; see `Timetable`.
+    `workspace`: workspace of the mechanism. `time`, `q`, `v`: (N,) times [s], and (N, 3 (B + 1)) positions and
+    velocities at the start and the ends of all steps. `stops`, `margins`: times of discontinuities of motions and
+    loads, at which steps end [s], and their margins; see `Timetable`.
     """
 
     def __init__(

@@ -29,10 +29,7 @@ class MemoryNotStoredError(Exception):
 def stored_stepper(stepper: StepHost) -> StoredState:
     """Return the state of a stepper between two stretches of steps as plain values.
 
-    Raises
-    ------
-    MemoryNotStoredError
-        If the memory of the method cannot be stored.
+    Raises MemoryNotStoredError if the memory of the method cannot be stored.
     """
     try:
         stepper.apply_event()  # an event that has not happened yet cannot be stored

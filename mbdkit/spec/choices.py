@@ -156,10 +156,7 @@ ADD_IN_PYTHON = (
 class RegistryLookup:
     """The `PluginLookup` of a registry.
 
-    Parameters
-    ----------
-    registry
-        Function that returns the registry. It is called only when a law or an option is looked up.
+    `registry`: function that returns the registry. It is called only when a law or an option is looked up.
     """
 
     registry: Callable[[], Registry] = registry

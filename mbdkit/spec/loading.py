@@ -141,10 +141,7 @@ def _kinds(known: Registry) -> dict[str, str]:
 def example_text(name: str) -> str:
     """Return the text of the spec of a packaged example, including comments.
 
-    Raises
-    ------
-    SpecError
-        If there is no example with this name.
+    Raises SpecError if there is no example with this name.
     """
     files = _examples()
     if name not in files:

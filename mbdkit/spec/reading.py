@@ -262,10 +262,7 @@ def set_value(document: Document, assignment: str) -> None:
 def read_assignment(assignment: str) -> tuple[Path, Any]:
     """Return the key path and the value of an assignment ``key.path=value`` from the command line.
 
-    Raises
-    ------
-    SpecError
-        If the text is not an assignment, or if the value is not YAML.
+    Raises SpecError if the text is not an assignment, or if the value is not YAML.
     """
     where = f"--set {assignment}"
     key, equals, text = assignment_parts(assignment)

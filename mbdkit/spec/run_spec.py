@@ -73,10 +73,7 @@ FIRST_SYMMETRIC: Mapping[str, Any] = {"name": "gauss", "stages": 3}
 def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the data of a run spec with the keys that `accuracy` implies added.
 
-    Raises
-    ------
-    SpecError
-        If `choose` is given without `accuracy`.
+    Raises SpecError if `choose` is given without `accuracy`.
     """
     data = dict(data)
     if data.get("accuracy") is None:
@@ -490,10 +487,7 @@ class RunSpec(ModelSpec):
 def with_sections(cls: type[RunSpec], keys: Collection[str]) -> type[RunSpec]:
     """Return a class of run specs with fields for those of the given keys that are sections of plugins' elements.
 
-    Raises
-    ------
-    SpecError
-        If the part of mbdkit that adds a section is not installed.
+    Raises SpecError if the part of mbdkit that adds a section is not installed.
     """
     further = set(keys) - cls.model_fields.keys()
     if not further:

@@ -259,13 +259,7 @@ NAMES = ("none", "baumgarte", "projection")
 
 @dataclass(frozen=True)
 class OrName:
-    """Adds the name alone, without options, to the JSON schema.
-
-    Parameters
-    ----------
-    names
-        The names that may stand alone.
-    """
+    """Adds the name alone, without options, to the JSON schema. `names`: the names that may stand alone."""
 
     names: tuple[str, ...]
 

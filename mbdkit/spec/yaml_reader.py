@@ -55,15 +55,8 @@ _DUMPER: Any = yaml.SafeDumper
 def read_yaml(text: str) -> tuple[Any, dict[Path, int]]:
     """Parse YAML; return the plain data and the line number of each key path, counted from 1.
 
-    Parameters
-    ----------
-    text
-        One YAML document; None is returned for an empty document.
-
-    Raises
-    ------
-    SpecError
-        If the text is not YAML, or not plain data. The error has the line number.
+    `text`: one YAML document; None is returned for an empty document. Raises SpecError if the text is not YAML, or not
+    plain data. The error has the line number.
     """
     reader = _Reader(text, {})
     return reader.document(), reader.lines

@@ -86,15 +86,9 @@ EPS = 2.0**-52
 class BranchSuspicion:
     """A sharp turn of the motion near a singular position.
 
-    Parameters
-    ----------
-    time
-        Time of the smallest distance to singularity [s].
-    angle
-        Angle between the lines of the velocities before and after `time`, in the mass metric [rad].
-    path
-        Length of the path between the states before and after `time` in the mass metric, as a share of the mechanism's
-        characteristic length, which is the longest link.
+    `time`: time of the smallest distance to singularity [s]. `angle`: angle between the lines of the velocities before
+    and after `time`, in the mass metric [rad]. `path`: length of the path between the states before and after `time` in
+    the mass metric, as a share of the mechanism's characteristic length, which is the longest link.
     """
 
     time: float
@@ -111,29 +105,20 @@ class BranchSuspicion:
 class EstimatedErrors:
     """Estimated errors of a run, over the rows up to `known_until`.
 
-    Parameters
-    ----------
-    position
-        Largest error of a position, as a share of the mechanism's size. The error of an angle is multiplied by the
-        distance of the farthest joint point of the body.
-    reaction
-        Largest error of a joint's force, as a share of the largest force in that joint, or of a thousandth of the
-        largest force of all joints, if that is larger; nan if rows skip steps and the force between them is unknown.
-    known_until
-        Time up to which the errors are known [s]; nan if no error is known.
-    asked, reached
-        Requested accuracy of positions and largest estimated error of positions, both as shares of the mechanism's
-        size.
-    missed
-        Reason why the accuracy was not reached, as a clause; empty if it was reached or if the reason is unknown.
-    between
-        A clause with the largest force between recorded rows and in these rows, and advice; empty unless rows miss a
-        part of the peak that is larger than the other errors.
-    unknown
-        Why errors are unknown after `known_until`, as a clause; empty if all are known.
-    peak, peak_of
-        Largest error of the largest force of an element of a plugin's kind, as a share of this force, and a phrase that
-        names the force; nan if an error is unknown, 0 without such elements.
+    - `position`: largest error of a position, as a share of the mechanism's size. The error of an angle is multiplied
+      by the distance of the farthest joint point of the body.
+    - `reaction`: largest error of a joint's force, as a share of the largest force in that joint, or of a thousandth of
+      the largest force of all joints, if that is larger; nan if rows skip steps and the force between them is unknown.
+    - `known_until`: time up to which the errors are known [s]; nan if no error is known.
+    - `asked`, `reached`: requested accuracy of positions and largest estimated error of positions, both as shares of
+      the mechanism's size.
+    - `missed`: reason why the accuracy was not reached, as a clause; empty if it was reached or if the reason is
+      unknown.
+    - `between`: a clause with the largest force between recorded rows and in these rows, and advice; empty unless rows
+      miss a part of the peak that is larger than the other errors.
+    - `unknown`: why errors are unknown after `known_until`, as a clause; empty if all are known.
+    - `peak`, `peak_of`: largest error of the largest force of an element of a plugin's kind, as a share of this force,
+      and a phrase that names the force; nan if an error is unknown, 0 without such elements.
     """
 
     position: float

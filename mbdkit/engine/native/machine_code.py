@@ -65,11 +65,8 @@ _COMPILE = os.environ.get("MBDKIT_JIT", "") not in ("", "0")
 def address_of(symbol: str) -> int:
     """Return the address of the machine code of a symbol, which is loaded or compiled first if necessary.
 
-    Raises
-    ------
-    MbdkitError
-        If there is no such code for this platform and processor and it cannot be compiled, if the processor lacks
-        instructions that the code needs, or if a stored library is damaged or cannot be loaded.
+    Raises MbdkitError if there is no such code for this platform and processor and it cannot be compiled, if the
+    processor lacks instructions that the code needs, or if a stored library is damaged or cannot be loaded.
     """
     level = _usable_level()
     path = None if _COMPILE else stored_file(symbol, level)
@@ -142,10 +139,7 @@ def _is_package(name: str) -> bool:
 def manifest(package: str = CORE) -> dict[str, Any]:
     """Return the manifest of the stored libraries of a package for this platform; empty if there are none.
 
-    Raises
-    ------
-    MbdkitError
-        If it is damaged.
+    Raises MbdkitError if it is damaged.
     """
     path = stored_folder(package, this_platform()) / MANIFEST
     with _damage_reported(package):

@@ -50,20 +50,12 @@ def check_run(
     addition there is the guard, a run with another method. If the spec limits wall time, the same limit applies to all
     companions together.
 
-    Parameters
-    ----------
-    spec, method, workspace
-        The run.
-    rows
-        Recorded rows of the run.
-    steps
-        Number of steps of the run.
-    interrupted
-        Function that returns whether the user has asked to stop; the errors are then unknown.
-    progress
-        Called with (time reached, end time) [s] of each companion.
-    memory
-        Memory of the reactions of elements at the end of the run, with their impacts; None if the run has none.
+    - `spec`, `method`, `workspace`: the run.
+    - `rows`: recorded rows of the run.
+    - `steps`: number of steps of the run.
+    - `interrupted`: function that returns whether the user has asked to stop; the errors are then unknown.
+    - `progress`: called with (time reached, end time) [s] of each companion.
+    - `memory`: memory of the reactions of elements at the end of the run, with their impacts; None if the run has none.
     """
     begin = time.perf_counter()
     if len(rows.time) < 2:
@@ -212,16 +204,8 @@ def check_by_pilots(
 ) -> Accuracy:
     """Estimate the errors of a run from pilot runs with larger tolerances.
 
-    Parameters
-    ----------
-    spec, workspace
-        The run.
-    rows
-        Recorded rows of the run.
-    pilots
-        One or two pilot runs with the same method, the coarsest first.
-    setting
-        Tolerance of the run.
+    `spec`, `workspace`: the run. `rows`: recorded rows of the run. `pilots`: one or two pilot runs with the same
+    method, the coarsest first. `setting`: tolerance of the run.
     """
     begin = time.perf_counter()
     tolerances = [*(pilot.setting for pilot in pilots), setting]
@@ -261,14 +245,8 @@ AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
 def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: Choice | None) -> Accuracy:
     """Return the estimates with the requested accuracy, the accuracy reached, and the choice of method and step added.
 
-    Parameters
-    ----------
-    accuracy
-        Estimates of the check.
-    spec, workspace
-        The run, whose spec gives method and step.
-    choice
-        How method and step were chosen; None if the spec gave them.
+    `accuracy`: estimates of the check. `spec`, `workspace`: the run, whose spec gives method and step. `choice`: how
+    method and step were chosen; None if the spec gave them.
     """
     if spec.accuracy is None:
         return accuracy

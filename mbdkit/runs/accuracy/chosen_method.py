@@ -111,14 +111,8 @@ observed order may be below that of the method.
 class Candidate:
     """A method whose step or tolerance is to be chosen.
 
-    Parameters
-    ----------
-    integrator
-        Name and options.
-    adaptive
-        Whether the setting to be chosen is a tolerance; otherwise it is the step [s].
-    order
-        Expected exponent p of the error, which is proportional to setting^p.
+    `integrator`: name and options. `adaptive`: whether the setting to be chosen is a tolerance; otherwise it is the
+    step [s]. `order`: expected exponent p of the error, which is proportional to setting^p.
     """
 
     integrator: Mapping[str, Any]
@@ -222,14 +216,8 @@ def choose_method(
 ) -> Choice:
     """Choose method and step for the accuracy of a spec.
 
-    Parameters
-    ----------
-    spec
-        The spec, with `RunSpec.is_to_be_chosen`.
-    workspace
-        Its mechanism and start.
-    progress
-        Called with (time reached, end time) [s] of each pilot.
+    `spec`: the spec, with `RunSpec.is_to_be_chosen`. `workspace`: its mechanism and start. `progress`: called with
+    (time reached, end time) [s] of each pilot.
     """
     if spec.settings():
         message = "`accuracy` is not available for runs in which events set states; give an integrator and a step"
