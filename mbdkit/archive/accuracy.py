@@ -186,15 +186,8 @@ class Accuracy(HtmlView):
     ) -> tuple[JointAccuracy, ...]:
         """Return the accuracy of each joint.
 
-        Parameters
-        ----------
-        names
-            Names of the J joints.
-        force
-            (T, J, 2) reaction forces [N].
-        missed
-            (J,) by how much the largest forces between rows exceed those in the rows [N], nan where unknown; None if
-            every step is recorded.
+        `names`: names of the J joints. `force`: (T, J, 2) reaction forces [N]. `missed`: (J,) by how much the largest
+        forces between rows exceed those in the rows [N], nan where unknown; None if every step is recorded.
         """
         count, size = self.rows_known, np.linalg.norm(force, axis=-1)
         beyond = np.zeros(len(names)) if missed is None else missed
@@ -236,15 +229,7 @@ class Accuracy(HtmlView):
         }
 
     def write(self, file: h5py.File, bodies: Sequence[str], joints: Sequence[str]) -> None:
-        """Write the group ``/accuracy``.
-
-        Parameters
-        ----------
-        file
-            The archive.
-        bodies, joints
-            Names, in the order of the arrays.
-        """
+        """Write the group ``/accuracy``. `file`: the archive. `bodies`, `joints`: names, in the order of the arrays."""
         group = file.create_group("accuracy")
         values = self.arrays(bodies, joints)
         for array in sorted(kind_of_group("accuracy").arrays, key=lambda array: not array.is_scale):

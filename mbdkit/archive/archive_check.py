@@ -56,10 +56,7 @@ def check(path: str | Path) -> list[str]:
 def blaming_damage(*paths: Path) -> Iterator[None]:
     """Replace an unforeseen error in the body of a `with` statement if one of the archives `paths` is damaged.
 
-    Raises
-    ------
-    ArchiveError
-        In place of an error that is not an MbdkitError, with the first problem found by `check`.
+    Raises ArchiveError in place of an error that is not an MbdkitError, with the first problem found by `check`.
     """
     try:
         yield

@@ -20,10 +20,7 @@ def hash_warnings(run: Run) -> list[str]:
 
     All arrays are read, which takes about 0.1 s for 100 MB.
 
-    Returns
-    -------
-    list of str
-        One sentence, or none if the hashes match, are not stored, or the run is in memory.
+    Returns one sentence, or none if the hashes match, are not stored, or the run is in memory.
     """
     if run.path is None:
         return []

@@ -117,12 +117,9 @@ def attributes_sha256(
 ) -> str:
     """Return the hash of everything that `data_sha256` does not cover: attributes, timings and estimated errors.
 
-    Parameters
-    ----------
-    known
-        Known lines of attributes, by ``PATH@NAME``, and of arrays, by path; their values are not read from the file.
-    unread
-        Known lines of arrays and of groups with all that they contain, by path; these objects are not opened.
+    `known`: known lines of attributes, by ``PATH@NAME``, and of arrays, by path; their values are not read from the
+    file. `unread`: known lines of arrays and of groups with all that they contain, by path; these objects are not
+    opened.
     """
     lines = [line for known_lines in unread.values() for line in known_lines]
     for path, item in _identifiers(h5o.open(file.id, b"/"), "", unread):

@@ -153,14 +153,8 @@ def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_
     If the value has too few digits for its error, the error is half a unit of its last digit, which is what rounding
     may change. A value without an error is exact. A value that is not finite has no known error.
 
-    Parameters
-    ----------
-    value, error
-        The value and its error, in the same unit; an error that is nan is unknown.
-    sign
-        Sign between the value and the error.
-    digits
-        Largest number of significant digits of the value.
+    `value`, `error`: the value and its error, in the same unit; an error that is nan is unknown. `sign`: sign between
+    the value and the error. `digits`: largest number of significant digits of the value.
     """
     if not (math.isfinite(value) and math.isfinite(error)):
         return f"{value:.4g} (error unknown)"
@@ -206,10 +200,7 @@ def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[s
     """Return label and text of up to `most` headlines. If any has an error bar, and the error bars do not include the
     error of the mesh of beams, a last pair says so.
 
-    Parameters
-    ----------
-    sign
-        Sign between a number and its error.
+    `sign`: sign between a number and its error.
     """
     every = headlines(run, most)
     pairs = [(headline.label, headline.answer(sign)) for headline in every]

@@ -121,14 +121,9 @@ def recorded(
 ) -> tuple[Array, ...]:
     """Return the arrays of an archive that records `quantities`.
 
-    Parameters
-    ----------
-    quantities
-        Subset of `QUANTITIES`; trajectory, steps and the names of the joints are always recorded.
-    extra
-        Paths of the optional arrays to include.
-    known
-        The kinds; by default, those of the core and of the plugins that have arrays in `extra`.
+    `quantities`: subset of `QUANTITIES`; trajectory, steps and the names of the joints are always recorded. `extra`:
+    paths of the optional arrays to include. `known`: the kinds; by default, those of the core and of the plugins that
+    have arrays in `extra`.
     """
     return tuple(
         array

@@ -97,10 +97,7 @@ class MeasuredValues(ReadOnlyDict[str, float]):
     def from_json(cls, text: str) -> MeasuredValues:
         """Return the values in the attribute ``measures`` of an archive.
 
-        Raises
-        ------
-        ValueError
-            If the text is not such an attribute.
+        Raises ValueError if the text is not such an attribute.
         """
         measures = json.loads(text)
         try:

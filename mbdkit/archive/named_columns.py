@@ -19,13 +19,7 @@ from mbdkit.registry.use import use
 
 
 class NotRecordedError(MbdkitError, KeyError):
-    """The requested array was not recorded by the run.
-
-    Parameters
-    ----------
-    what
-        Path of the array or name of the group.
-    """
+    """The requested array was not recorded by the run. `what`: path of the array or name of the group."""
 
     def __init__(self, what: str):
         why = "`output.quantities` in its spec selects the recorded quantities"

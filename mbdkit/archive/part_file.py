@@ -296,15 +296,8 @@ class Target:
         is set, a file that was created there during the run is not replaced. The .part is still locked, so that other
         runs do not take it for that of a crashed run and remove it.
 
-        Parameters
-        ----------
-        keep
-            Whether the checkpoint is kept beside the archive, so that the run can be resumed.
-
-        Raises
-        ------
-        MbdkitError
-            If the .part cannot be renamed; it then keeps its name.
+        `keep`: whether the checkpoint is kept beside the archive, so that the run can be resumed. Raises MbdkitError if
+        the .part cannot be renamed; it then keeps its name.
         """
         self._end_if_forked()
         try:
@@ -367,10 +360,7 @@ class Target:
         The data must have been flushed. Afterwards, `drop` does not remove the files, even if only the checkpoint could
         be renamed.
 
-        Raises
-        ------
-        ResourceError
-            If a file cannot be renamed.
+        Raises ResourceError if a file cannot be renamed.
         """
         self.sync()
         try:

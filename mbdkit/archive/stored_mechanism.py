@@ -42,12 +42,8 @@ _OWN = RegistryLookup(lambda: registry().only("mbdkit"))
 class StoredMechanism:
     """The mechanism of a run, as far as it is known.
 
-    Parameters
-    ----------
-    mechanism
-        The mechanism; None if only the bodies are known.
-    not_drawn
-        Sentence on what a drawing lacks and why; empty if it is complete.
+    `mechanism`: the mechanism; None if only the bodies are known. `not_drawn`: sentence on what a drawing lacks and
+    why; empty if it is complete.
     """
 
     mechanism: Mechanism | None
@@ -83,17 +79,8 @@ def is_determined(spec: RunSpec) -> bool:
 def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:
     """Return the mechanism that an archive holds.
 
-    Parameters
-    ----------
-    text
-        As returned by `mechanism_json`.
-    bodies
-        The names of the recorded bodies.
-
-    Raises
-    ------
-    ValueError
-        If `text` is damaged.
+    `text`: as returned by `mechanism_json`. `bodies`: the names of the recorded bodies. Raises ValueError if `text` is
+    damaged.
     """
     try:
         data = json.loads(text)

@@ -20,15 +20,9 @@ class MbdkitError(Exception):
 class SpecError(MbdkitError, ValueError):
     """Wrong input, such as a spec, a mechanism, an expression or a file name.
 
-    Parameters
-    ----------
-    message
-        What is wrong and how to correct it.
-    key
-        Dotted key path of the input in a spec, such as ``model.joints.A.bodies[1]``; empty if unknown or not in a
-        spec.
-    file, line
-        Location of the input, if known (lines count from 1).
+    `message`: what is wrong and how to correct it. `key`: dotted key path of the input in a spec, such as
+    ``model.joints.A.bodies[1]``; empty if unknown or not in a spec. `file`, `line`: location of the input, if known
+    (lines count from 1).
     """
 
     def __init__(self, message: str, *, key: str = "", file: str | Path | None = None, line: int | None = None):
@@ -95,10 +89,7 @@ _OF_NAMES = {
 def file_error(number: int | None, message: str, *, file: str | Path | None = None) -> SpecError | ResourceError:
     """Return the error for a file that cannot be used: SpecError if its name is the cause, otherwise ResourceError.
 
-    Parameters
-    ----------
-    number
-        Error number of the system; None if unknown.
+    `number`: error number of the system; None if unknown.
     """
     return (SpecError if number in _OF_NAMES else ResourceError)(message, file=file)
 
@@ -204,13 +195,9 @@ class StepError(Exception):
     `EquationsOfMotion` raises it if the equations have no unique or no finite solution; a method raises it if its own
     iteration does not converge.
 
-    Parameters
-    ----------
-    code
-        Code of the reason, stored in the archive: ``newton-failed``, ``singular``, ``not-finite`` or
-        ``step-too-small``, or a code of a plugin.
-    sentence
-        Description of the failure, without the time and without a full stop.
+    `code`: code of the reason, stored in the archive: ``newton-failed``, ``singular``, ``not-finite`` or
+    ``step-too-small``, or a code of a plugin. `sentence`: description of the failure, without the time and without a
+    full stop.
     """
 
     def __init__(self, code: str, sentence: str):

@@ -56,13 +56,7 @@ def read_bytes(path: str | Path, largest: int, advice: str = "") -> bytes:
 
 
 def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> Path:
-    """Return `path` as a Path after checking its suffix.
-
-    Raises
-    ------
-    SpecError
-        If the suffix is not one of `allowed`.
-    """
+    """Return `path` as a Path after checking its suffix. Raises SpecError if the suffix is not one of `allowed`."""
     target = Path(path)
     if target.suffix.lower() not in allowed:
         names = ", ".join(allowed[:-1]) + " or " + allowed[-1]
@@ -167,17 +161,9 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
     The temporary file, ``.NAME-xxxxxxxx.mbdkit.SUFFIX``, is locked while it is being written. A temporary file left by
     a killed process is removed when `target` is written the next time.
 
-    Parameters
-    ----------
-    overwrite, source
-        See `check_output`.
-
-    Raises
-    ------
-    SpecError
-        If the file may not be written, or its name is not valid. An existing file then remains unchanged.
-    ResourceError
-        If writing fails for another reason, such as a full disk. An existing file then remains unchanged.
+    `overwrite`, `source`: see `check_output`. Raises SpecError if the file may not be written, or its name is not
+    valid. An existing file then remains unchanged. Raises ResourceError if writing fails for another reason, such as a
+    full disk. An existing file then remains unchanged.
     """
     check_output(target, overwrite=overwrite, source=source)
     stem = f".{target.stem[:40]}"

@@ -61,12 +61,8 @@ def recording(files: FilesRead) -> Iterator[None]:
 def only_known(files: Sequence[FileRead] | None, *, allowed: bool) -> Iterator[None]:
     """Within a block that runs the spec of an archive, refuse all files, or those that the archive does not list.
 
-    Parameters
-    ----------
-    files
-        The files that the archive lists; None if the archive is missing, as that of a run of a study may be.
-    allowed
-        Whether the user allows that files are read.
+    `files`: the files that the archive lists; None if the archive is missing, as that of a run of a study may be.
+    `allowed`: whether the user allows that files are read.
     """
     token = _KNOWN.set(files if allowed else ())
     try:
@@ -88,13 +84,8 @@ def check_readable(path: str | Path) -> None:
 def read_data(path: str | Path, largest: int, advice: str = "") -> bytes:
     """Return the content of a file that a spec names, and record that it was read; see `mbdkit.base.files.read_bytes`.
 
-    Raises
-    ------
-    SpecError
-        If the file cannot be read as a regular file of at most `largest` bytes, or if the spec comes from an archive
-        and the file may not be read for it.
-    ResourceError
-        If the system refuses to read the file.
+    Raises SpecError if the file cannot be read as a regular file of at most `largest` bytes, or if the spec comes from
+    an archive and the file may not be read for it. Raises ResourceError if the system refuses to read the file.
     """
     check_readable(path)
     content = read_bytes(path, largest, advice)

@@ -13,10 +13,7 @@ from typing import Any
 def import_part(module: str, wanted: str) -> ModuleType:
     """Import a module, which may be of a part of mbdkit that is not installed.
 
-    Raises
-    ------
-    MissingPartError
-        If it is not installed; `wanted` is what needs it.
+    Raises MissingPartError if it is not installed; `wanted` is what needs it.
     """
     package = module.partition(".")[0]
     try:
@@ -65,10 +62,7 @@ def door(package: MutableMapping[str, Any]) -> tuple[Callable[[str], Any], Calla
 
     Each name is thus written once, in the block ``if TYPE_CHECKING`` of the module.
 
-    Parameters
-    ----------
-    package
-        The ``globals()`` of the module.
+    `package`: the ``globals()`` of the module.
     """
     homes = homes_of(package["__file__"])
     package["__all__"] = sorted(homes)

@@ -99,11 +99,8 @@ def plain(value: Any, path: Path = ()) -> Any:
 
     In the columns of a mapping with the key ``data``, NaN is a gap and becomes None.
 
-    Raises
-    ------
-    SpecError
-        If there is a number that is too large or not finite, a key that is not text, an object that a spec cannot
-        contain, or more than `DEEPEST` levels, as in a list that contains itself.
+    Raises SpecError if there is a number that is too large or not finite, a key that is not text, an object that a spec
+    cannot contain, or more than `DEEPEST` levels, as in a list that contains itself.
     """
     if len(path) > DEEPEST:
         raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
@@ -145,10 +142,8 @@ NO_FUNCTIONS = (
 def copied(value: Any, path: Path = ()) -> Any:
     """Return a copy of a mapping or list; mappings and lists are copied at all levels, other values are not.
 
-    Raises
-    ------
-    SpecError
-        If the value has more than `DEEPEST` levels, as a list that contains itself does, or if a key is not text.
+    Raises SpecError if the value has more than `DEEPEST` levels, as a list that contains itself does, or if a key is
+    not text.
     """
     if len(path) > DEEPEST:
         raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))

@@ -87,10 +87,7 @@ def cited(text: object) -> str:
 def shown(text: object, *, lines: bool = False) -> str:
     r"""Return text from files with control characters, such as those of a terminal, escaped as ``\u001b``.
 
-    Parameters
-    ----------
-    lines
-        Whether line feeds and tabulators remain unescaped.
+    `lines`: whether line feeds and tabulators remain unescaped.
     """
     return _HARMFUL.sub(_kept_lines if lines else _escaped, str(text))
 

@@ -172,10 +172,7 @@ def read_unit(text: str) -> Unit:
     """Parse the text of a unit: symbols with powers in halves such as m^1.5, multiplied by blanks or ``*``, divided
     by ``/``.
 
-    Raises
-    ------
-    SpecError
-        If the text is not a unit.
+    Raises SpecError if the text is not a unit.
     """
     exponents, factor, counts, si = list(_NONE), 1.0, list(_NONE), ""
     sign, place, written = 1, 0, _RPM.sub(_in_revolutions, text.strip())
@@ -225,15 +222,8 @@ def _in_revolutions(found: re.Match[str]) -> str:
 def read_quantity(text: object, names: Container[str] = ()) -> tuple[float, Unit] | None:
     """Return the number in SI units and the unit of a text such as ``2 N/mm``; None if it is not a number with a unit.
 
-    Parameters
-    ----------
-    names
-        Names that may occur in expressions. A text with such a name in place of a unit is not a number with a unit.
-
-    Raises
-    ------
-    SpecError
-        If the unit is not known, or not separated from the number.
+    `names`: names that may occur in expressions. A text with such a name in place of a unit is not a number with a
+    unit. Raises SpecError if the unit is not known, or not separated from the number.
     """
     if not isinstance(text, str) or len(text) > _LONGEST or (found := _QUANTITY.fullmatch(text)) is None:
         return None

@@ -54,11 +54,6 @@ class Lowering:
     """Collects the force elements on pathways, loads and first-order states of a mechanism in flat lists.
 
     Kinds of elements of plugins add theirs with `force`, `state`, `wrench`, `law`, `pair` and `expression`.
-
-    Attributes
-    ----------
-    mechanism
-        The mechanism.
     """
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: CompiledMotions):
@@ -159,12 +154,8 @@ class Lowering:
     def force(self, kind: str, key: str, name: str, force: LawForce) -> ActingForce:
         """Add a force element with a law along a pathway, and its states.
 
-        Parameters
-        ----------
-        kind, key
-            Word for the kind of element, and its key in the model.
-        name, force
-            Name of the element, and the force element.
+        `kind`, `key`: word for the kind of element, and its key in the model. `name`, `force`: name of the element, and
+        the force element.
         """
         acting = ActingForce(kind, name, force, len(self.elements), len(self.states))
         self._add_law(name, force, key)
@@ -238,14 +229,8 @@ class Lowering:
     def wrench(self, name: str, body: int, laws: Sequence[int]) -> None:
         """Add a force at the centre of mass of a body, and a torque if there is a third law.
 
-        Parameters
-        ----------
-        name
-            Name of the load in messages.
-        body
-            Index of the body.
-        laws
-            Indices of the laws of the components x and y, and of the torque.
+        `name`: name of the load in messages. `body`: index of the body. `laws`: indices of the laws of the components x
+        and y, and of the torque.
         """
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
             motions = [self.motions.add(f'loads["{name}"].{len(self.loads)}.{one}') for one in components]
@@ -339,12 +324,8 @@ class Lowering:
     def expression(self, key: str, name: str, text: str) -> int:
         """Add an expression of the state as a law, and return its index; only in an `expression_lowering`.
 
-        Parameters
-        ----------
-        key, name
-            Key path of the expression in a spec, and name of its element, for messages.
-        text
-            The expression.
+        `key`, `name`: key path of the expression in a spec, and name of its element, for messages. `text`: the
+        expression.
         """
         return self._add_expression(key, name, text)[0]
 
@@ -385,10 +366,7 @@ class Lowering:
 def lowering(elements: Never, lowering: Lowering, forces: tuple[ActingForce, ...], /) -> object:
     """Add forces and states of elements, given by name, whose force elements along pathways have been added.
 
-    Returns
-    -------
-    object
-        The handle of the elements: what `CompiledMechanism.extensions` holds under their key.
+    Returns the handle of the elements: what `CompiledMechanism.extensions` holds under their key.
     """
     raise NotImplementedError
 

@@ -51,15 +51,8 @@ MOST_DISTANCES = 1 << 16
 def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     """Compile a validated mechanism to flat arrays.
 
-    Parameters
-    ----------
-    mechanism
-        Bodies, joints and forces by name.
-
-    Returns
-    -------
-    CompiledMechanism
-        The flat arrays. Pairs of constraint rows are numbered in order of elimination.
+    `mechanism`: bodies, joints and forces by name. Returns the flat arrays. Pairs of constraint rows are numbered in
+    order of elimination.
     """
     bodies = tuple(mechanism.bodies)
     number = {name: i for i, name in enumerate(bodies)}

@@ -92,12 +92,8 @@ def workspace_at_start(
 class MechanismAtStart:
     """A compiled mechanism with independent constraint rows, and its consistent initial state.
 
-    Attributes
-    ----------
-    q0, v0
-        (3 (B + 1),) positions and velocities, ground last.
-    assembled
-        The same state, with the changes made by assembly.
+    `q0`, `v0`: (3 (B + 1),) positions and velocities, ground last. `assembled`: the same state, with the changes made
+    by assembly.
     """
 
     mechanism: CompiledMechanism

@@ -105,12 +105,7 @@ class EquationsOfMotion(EvaluatedEquations):
     def of(cls, mechanism: Mechanism, t0: float = 0.0) -> EquationsOfMotion:
         """Return the equations of motion of a mechanism at its consistent initial state, for example to test a method.
 
-        Parameters
-        ----------
-        mechanism
-            The validated mechanism.
-        t0
-            Start time [s].
+        `mechanism`: the validated mechanism. `t0`: start time [s].
         """
         return cls(workspace_at_start(mechanism, t0)[0])
 
@@ -209,15 +204,10 @@ class EquationsOfMotion(EvaluatedEquations):
         ``[-damping rates_v - stiffness rates_q, 0, mass - damping rates_z]`` (see `StateTangents`). Its `solve` takes
         and returns a third vector (Z,), which is empty if the mechanism has no such states.
 
-        Parameters
-        ----------
-        t, q, v, a, lam
-            Time [s], state, accelerations and multipliers at which the tangents are evaluated.
-        z
-            (Z,) first-order states; if left out, the matrix has no rows for them, and those last used are held.
-        coefficients
-            `mass` (default 1), `damping`, `stiffness`, `gamma_v`, `residual_q` (default 0). The matrix is complex if
-            any of them is complex.
+        - `t`, `q`, `v`, `a`, `lam`: time [s], state, accelerations and multipliers at which the tangents are evaluated.
+        - `z`: (Z,) first-order states; if left out, the matrix has no rows for them, and those last used are held.
+        - `coefficients`: `mass` (default 1), `damping`, `stiffness`, `gamma_v`, `residual_q` (default 0). The matrix is
+          complex if any of them is complex.
         """
         factors = coefficients_of(coefficients)
         if z is None:

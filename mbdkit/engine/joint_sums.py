@@ -13,15 +13,8 @@ from mbdkit.engine.kernels.misalignment import squared_misalignment
 class JointSums:
     """Computes values of joints from values of pairs.
 
-    Parameters
-    ----------
-    mechanism
-        The compiled mechanism. Both rows of a pair have the same unit.
-
-    Attributes
-    ----------
-    joint : (P,) int array
-        Index of the joint of each pair.
+    `mechanism`: the compiled mechanism. Both rows of a pair have the same unit. `joint` ((P,) int array): index of the
+    joint of each pair.
     """
 
     def __init__(self, mechanism: CompiledMechanism):

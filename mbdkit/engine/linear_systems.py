@@ -120,10 +120,7 @@ class SparseFactors:
 def factors_of(matrix: np.ndarray) -> SparseFactors:
     """Return the factors of a dense matrix (n, n) by partial pivoting.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is singular, or an entry is not a number.
+    Raises numpy.linalg.LinAlgError if the matrix is singular, or an entry is not a number.
     """
     row, column = np.nonzero(matrix)
     return SparseFactors(row, column, matrix[row, column], np.arange(len(matrix)), 1.0)
@@ -132,10 +129,7 @@ def factors_of(matrix: np.ndarray) -> SparseFactors:
 def inverse_of(matrix: np.ndarray) -> np.ndarray:
     """Return the inverse of a real or complex matrix (n, n).
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is singular, or an entry is not a number.
+    Raises numpy.linalg.LinAlgError if the matrix is singular, or an entry is not a number.
     """
     return np.ascontiguousarray(factors_of(matrix).solve(np.eye(len(matrix))).T)
 

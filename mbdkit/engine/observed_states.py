@@ -31,12 +31,8 @@ class GivenForces:
     """Given accelerations and constraint forces, used if they do not follow from the mechanism alone, as with
     actuators.
 
-    Attributes
-    ----------
-    acceleration
-        (T, 3 (B + 1)), ground last.
-    lam, reactions
-        (T, P, 2) and (T, P, 3), as in `Observed`; those of redundant joints are distributed afterwards.
+    `acceleration`: (T, 3 (B + 1)), ground last. `lam`, `reactions`: (T, P, 2) and (T, P, 3), as in `Observed`; those of
+    redundant joints are distributed afterwards.
     """
 
     acceleration: np.ndarray
@@ -58,15 +54,8 @@ class StateObserver:
     The distance to singularity is computed by an iteration that starts from the result of the previous state. Therefore
     the states of a run should be passed in order of time.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism and its solver.
-
-    Attributes
-    ----------
-    gaps, gap_uncertainty : (T, D) arrays
-        Result of `unexplained_gaps` for the redundant directions of the states last observed.
+    `workspace`: the mechanism and its solver. `gaps`, `gap_uncertainty` ((T, D) arrays): result of `unexplained_gaps`
+    for the redundant directions of the states last observed.
     """
 
     def __init__(self, workspace: Workspace):

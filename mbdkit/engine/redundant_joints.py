@@ -36,8 +36,9 @@ def unexplained_gaps(
 
     `q` ((T, 3 (B + 1)) array): positions, ground last. `phi` ((T, P, 2) array): residuals. `distance` ((T,) array):
     distance to singularity. `self_stress` ((T, D, P, 2) array): multipliers of the self-stresses, 1 in the redundant
-    direction itself. Returns relative to `units_of_pairs`. The uncertainty is of second order in the misalignment of
-    the other rows: the sum of the absolute multipliers times the square of the displacement that satisfies these rows.
+    direction itself. Both results are (T, D) and relative to `units_of_pairs`. The uncertainty is of second order in
+    the misalignment of the other rows: the sum of the absolute multipliers times the square of the displacement that
+    satisfies these rows.
     """
     top, units = mechanism.topology, units_of_pairs(mechanism)
     relative = phi / units[:, None]

@@ -33,10 +33,7 @@ def spanning_tree(top: Topology) -> np.ndarray:
     a tie, the one closest to ground. Bodies that no joint can connect to the tree have three free coordinates.
     Redundant constraints, which are not solved for, are not part of the tree.
 
-    Returns
-    -------
-    (B, 5) array of int
-        See `mbdkit.engine.kernels.tree`.
+    See `mbdkit.engine.kernels.tree`.
     """
     ground = len(top.mass) - 1
     placing: list[list[tuple[int, int]]] = [[] for _ in range(ground + 1)]

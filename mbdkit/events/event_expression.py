@@ -64,15 +64,9 @@ class CompiledExpression(NamedTuple):
 class RunExpression:
     """A scalar function of the state and time of a run, whose zero crossings are events.
 
-    Attributes
-    ----------
-    text
-        The expression as written by the user.
-    program
-        Instructions as in `mbdkit.expressions.program`, and ``get``, which pushes the quantity with the given index in
-        `quantities`.
-    quantities
-        Quantities in the expression, except time.
+    `text`: the expression as written by the user. `program`: instructions as in `mbdkit.expressions.program`, and
+    ``get``, which pushes the quantity with the given index in `quantities`. `quantities`: quantities in the expression,
+    except time.
     """
 
     text: str
@@ -87,10 +81,8 @@ class RunExpression:
 
         If `crosses` is set, the expression must be able to cross zero.
 
-        Raises
-        ------
-        SpecError
-            If the syntax is wrong, a quantity does not exist, or the expression cannot cross zero although it must.
+        Raises SpecError if the syntax is wrong, a quantity does not exist, or the expression cannot cross zero although
+        it must.
         """
         compiler = RunCompiler(text, mechanism, parameters)
         program = tuple(compiler.program())
@@ -101,10 +93,7 @@ class RunExpression:
     def function(self, places: Mapping[Quantity, int]) -> Callable[[Sequence[float]], float]:
         """Return a function that evaluates the expression; it returns nan where the expression is undefined.
 
-        Parameters
-        ----------
-        places
-            Index of each quantity in the argument of the function; index 0 is the time.
+        `places`: index of each quantity in the argument of the function; index 0 is the time.
         """
         return self.compiled(places).value
 

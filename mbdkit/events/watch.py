@@ -174,16 +174,8 @@ class Watch:
     """Wraps a stepper to detect events, to end the run at an event with the action ``stop``, to set states at events,
     and to keep all steps.
 
-    Parameters
-    ----------
-    stepper
-        The stepper, started with ``Timetable.single``; if events set states, it must be a
-        `mbdkit.integrators.run.splitting.Splitting`.
-
-    Attributes
-    ----------
-    stopped
-        Crossing that ended the run, or None.
+    `stepper`: the stepper, started with ``Timetable.single``; if events set states, it must be a
+    `mbdkit.integrators.run.splitting.Splitting`. `stopped`: crossing that ended the run, or None.
     """
 
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):

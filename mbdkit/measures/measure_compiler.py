@@ -143,10 +143,7 @@ class MeasureCompiler(RunCompiler):
     def get(self, quantity: Quantity) -> Code:
         """Return the program that pushes a quantity, which is known to exist.
 
-        Raises
-        ------
-        SpecError
-            If the runs do not record the quantity.
+        Raises SpecError if the runs do not record the quantity.
         """
         if quantity.kind in QUANTITIES and quantity.kind not in self.spec.recorded:
             raise SpecError(
@@ -279,10 +276,7 @@ class MeasureCompiler(RunCompiler):
     def unit(self, operation: str, values: Sequence[_Value], exponent: float | None, node: ast.expr) -> Unit | None:
         """Return the unit of the result of an operation; raise SpecError if units do not match.
 
-        Parameters
-        ----------
-        exponent
-            The exponent of a power, if it is a constant.
+        `exponent`: the exponent of a power, if it is a constant.
         """
         dimension, base = OPERATIONS[operation].dimension, values[0].unit
         if dimension in ("common", "angle of common"):

@@ -69,16 +69,9 @@ class MeasureExpression:
     def parse(text: str, spec: ModelSpec, unit: str = "") -> MeasureExpression:
         """Parse an expression for the runs of a spec.
 
-        Parameters
-        ----------
-        unit
-            Unit in which to give the value; by default the SI unit that follows from the expression.
-
-        Raises
-        ------
-        SpecError
-            If the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value is
-            not one number. The key of the error is ``unit`` if the given unit does not match.
+        `unit`: unit in which to give the value; by default the SI unit that follows from the expression. Raises
+        SpecError if the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value
+        is not one number. The key of the error is ``unit`` if the given unit does not match.
         """
         try:
             wanted = read_unit(unit) if unit else None

@@ -139,14 +139,8 @@ class Functional:
     def time(self, known: Integrals, span: tuple[float, float], events: EventTimes) -> float:
         """Return the time [s] at which this functional takes the value of its quantity, if it is a value at one time.
 
-        Parameters
-        ----------
-        known
-            Values of the functionals in `inner`, by their source texts.
-        span
-            First and last time of the run [s].
-        events
-            Function that returns quantities of events.
+        `known`: values of the functionals in `inner`, by their source texts. `span`: first and last time of the run
+        [s]. `events`: function that returns quantities of events.
         """
 
         def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
@@ -166,12 +160,7 @@ class Functional:
     def values(self, series: Series, known: Integrals, duration: float) -> np.ndarray:
         """Return the values at T times: (T,), or (2, T) for a vector.
 
-        Parameters
-        ----------
-        known
-            Values of the functionals in `inner`, by their source texts.
-        duration
-            Duration of the run [s].
+        `known`: values of the functionals in `inner`, by their source texts. `duration`: duration of the run [s].
         """
         return self.values_and_switches(series, known, duration, 1)[0]
 
@@ -180,16 +169,9 @@ class Functional:
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the values at T times, and the scalars at whose sign changes the operations change their form.
 
-        Parameters
-        ----------
-        groups
-            Number G of groups of P = T / G times. Only sign changes within a group count. For the norm of a vector, the
-            scalar is the product of the vector with the first vector of the group.
-
-        Returns
-        -------
-        values, switches
-            (T,) or (2, T), and one array (G, P) for each operation with a switch.
+        `groups`: number G of groups of P = T / G times. Only sign changes within a group count. For the norm of a
+        vector, the scalar is the product of the vector with the first vector of the group. Returns (T,) or (2, T), and
+        one array (G, P) for each operation with a switch.
         """
         switches: list[np.ndarray] = []
         count = len(series.time)

@@ -131,15 +131,8 @@ class Element(StrictModel):
 
         It selects one of the two units in the description of a key, as in ``[N/m or N m/rad]``.
 
-        Parameters
-        ----------
-        data
-            Keys of an element of this class, which need not be valid.
-
-        Returns
-        -------
-        str
-            The unit; empty if the keys do not determine it.
+        `data`: keys of an element of this class, which need not be valid. Returns the unit; empty if the keys do not
+        determine it.
         """
         return ""
 
@@ -147,11 +140,8 @@ class Element(StrictModel):
         """Return the element with its points in the frames of the bodies; `bodies` are at their positions before
         assembly.
 
-        Raises
-        ------
-        SpecError
-            If the element is attached to a point mass at a point other than the position of the mass. The key path of
-            the error begins with `key`.
+        Raises SpecError if the element is attached to a point mass at a point other than the position of the mass. The
+        key path of the error begins with `key`.
         """
         return self
 

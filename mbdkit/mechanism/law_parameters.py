@@ -14,17 +14,8 @@ from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, Trace
 def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, ...], list[float]]:
     """Return the names and values of a law's parameters; those of functions and of machine code have no names.
 
-    Parameters
-    ----------
-    name
-        Name of the law for error messages.
-
-    Raises
-    ------
-    PluginError
-        If the law fails to compute its parameters, or if they are not usable.
-    SpecError
-        If the law itself raises it for these options.
+    `name`: name of the law for error messages. Raises PluginError if the law fails to compute its parameters, or if
+    they are not usable. Raises SpecError if the law itself raises it for these options.
     """
     with blaming(f"force law {name} failed to compute its parameters"):
         names, values = _parameters(law, options)

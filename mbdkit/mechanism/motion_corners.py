@@ -97,14 +97,8 @@ def jet_of(motion: Motion, times: np.ndarray) -> Jet:
 def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES) -> tuple[Corner, ...]:
     """Return the knots and corners of a motion from `start` to `end` [s], both included, in order of time.
 
-    Parameters
-    ----------
-    motion
-        A number, an expression of t or a table.
-    start, end
-        The span of the run [s].
-    samples
-        Number of samples over the span.
+    `motion`: a number, an expression of t or a table. `start`, `end`: the span of the run [s]. `samples`: number of
+    samples over the span.
     """
     rounding = 4.0 * EPS * max(abs(start), abs(end))
     widest = WIDEST_MARGIN * (end - start)
@@ -190,14 +184,8 @@ def switching_times(program: Program, start: float, end: float, samples: int = S
 
     Switches whose argument is not finite are left out.
 
-    Parameters
-    ----------
-    program
-        A function of time.
-    start, end
-        The span that is searched [s].
-    samples
-        Number of samples over the span; fewer are taken of long programs.
+    `program`: a function of time. `start`, `end`: the span that is searched [s]. `samples`: number of samples over the
+    span; fewer are taken of long programs.
     """
     times = np.linspace(start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))) + 1)
     found: dict[float, float] = {}

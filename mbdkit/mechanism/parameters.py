@@ -78,16 +78,9 @@ _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[
 def parameter_values(given: Any) -> ParameterValues:
     """Return the values of named parameters.
 
-    Parameters
-    ----------
-    given
-        Numbers, and expressions of other parameters in any order, by name.
-
-    Raises
-    ------
-    SpecError
-        If a name is wrong, an expression is not valid or not finite, or a parameter depends on itself. The error has
-        the key path ``parameters.NAME``.
+    `given`: numbers, and expressions of other parameters in any order, by name. Raises SpecError if a name is wrong, an
+    expression is not valid or not finite, or a parameter depends on itself. The error has the key path
+    ``parameters.NAME``.
     """
     if given is None:
         return ParameterValues()

@@ -27,13 +27,7 @@ _NAMES_SHOWN = 12
 
 
 class QuantityNames:
-    """Finds quantities of a mechanism by name. The last node of a beam is also called ``BEAM.last``.
-
-    Parameters
-    ----------
-    mechanism
-        The mechanism.
-    """
+    """Finds quantities of a mechanism by name. The last node of a beam is also called ``BEAM.last``."""
 
     def __init__(self, mechanism: Mechanism):
         self.mechanism = mechanism
@@ -53,10 +47,7 @@ class QuantityNames:
     def joint(self, name: str, key: str) -> Quantity:
         """Return the coordinate of a joint: a relative angle or a travel.
 
-        Raises
-        ------
-        SpecError
-            If there is no such joint.
+        Raises SpecError if there is no such joint.
         """
         joints = self.mechanism.joints
         if name not in joints:
@@ -76,10 +67,7 @@ class QuantityNames:
     def find(self, name: str, key: str) -> Quantity:
         """Return the quantity with a name such as ``knee.angle``, or with the name of a coordinate.
 
-        Raises
-        ------
-        SpecError
-            If the mechanism has no such quantity, or the name is ambiguous.
+        Raises SpecError if the mechanism has no such quantity, or the name is ambiguous.
         """
         if name in self.mechanism.coordinates:
             return self.coordinate(name)

@@ -16,10 +16,8 @@ if TYPE_CHECKING:
 def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
     """Return the longer side of the bounding box, parallel to the axes, of all joint points and centres of mass [m].
 
-    Parameters
-    ----------
-    position
-        (B, 3) array: centre of mass x, y [m] and angle [rad] of each of the B bodies, in the order of the mechanism.
+    `position`: (B, 3) array: centre of mass x, y [m] and angle [rad] of each of the B bodies, in the order of the
+    mechanism.
     """
     return float(mechanism_sizes([mechanism], np.asarray(position, dtype=float)[None])[0])
 
@@ -27,10 +25,7 @@ def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
 def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> np.ndarray:
     """Return the sizes of R mechanisms with the same bodies, (R,); see `mechanism_size`.
 
-    Parameters
-    ----------
-    positions
-        (R, B, 3) array: the positions of the bodies of each mechanism.
+    `positions`: (R, B, 3) array: the positions of the bodies of each mechanism.
     """
     held = [_joint_points(mechanism) for mechanism in mechanisms]
     bodies = held[0][0]

@@ -171,14 +171,8 @@ class Recorded(Array):
 class Chart:
     """A chart of a report with the values of an array for each element of its kind.
 
-    Parameters
-    ----------
-    name, title, caption
-        Name, title and caption of the chart.
-    axis
-        Label of the values.
-    unit
-        Unit of the elements that the chart shows.
+    `name`, `title`, `caption`: name, title and caption of the chart. `axis`: label of the values. `unit`: unit of the
+    elements that the chart shows.
     """
 
     name: str

@@ -85,12 +85,8 @@ def _words(known: Registry) -> Mapping[str, str]:
 def kind_of_group(group: str) -> Kind:
     """Return the kind of a group; raise KeyError if there is none.
 
-    Raises
-    ------
-    MissingPartError
-        If the part of mbdkit with the group is not installed.
-    PluginError
-        If the plugin with the group does not provide its kind.
+    Raises MissingPartError if the part of mbdkit with the group is not installed. Raises PluginError if the plugin with
+    the group does not provide its kind.
     """
     if group in GROUPS_OF_PARTS and group not in added_kinds():
         raise MissingPartError(f"the group {group}", GROUPS_OF_PARTS[group])

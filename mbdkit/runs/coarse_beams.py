@@ -87,10 +87,7 @@ assumed to be rounding errors of the coordinates.
 class CoarseBeams:
     """How much strains vary between and within the elements of beams, over the recorded states of a run.
 
-    Parameters
-    ----------
-    mechanism, compiled
-        The mechanism, and its compiled form.
+    `mechanism`, `compiled`: the mechanism, and its compiled form.
     """
 
     def __init__(self, mechanism: Mechanism, compiled: CompiledMechanism):

@@ -73,15 +73,9 @@ SAME = 1e-14
 class Peak:
     """An extremum.
 
-    Attributes
-    ----------
-    value
-        Value of the extremum; nan if the quantity is undefined somewhere.
-    time
-        Time of the extremum [s].
-    switch
-        Index of the operation that changes its form at this time; -1 if the quantity is smooth there, or if the time is
-        an end of the motion.
+    `value`: value of the extremum; nan if the quantity is undefined somewhere. `time`: time of the extremum [s].
+    `switch`: index of the operation that changes its form at this time; -1 if the quantity is smooth there, or if the
+    time is an end of the motion.
     """
 
     value: float
@@ -312,14 +306,8 @@ def sampled(
 ) -> Sampled:
     """Sample a functional over steps of a part, and locate the points at which its operations change their form.
 
-    Parameters
-    ----------
-    known
-        Values of the inner functionals of `functional`.
-    duration
-        Duration of the run [s].
-    steps
-        Indices of the steps in the part; by default all.
+    `known`: values of the inner functionals of `functional`. `duration`: duration of the run [s]. `steps`: indices of
+    the steps in the part; by default all.
     """
     steps = np.arange(len(part.steps)) if steps is None else steps
     count = len(steps)

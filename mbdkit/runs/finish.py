@@ -63,14 +63,8 @@ def finish(
 def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str, gradients: str = "") -> Run:
     """Return a finished run with its measures.
 
-    Parameters
-    ----------
-    spec
-        Spec of the run.
-    created_utc
-        Time at which the run began, ISO 8601.
-    gradients
-        Gradients of the measures as JSON; empty if there are none.
+    `created_utc`: time at which the run began, ISO 8601. `gradients`: gradients of the measures as JSON; empty if there
+    are none.
     """
     contents = partial(
         ArrayContents, finished, spec, run_id=spec.run_id(), created_utc=created_utc, provenance=provenance(spec)

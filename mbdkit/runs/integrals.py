@@ -103,15 +103,8 @@ def compared_loads(spec: RunSpec, integrals: Integrals, peaks: Iterable[Peaks]) 
 def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:
     """Return the integrals, extrema and values at given times that the measures of a run need.
 
-    Parameters
-    ----------
-    expressions
-        Expressions of further measures, in addition to those of the spec.
-
-    Raises
-    ------
-    SpecError
-        If an expression is not valid for the spec.
+    `expressions`: expressions of further measures, in addition to those of the spec. Raises SpecError if an expression
+    is not valid for the spec.
     """
     functionals = [
         functional
@@ -174,10 +167,7 @@ class RunIntegrals:
     def totals(self, events: EventTimes = no_events) -> Integrals:
         """Return the values of all functionals by their source text, in SI units; nan where undefined.
 
-        Parameters
-        ----------
-        events
-            Function that returns quantities of the events of the run.
+        `events`: function that returns quantities of the events of the run.
         """
         self._take(whole=False)
         found: dict[str, float | tuple[float, ...]] = {}

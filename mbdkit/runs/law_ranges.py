@@ -96,14 +96,8 @@ def _bounds(force: Any) -> tuple[tuple[float, float], ...]:
 class LawRanges:
     """How far the arguments of K force laws have left their ranges, over the states of a run in order of time.
 
-    Parameters
-    ----------
-    laws
-        The force elements that are checked.
-    workspace
-        The mechanism, which is needed to evaluate states between the recorded ones; None if every step is recorded.
-    stops
-        Whether the run stops where a law leaves its range.
+    `laws`: the force elements that are checked. `workspace`: the mechanism, which is needed to evaluate states between
+    the recorded ones; None if every step is recorded. `stops`: whether the run stops where a law leaves its range.
     """
 
     def __init__(self, laws: Sequence[WatchedLaw], workspace: Workspace | None = None, *, stops: bool = False):
@@ -168,17 +162,9 @@ class LawRanges:
     def add(self, time: np.ndarray, forces: np.ndarray) -> float | None:
         """Check recorded states, and the states between them.
 
-        Parameters
-        ----------
-        time
-            (T,) times [s], later than those of earlier calls.
-        forces
-            (T, F, 5) values of all force elements, of which the first two are length and rate.
-
-        Returns
-        -------
-        float or None
-            Time [s] at which the first law leaves its range; None if all states so far are within the ranges.
+        `time`: (T,) times [s], later than those of earlier calls. `forces`: (T, F, 5) values of all force elements, of
+        which the first two are length and rate. Returns time [s] at which the first law leaves its range; None if all
+        states so far are within the ranges.
         """
         states = np.concatenate([self._last, *self._between, self._arguments(time, forces)])
         states, self._between = states[np.argsort(states[:, 0, 2], kind="stable")], []

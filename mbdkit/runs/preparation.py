@@ -35,17 +35,8 @@ from mbdkit.trust.finding import Finding
 def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> list[Finding]:
     """Return what is doubtful or worth a note in a spec before its run.
 
-    Parameters
-    ----------
-    method
-        Method of the spec; created, and thereby checked, if omitted.
-    measures
-        Expressions that are evaluated for the run, in addition to the measures of the spec.
-
-    Raises
-    ------
-    PluginError
-        If the plugin fails to create the method.
+    `method`: method of the spec; created, and thereby checked, if omitted. `measures`: expressions that are evaluated
+    for the run, in addition to the measures of the spec. Raises PluginError if the plugin fails to create the method.
     """
     if method is None:
         make_method(spec)
@@ -129,12 +120,8 @@ def rows_expected(spec: RunSpec) -> int | None:
 def make_method(spec: RunSpec) -> Method:
     """Create the method of a spec.
 
-    Raises
-    ------
-    PluginError
-        If the plugin fails to create a method that matches its claims.
-    SpecError
-        If the method or other settings do not suit the treatment of elements.
+    Raises PluginError if the plugin fails to create a method that matches its claims. Raises SpecError if the method or
+    other settings do not suit the treatment of elements.
     """
     try:
         with blaming(f"integrator {spec.integrator_item.id} failed to start"):
@@ -164,14 +151,9 @@ def make_method(spec: RunSpec) -> Method:
 def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> None:
     """Check before a run that its method supports the formulation and the mechanism.
 
-    Raises
-    ------
-    SpecError
-        If the method takes its steps in Python and its claims do not include the first-order states of the mechanism.
-    UnsupportedMechanismError
-        If the method itself refuses the mechanism.
-    PluginError
-        If the method cannot be used with a formulation that it claims.
+    Raises SpecError if the method takes its steps in Python and its claims do not include the first-order states of the
+    mechanism. Raises UnsupportedMechanismError if the method itself refuses the mechanism. Raises PluginError if the
+    method cannot be used with a formulation that it claims.
     """
     try:
         method.require_formulation(FORMULATIONS[spec.formulated.name])

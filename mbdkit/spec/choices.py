@@ -43,12 +43,7 @@ class Choice:
 
     Only the options of the chosen plugin are imported. The JSON schema is the union of the options of all plugins.
 
-    Parameters
-    ----------
-    kind
-        ``"model"`` or ``"integrator"``.
-    installed
-        The registry to choose from; None for all installed plugins.
+    `kind`: ``"model"`` or ``"integrator"``. `installed`: the registry to choose from; None for all installed plugins.
     """
 
     kind: Kind

@@ -44,12 +44,7 @@ class ItemName(ABC):
 class CriterionName(ItemName):
     """Annotation of a text that names a criterion of a kind of specs.
 
-    Parameters
-    ----------
-    kind
-        Name of the kind of specs.
-    known
-        Criteria that no item lists.
+    `kind`: name of the kind of specs. `known`: criteria that no item lists.
     """
 
     def __init__(self, kind: str, known: Sequence[str] = ()):
@@ -65,12 +60,7 @@ class CriterionName(ItemName):
 class TreatmentName(ItemName):
     """Annotation of a text that names a treatment of elements.
 
-    Parameters
-    ----------
-    of
-        Key of the elements in the model.
-    known
-        The treatment by default.
+    `of`: key of the elements in the model. `known`: the treatment by default.
     """
 
     def __init__(self, of: str, known: str):

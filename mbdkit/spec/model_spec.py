@@ -37,13 +37,7 @@ if TYPE_CHECKING:
 
 
 class StrictSpec(Section):
-    """Base class of all specs.
-
-    Raises
-    ------
-    SpecError
-        If the spec is not valid, with the key path.
-    """
+    """Base class of all specs. Raises SpecError if the spec is not valid, with the key path."""
 
     EXPRESSIONS_IN: ClassVar[str] = ""
     """Section whose numbers may be expressions of `parameters`."""
@@ -221,13 +215,8 @@ class ModelSpec(StrictSpec):
     def mechanism(self) -> Mechanism:
         """Return the mechanism that the model builds from its parameters; it is built once and cached.
 
-        Raises
-        ------
-        SpecError
-            If the parameters do not define a valid mechanism, or if another section does not fit the mechanism, such as
-            an event that refers to an unknown quantity.
-        PluginError
-            If the model plugin fails.
+        Raises SpecError if the parameters do not define a valid mechanism, or if another section does not fit the
+        mechanism, such as an event that refers to an unknown quantity. Raises PluginError if the model plugin fails.
         """
         built: Mechanism | None = self._private["_mechanism"]  # called ten times for each run
         if built is None:

@@ -80,12 +80,8 @@ STDIN = "<stdin>"
 def read_file(path: FilePath) -> Document:
     """Read a file: JSON or TOML if its suffix is ``.json`` or ``.toml``, otherwise YAML.
 
-    Raises
-    ------
-    SpecError
-        If the file is not a spec, with the file name and, if known, the line.
-    ResourceError
-        If the system refuses to read the file.
+    Raises SpecError if the file is not a spec, with the file name and, if known, the line. Raises ResourceError if the
+    system refuses to read the file.
     """
     file = str(path)
     if os.path.isdir(path):
@@ -104,12 +100,7 @@ def read_stdin() -> Document:
 def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     """Parse the text of a document.
 
-    Parameters
-    ----------
-    file
-        Origin of the text, for error messages.
-    suffix
-        ``.json`` or ``.toml``; any other suffix means YAML.
+    `file`: origin of the text, for error messages. `suffix`: ``.json`` or ``.toml``; any other suffix means YAML.
     """
     _check_size(text, suffix, file)
     try:
@@ -245,10 +236,8 @@ def _toml_key(text: str) -> Path:
 def set_value(document: Document, assignment: str) -> None:
     """Set one key of the document according to an assignment ``key.path=value`` from the command line.
 
-    Raises
-    ------
-    SpecError
-        If the text is not an assignment, if the value is not YAML, or if the key path does not fit the document.
+    Raises SpecError if the text is not an assignment, if the value is not YAML, or if the key path does not fit the
+    document.
     """
     path, value = read_assignment(assignment)
     where = f"--set {assignment}"
@@ -286,10 +275,8 @@ def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 def put(data: dict[str, Any], path: Path, value: Any) -> None:
     """Set the value at `path` in plain data; missing mappings along the path are created, except elements.
 
-    Raises
-    ------
-    SpecError
-        If a value along the path is not a mapping or list with the next key, or if it is a mapping of other elements.
+    Raises SpecError if a value along the path is not a mapping or list with the next key, or if it is a mapping of
+    other elements.
     """
     holder: Any = data
     for index, part in enumerate(path):

@@ -309,12 +309,8 @@ class RunSpec(ModelSpec):
     def with_choice(self, integrator: dict[str, Any], step: float | None) -> RunSpec:
         """Return this spec with the method and step that were chosen for its accuracy.
 
-        Parameters
-        ----------
-        integrator
-            The integrator: its name and its options.
-        step
-            Step [s]; for an adaptive method the first step, or None.
+        `integrator`: the integrator: its name and its options. `step`: step [s]; for an adaptive method the first step,
+        or None.
         """
         time = {"start": self.time.start, "end": self.time.final, "step": step}
         data = self.sections()

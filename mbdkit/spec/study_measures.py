@@ -94,15 +94,8 @@ def built_in(measures: Any) -> tuple[str, ...] | None:
 def defined(measures: Any, above: Path = ()) -> Iterator[DefinedMeasure]:
     """Yield the measures that a spec defines, and those of plugins that it names.
 
-    Parameters
-    ----------
-    above
-        Key path of `measures`; the key paths of measures and of errors begin with it.
-
-    Raises
-    ------
-    SpecError
-        If a measure is not valid.
+    `above`: key path of `measures`; the key paths of measures and of errors begin with it. Raises SpecError if a
+    measure is not valid.
     """
     if isinstance(measures, Mapping):
         yield from _defined_in(measures, above)

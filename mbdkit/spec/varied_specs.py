@@ -20,10 +20,7 @@ class VariedSpecs:
     depends on them. The whole spec is validated for other values, if the model refuses a value, and if the spec has
     `parameters`, expressions or `accuracy`. Errors are raised by the validation of the whole spec.
 
-    Parameters
-    ----------
-    base
-        The spec before the values are set, as JSON.
+    `base`: the spec before the values are set, as JSON.
     """
 
     def __init__(self, base: str):
@@ -33,13 +30,7 @@ class VariedSpecs:
         self._context = {"plugins": RegistryLookup(lambda: registry_of(RunSpec))}
 
     def spec(self, values: Sequence[tuple[Path, Any]]) -> RunSpec:
-        """Return the spec with these values at their key paths.
-
-        Raises
-        ------
-        SpecError
-            If the spec is not valid.
-        """
+        """Return the spec with these values at their key paths. Raises SpecError if the spec is not valid."""
         in_model = all(path[:1] == ("model",) and len(path) > 1 and path[1] != "name" for path, _ in values)
         if self._pattern is not None and in_model:
             try:

@@ -301,10 +301,7 @@ def _first_line(error: Exception) -> str:
 def write_yaml(data: Any) -> str:
     """Write plain data as YAML; `read_yaml` of the result returns equal data.
 
-    Parameters
-    ----------
-    data
-        Dicts, lists, text, numbers, booleans and None.
+    `data`: dicts, lists, text, numbers, booleans and None.
     """
     text: str = yaml.dump(data, Dumper=_Dumper, default_flow_style=None, sort_keys=False, width=120, allow_unicode=True)
     return text

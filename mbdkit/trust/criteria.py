@@ -212,12 +212,8 @@ class Judgement:
 def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgement:
     """Return the verdict on a run.
 
-    Parameters
-    ----------
-    evidence
-        The numbers from which the run is judged.
-    accuracy
-        Estimated errors; None if they were not estimated, so that the verdict is ``unknown`` at best.
+    `evidence`: the numbers from which the run is judged. `accuracy`: estimated errors; None if they were not estimated,
+    so that the verdict is ``unknown`` at best.
     """
     found = [
         *_ending(evidence),

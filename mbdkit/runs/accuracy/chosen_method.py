@@ -192,12 +192,8 @@ class Choice:
     def tightened(self, spec: RunSpec, asked: float, reached: float) -> Choice:
         """Return the choice for the next attempt, with a smaller setting.
 
-        Parameters
-        ----------
-        spec
-            The spec.
-        asked, reached
-            Requested accuracy, and the accuracy estimated by the check, which is nan if it is not known to the end.
+        `asked`, `reached`: requested accuracy, and the accuracy estimated by the check, which is nan if it is not known
+        to the end.
         """
         order, least = self.candidate.order, 3.0 if self.candidate.adaptive else 1.5
         # A recorded pilot also serves to check the next attempt; later attempts are checked by companions.
