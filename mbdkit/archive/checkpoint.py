@@ -208,7 +208,7 @@ class _Reader:
         return values.reshape(shape).copy()
 
 
-def _without_arrays(value: Any, arrays: list[np.ndarray]) -> Any:
+def _without_arrays(value: object, arrays: list[np.ndarray]) -> object:
     """Return a state as JSON values; append its arrays to `arrays`."""
     match value:
         case np.ndarray():
@@ -225,7 +225,7 @@ def _without_arrays(value: Any, arrays: list[np.ndarray]) -> Any:
     raise TypeError(f"values of the type {type(value).__name__} cannot be stored in a checkpoint")
 
 
-def _with_arrays(value: Any, reader: _Reader) -> Any:
+def _with_arrays(value: object, reader: _Reader) -> Any:
     match value:
         case dict():
             if value.keys() == {_ARRAY}:

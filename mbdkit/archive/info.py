@@ -84,7 +84,7 @@ def _elements(run: Run, path: str) -> list[str]:
     return [str(name) for name in run.array(path)] if run.records(path) else []
 
 
-def _array(dataset: h5py.Dataset) -> dict[str, Any]:
+def _array(dataset: h5py.Dataset) -> dict[str, object]:
     return {
         "dims": list(dims(dataset)),
         "shape": list(dataset.shape),
@@ -122,5 +122,5 @@ def _few(words: Sequence[str]) -> str:
     return ", ".join(words[:NAMES_SHOWN]) + more
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else shown(value)

@@ -80,7 +80,7 @@ class Column:
     @overload
     def __get__(self, view: View, owner: type) -> np.ndarray: ...
 
-    def __get__(self, view: View | None, owner: type) -> Any:
+    def __get__(self, view: View | None, owner: type) -> Column | np.ndarray:
         if view is None:
             return self
         values = view.source.column(self.path, view.index, self.part)
@@ -112,7 +112,7 @@ class Label:
         self.paths = [array.path for array in arrays]
         self.__doc__ = "; ".join(array.long_name for array in arrays)
 
-    def __get__(self, view: View | None, owner: type) -> Any:
+    def __get__(self, view: View | None, owner: type) -> Label | str | tuple[str, ...]:
         if view is None:
             return self
         texts = tuple(view.source.text(path, view.index) for path in self.paths)
@@ -194,7 +194,7 @@ class Histories(ReadOnlyDict[str, V]):
 
 
 @lru_cache(maxsize=32)
-def histories_of(kind: Kind) -> Any:
+def histories_of(kind: Kind) -> type[Histories[View]]:
     """Return a class of histories; IPython completes the attributes of an item by the argument of its base class."""
     view = view_of(kind)
     return new_class(view.__name__.removesuffix("History") + "Histories", (Histories[view],))  # type: ignore[valid-type]

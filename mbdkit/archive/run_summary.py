@@ -161,7 +161,7 @@ def _method(spec: Mapping[str, Any]) -> str:
     return ", ".join([*parts, *([] if formulation is None else [name_of(formulation)])])
 
 
-def _options(chosen: Mapping[str, Any]) -> list[str]:
+def _options(chosen: Mapping[str, object]) -> list[str]:
     return [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
 
 

@@ -130,7 +130,7 @@ def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
     assert isinstance(plugin, ModelPlugin)
     given = {key: value for key, value in plain(spec["model"]).items() if key != "name"}
 
-    def validate(values: Any) -> Any:
+    def validate(values: object) -> object:
         return plugin.options.model_validate_json(json.dumps(values), context={"plugins": _OWN})
 
     try:
@@ -148,7 +148,7 @@ def _adapter(section: str) -> TypeAdapter[Any]:
     return TypeAdapter(get_args(field.annotation)[1]) if field is not None else TypeAdapter(None)
 
 
-def _element(section: str, value: Any) -> Any:
+def _element(section: str, value: object) -> Any:
     text = json.dumps(value)
     try:
         return _adapter(section).validate_json(text, context={"plugins": _OWN})

@@ -26,13 +26,13 @@ def import_part(module: str, wanted: str) -> ModuleType:
         raise MissingPartError(wanted, package.replace("_", "-")) from None
 
 
-def lazy(package: MutableMapping[str, Any], homes: Mapping[str, str]) -> Callable[[str], Any]:
+def lazy(package: MutableMapping[str, object], homes: Mapping[str, str]) -> Callable[[str], object]:
     """Return the ``__getattr__`` of a package.
 
     `package`: the ``globals()`` of the package. `homes`: module of each name.
     """
 
-    def __getattr__(name: str) -> Any:  # noqa: N807
+    def __getattr__(name: str) -> object:  # noqa: N807
         if name not in homes:
             raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")
         home, wanted = homes[name], f"{package['__name__']}.{name}"

@@ -94,7 +94,7 @@ def _unquoted(text: str) -> str:
     return re.sub(r"\\(.)", r"\1", text[1:-1])
 
 
-def plain(value: Any, path: Path = ()) -> Any:
+def plain(value: object, path: Path = ()) -> Any:
     """Convert `value` to plain data: dicts, lists, text, numbers, booleans and None.
 
     In the columns of a mapping with the key ``data``, NaN is a gap and becomes None.
@@ -139,7 +139,7 @@ NO_FUNCTIONS = (
 )
 
 
-def copied(value: Any, path: Path = ()) -> Any:
+def copied(value: object, path: Path = ()) -> Any:
     """Return a copy of a mapping or list; mappings and lists are copied at all levels, other values are not.
 
     Raises SpecError if the value has more than `DEEPEST` levels, as a list that contains itself does, or if a key is
@@ -203,7 +203,7 @@ def canonical(value: Any) -> Any:
     return value
 
 
-def canonical_text(data: object) -> str:
+def canonical_text(data: Any) -> str:
     """Return plain data as the JSON that is hashed: without spaces, keys as ordered in the data, shortest numbers."""
     return _COMPACT.encode(data)
 
@@ -216,7 +216,7 @@ def json_text(data: object, indent: int | None = None) -> str:
     return json.dumps(_finite(data), indent=indent, ensure_ascii=indent is None, allow_nan=False)
 
 
-def _finite(data: Any) -> Any:
+def _finite(data: object) -> object:
     match data:
         case None | bool() | str() | int():
             return data
@@ -252,7 +252,7 @@ def value_text(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _key(key: Any, path: Path) -> str:
+def _key(key: object, path: Path) -> str:
     if not isinstance(key, str):
         raise SpecError(f"the key {value_text(key)} is not text; put it in quotes", key=path_text(path))
     return key

@@ -55,7 +55,7 @@ class PlainStream:
         for line in lines:
             self.write(line)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self.stream, name)
 
 
@@ -71,7 +71,7 @@ class Commands(TyperGroup):
         parsed: list[str] = super().parse_args(ctx, args)
         return parsed
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: Any) -> object:
         """Run the selected command."""
         with _results_apart() as results:
             try:
@@ -139,7 +139,7 @@ def guard(command: Any, words: tuple[str, ...]) -> None:
         return
 
     @functools.wraps(function)
-    def guarded(*arguments: Any, **options: Any) -> Any:
+    def guarded(*arguments: object, **options: object) -> object:
         with redirect_stdout(sys.stderr), executing([*words, *_files(command, options)]):
             return function(*arguments, **options)
 

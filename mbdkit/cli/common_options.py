@@ -83,7 +83,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
             parameters.append(one)
 
     @wraps(command)
-    def called(**given: Any) -> None:
+    def called(**given: object) -> None:
         for name, group in groups.items():
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         command(**given)

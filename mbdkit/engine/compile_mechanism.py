@@ -6,7 +6,7 @@ import marshal
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Never
+from typing import Never
 
 import numpy as np
 
@@ -141,7 +141,9 @@ def recorded_members(handle: Never, /) -> Iterable[tuple[str, tuple[str, ...]]]:
     raise NotImplementedError
 
 
-def _members(mechanism: Mechanism, extensions: Mapping[str, Any]) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
+def _members(
+    mechanism: Mechanism, extensions: Mapping[str, object]
+) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
     members, kinds = {}, element_kinds()
     for key, handle in extensions.items():
         own = kinds[key].acts.members

@@ -249,7 +249,7 @@ class CompiledMechanism:
         """The treatment of elements whose reactions the steps of a run determine; None if there are none."""
         return reacting_among(self.treatments)
 
-    def kinds(self) -> list[tuple[Any, ElementKind]]:
+    def kinds(self) -> list[tuple[object, ElementKind]]:
         """Return the objects of `extensions`, each with its kind of elements."""
         return [(handle, element_kinds()[key]) for key, handle in self.extensions.items()]
 

@@ -308,7 +308,7 @@ class EquationsOfMotion(EvaluatedEquations):
     def _tangent_parts(self) -> SparseParts:
         return SparseParts(self._workspace, [STIFFNESS, DAMPING, GAMMA_V, RESIDUAL_Q])
 
-    def stored_pivots(self) -> list[dict[str, Any]]:
+    def stored_pivots(self) -> list[dict[str, object]]:
         """Return the pivots of all iteration matrices used so far, as plain values for a checkpoint."""
         return self._matrices.stored()
 

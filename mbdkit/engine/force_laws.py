@@ -62,7 +62,7 @@ class CompiledLaw:
     address: int
     program: int
     claims: int
-    keeper: Any = field(compare=False)
+    keeper: object = field(compare=False)
     law: ForceLaw | NativeLaw
     parameters: tuple[tuple[str, float], ...]
 
@@ -106,7 +106,7 @@ def _integers(program: tuple[int, ...]) -> np.ndarray:
     return np.array(program, dtype=np.int64)
 
 
-def bind_law(law: ForceLaw | NativeLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
+def bind_law(law: ForceLaw | NativeLaw, options: object, name: str) -> tuple[CompiledLaw, list[float]]:
     """Return a law that kernels can call, and the parameters of one element: first their number, then their values.
 
     Parameters
@@ -156,7 +156,7 @@ def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
     return CompiledLaw(address, program, compiled_law.claims, keeper, law, compiled_law.parameters)
 
 
-def _code_of(law: ForceLaw | NativeLaw, example: dict[str, float], *, duals: bool) -> tuple[int, int, Any]:
+def _code_of(law: ForceLaw | NativeLaw, example: dict[str, float], *, duals: bool) -> tuple[int, int, object]:
     """Return the addresses of a law's function and of its program, and an object that keeps them in memory."""
     if isinstance(law, NativeLaw):
         block = _integers(law.program)

@@ -92,7 +92,7 @@ def _slide(rate: Any, p: Mapping[str, Any]) -> Any:
     return _against(np.absolute(half + couple) + np.absolute(half - couple), rate, p)
 
 
-def _against(normal: Any, slip: Any, p: Mapping[str, Any]) -> Any:
+def _against(normal: object, slip: object, p: Mapping[str, object]) -> Any:
     numbers = p["static"], p["kinetic"], p["transition"]
     return -regularised_friction(normal, slip, numbers, lambda x, a, b: np.where(x > 0.0, a, b))
 

@@ -60,7 +60,7 @@ def coefficients_of(given: Coefficients) -> np.ndarray:
     return np.array([known.pop("mass"), 1.0, *known.values()], dtype=dtype)
 
 
-def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
+def vector(x: np.ndarray, size: int, dtype: np.dtype = REAL) -> np.ndarray:
     """Return `x` as a contiguous vector of the given dtype; raise ValueError unless its shape is ``(size,)``."""
     if type(x) is np.ndarray and x.dtype is dtype and x.flags.carray and x.shape == (size,):
         return x
@@ -96,7 +96,7 @@ class Pivots:
     free: list[Storage] = field(default_factory=list)
     """Storage of matrices that are no longer in use."""
 
-    def take(self, dtype: np.dtype[Any]) -> Storage:
+    def take(self, dtype: np.dtype) -> Storage:
         """Return storage for a matrix, reusing that of an earlier one if possible."""
         return self.free.pop() if self.free else Storage(self, dtype)
 
@@ -108,7 +108,7 @@ class Storage:
     and the coefficients; see `factorize_real`. `solve`: solves the system and returns the largest relative residual.
     """
 
-    def __init__(self, pivots: Pivots, dtype: np.dtype[Any]):
+    def __init__(self, pivots: Pivots, dtype: np.dtype):
         factors = new_factors(pivots.pattern, dtype.type)._replace(reference=pivots.reference)
         self._pinned = PinnedBundle(new_matrix(pivots.pattern, factors, pivots.scatter))
         n, m = pivots.shape
@@ -302,7 +302,7 @@ class IterationMatrices:
             raise matrix.lost()
         return matrix
 
-    def stored(self) -> list[dict[str, Any]]:
+    def stored(self) -> list[dict[str, object]]:
         """Return all pivots as plain values for a checkpoint."""
         return [
             {"matrix": list(key), "pattern": stored(one.pattern), "scatter": one.scatter, "reference": one.reference}

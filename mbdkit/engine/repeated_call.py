@@ -45,7 +45,7 @@ class RepeatedCall:
             return self._ordinary(given)  # raises the error with its reason
         return self._results[-1]
 
-    def _ordinary(self, given: tuple[Any, ...]) -> Any:
+    def _ordinary(self, given: tuple[object, ...]) -> object:
         rest = iter(given)
         return self.kernel(*(next(rest) if one is None else one for one in self.arguments))
 

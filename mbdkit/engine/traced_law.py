@@ -87,7 +87,7 @@ class Source:
         return kept[::-1]
 
 
-def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
+def _without_effect(function: object, operands: Sequence[Term]) -> Term | None:
     """Return the simplified result of a sum with 0, a product or quotient with 0 or 1, a power with exponent 1,
     or a choice between equals.
 
@@ -116,7 +116,7 @@ class Traced(NDArrayOperatorsMixin):
     The inputs are, for example, length and rate of a pathway.
     """
 
-    def __init__(self, source: Source, term: Term, slopes: tuple[Any, ...] = ()):
+    def __init__(self, source: Source, term: Term, slopes: tuple[object, ...] = ()):
         self.source, self.term, self.slopes = source, term, slopes
 
     @property
@@ -124,7 +124,7 @@ class Traced(NDArrayOperatorsMixin):
         """The number without derivatives, for calculations that need none, such as the first steps of an iteration."""
         return Traced(self.source, self.term)
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, **_: Any) -> Any:
+    def __array_ufunc__(self, ufunc: object, method: str, *operands: object, **_: object) -> Any:
         return self._applied(ufunc, operands)
 
     def __array_function__(self, function: Any, types: Any, operands: Any, options: Any) -> Any:
@@ -158,11 +158,11 @@ class Traced(NDArrayOperatorsMixin):
         return Traced(self.source, value.term, slopes)
 
 
-def _is_zero(slope: Any) -> bool:
+def _is_zero(slope: object) -> bool:
     return isinstance(slope, float) and slope == 0.0
 
 
-def _plain(slope: Any) -> Any:
+def _plain(slope: object) -> Any:
     return slope.term if isinstance(slope, Traced) and not isinstance(slope.term, str) else slope
 
 

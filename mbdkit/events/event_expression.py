@@ -143,7 +143,7 @@ def _total(function: Function) -> Function:
     a number that is too large.
     """
 
-    def evaluated(values: Sequence[Any]) -> Any:
+    def evaluated(values: Sequence[object]) -> Any:
         try:
             value = function(values)
         except (ArithmeticError, ValueError):

@@ -302,7 +302,7 @@ class Watch:
         steps, self._steps = self._steps, []
         return steps
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, object]:
         """Return the state that is carried from step to step, as plain values for a checkpoint.
 
         All crossings must have been fetched by `taken`.

@@ -126,7 +126,7 @@ class Element(StrictModel):
         return []
 
     @classmethod
-    def unit_along(cls, data: Mapping[str, Any]) -> str:
+    def unit_along(cls, data: Mapping[str, object]) -> str:
         """Return the unit of the length or coordinate of an element, m or rad.
 
         It selects one of the two units in the description of a key, as in ``[N/m or N m/rad]``.
@@ -165,7 +165,7 @@ class AtPoint(Element):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_default_beside_at(cls, data: Any) -> Any:
+    def _no_default_beside_at(cls, data: Any) -> object:
         is_placed = isinstance(data, Mapping) and data.get("at") is not None and "point" not in data
         return {**data, "point": None} if is_placed else data
 
@@ -280,7 +280,7 @@ class BetweenPoints(Between):
         """Return the points in the global frame [m], in the order of `GLOBAL`."""
         return ()
 
-    def _once_placed(self) -> dict[str, Any]:
+    def _once_placed(self) -> dict[str, object]:
         """Return new values of the fields with points in the global frame, after these points were converted."""
         return {}
 
@@ -298,7 +298,7 @@ class At(BetweenPoints):
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
         return (self.at,)
 
-    def _once_placed(self) -> dict[str, Any]:
+    def _once_placed(self) -> dict[str, object]:
         return {"at": None}
 
 
@@ -322,7 +322,7 @@ class FromTo(BetweenPoints):
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
         return (self.from_, self.to)
 
-    def _once_placed(self) -> dict[str, Any]:
+    def _once_placed(self) -> dict[str, object]:
         return {"from_": None, "to": None}
 
 

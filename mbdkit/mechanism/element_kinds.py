@@ -80,7 +80,7 @@ def _blaming(item: Registered, part: Part) -> Part:
     return replace(part, **changed)
 
 
-def kinds_in(data: Mapping[str, Any]) -> list[ElementKind]:
+def kinds_in(data: Mapping[str, object]) -> list[ElementKind]:
     """Return the kinds of elements in the data of a mechanism.
 
     Raises SpecError if the part of mbdkit that adds a kind is not installed.
@@ -108,7 +108,7 @@ def class_of(kind: ElementKind) -> type[Element]:
 
 
 @cache
-def builder_of(kind: ElementKind) -> Callable[..., Any]:
+def builder_of(kind: ElementKind) -> Callable[..., object]:
     """Return the method of `Mechanism` that adds an element of a kind."""
     if kind.method is not None:
         return cast("Callable[..., None]", kind.method())
@@ -217,7 +217,7 @@ def with_kinds(model: type[AnyModel], kinds: tuple[ElementKind, ...]) -> type[An
     return derived
 
 
-def validated(model: type[AnyModel], data: Any, mode: str, context: Any) -> AnyModel:
+def validated(model: type[AnyModel], data: object, mode: str, context: object) -> AnyModel:
     """Validate plain data in a mode of pydantic, ``json`` or ``python``."""
     if mode == "json":  # strict mode accepts a list for a tuple only in JSON
         return model.model_validate_json(json.dumps(data), context=context)

@@ -45,7 +45,7 @@ class Law(Element):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _by_its_law(cls, data: Any, handler: ModelWrapValidatorHandler[Law], info: ValidationInfo) -> Law:
+    def _by_its_law(cls, data: object, handler: ModelWrapValidatorHandler[Law], info: ValidationInfo) -> Law:
         if cls is not Law or not isinstance(data, Mapping) or not isinstance(data.get("law"), str):
             return handler(data)
         element = _plugin_lookup(info.context).law_element(data["law"])
@@ -69,7 +69,7 @@ class Law(Element):
         return [(f"pathway.{key}", name) for key, name in self.pathway.angles()]
 
     @classmethod
-    def unit_along(cls, data: Mapping[str, Any]) -> str:
+    def unit_along(cls, data: Mapping[str, object]) -> str:
         """Return the unit of the length of the pathway; see `Element.unit_along`."""
         pathway = data.get("pathway")
         kind = pathway.get("type") if isinstance(pathway, Mapping) else getattr(pathway, "type", None)
@@ -90,7 +90,7 @@ class PluginLookup(Protocol):
         Raises SpecError if there is no such law. The error has the key ``law``.
         """
 
-    def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
+    def selected_options(self, metadata: Sequence[object], item: str | int) -> type[BaseModel] | None:
         """Return the model of the options of a plugin item, such as a force law, that a field selects by name.
 
         `metadata`: metadata of the annotation of the field. `item`: full id of the item. Returns the model; None if
@@ -104,7 +104,7 @@ class PluginLookup(Protocol):
         """
 
 
-def _plugin_lookup(context: Any) -> PluginLookup:
+def _plugin_lookup(context: object) -> PluginLookup:
     """Return the lookup in a pydantic validation context, a mapping; by default, that of the installed plugins."""
     given: PluginLookup | None = context.get("plugins") if isinstance(context, Mapping) else None
     return given or higher_layers.installed_plugins()

@@ -11,7 +11,7 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, TracedLaw
 
 
-def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, ...], list[float]]:
+def law_parameters(law: ForceLaw, options: object, name: str) -> tuple[tuple[str, ...], list[float]]:
     """Return the names and values of a law's parameters; those of functions and of machine code have no names.
 
     `name`: name of the law for error messages. Raises PluginError if the law fails to compute its parameters, or if
@@ -34,7 +34,7 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
     return names, values
 
 
-def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, float]]:
+def law_range(law: ForceLaw, options: object, name: str) -> dict[str, tuple[float, float]]:
     """Return the lowest and the highest value of each argument (length, rate, time) for which a law holds.
 
     The values are infinite for arguments without a bound.
@@ -62,7 +62,7 @@ def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, 
     return found
 
 
-def _parameters(law: ForceLaw, options: Any) -> tuple[tuple[str, ...], list[float]]:
+def _parameters(law: ForceLaw, options: object) -> tuple[tuple[str, ...], list[float]]:
     given: Any
     if law.parameters is not None:
         given = law.parameters(options)

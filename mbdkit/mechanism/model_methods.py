@@ -27,7 +27,7 @@ TEXTS = {
 """Descriptions of arguments that are not fields."""
 
 
-def of_models(*models: type[BaseModel]) -> Callable[[Callable[..., Any]], Any]:
+def of_models(*models: type[BaseModel]) -> Callable[[Callable[..., object]], Any]:
     """Replace the argument ``**keys`` of a method by the fields of these models, except `type`, `bodies` and other
     arguments.
 
@@ -40,15 +40,15 @@ def of_models(*models: type[BaseModel]) -> Callable[[Callable[..., Any]], Any]:
 class _ModelMethod:
     """A method whose signature and docstring are made when they are asked for, because all of them take 30 ms."""
 
-    def __init__(self, function: Callable[..., Any], models: tuple[type[BaseModel], ...]):
+    def __init__(self, function: Callable[..., object], models: tuple[type[BaseModel], ...]):
         update_wrapper(self, function, ("__module__", "__name__", "__qualname__"))
         self.function, self.main = function, models[0]
         self.models = {name: model for model in reversed(models) for name in model.model_fields}
 
-    def __get__(self, owner: Any, cls: type) -> Any:
+    def __get__(self, owner: object, cls: type) -> object:
         return self if owner is None else MethodType(self, owner)
 
-    def __call__(self, *args: Any, **keys: Any) -> Any:
+    def __call__(self, *args: object, **keys: object) -> object:
         return self.function(*args, **keys)
 
     @cached_property
@@ -70,7 +70,7 @@ class _ModelMethod:
         text += " | None" if argument.default is None and "None" not in text else ""
         return argument.replace(annotation=_Unquoted(text))
 
-    def _type(self, name: str) -> Any:
+    def _type(self, name: str) -> object:
         hints = get_type_hints(self.models[name], include_extras=True) if name in self.models else {}
         return hints.get(name, Any if name == "options" else str)
 
@@ -87,7 +87,7 @@ class _ModelMethod:
         return "\n".join([*lines, "", "Examples", "--------", examples] if examples else lines)
 
 
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
     """Yield the models that a type consists of."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation

@@ -46,7 +46,7 @@ class NamedElements:
     controllers: dict[str, Controller]
     assembly: Assembly
 
-    def add(self, kind: str, name: str, /, **keys: Any) -> None:
+    def add(self, kind: str, name: str, /, **keys: object) -> None:
         """Add an element with the keys that it has in a spec; the other methods name the keys of one type of element.
 
         Parameters
@@ -122,7 +122,7 @@ class NamedElements:
         return element.placed(self.bodies, key)
 
 
-def _validated(kind: Any, key: str, values: Mapping[str, Any]) -> Any:
+def _validated(kind: object, key: str, values: Mapping[str, object]) -> Any:
     """Return an element with these values; raise SpecError, with the element's `key`, if they are not valid."""
     validate = _adapter(kind).validate_python
     try:

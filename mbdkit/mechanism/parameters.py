@@ -75,7 +75,7 @@ _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[
 """A name that is not part of a quantity such as ``bodies.leg.angle``. Quoted names match, too, but are not changed."""
 
 
-def parameter_values(given: Any) -> ParameterValues:
+def parameter_values(given: object) -> ParameterValues:
     """Return the values of named parameters.
 
     `given`: numbers, and expressions of other parameters in any order, by name. Raises SpecError if a name is wrong, an
@@ -139,7 +139,7 @@ def names_in(text: object) -> set[str]:
     return set(_NAME.findall(text)) if isinstance(text, str) else set()
 
 
-def parameters_in_use(parameters: Mapping[str, Any], texts: Iterable[Any]) -> set[str]:
+def parameters_in_use(parameters: Mapping[str, object], texts: Iterable[object]) -> set[str]:
     """Return the names of the parameters that expressions use, directly or through other parameters."""
     used: set[str] = set()
     fresh: set[str] = set().union(*map(names_in, texts)) & parameters.keys()
@@ -150,9 +150,9 @@ def parameters_in_use(parameters: Mapping[str, Any], texts: Iterable[Any]) -> se
 
 
 def with_expressions(
-    validate: Callable[[Any], Validated],
-    data: Any,
-    root: Any,
+    validate: Callable[[object], Validated],
+    data: object,
+    root: object,
     values: Values,
     *,
     section: Path = (),
@@ -193,7 +193,7 @@ def with_expressions(
                 holder[path[-1]] = _value(text, kind, values, where) if isinstance(text, str) else text
 
 
-def insert(data: Any, written: Written) -> Any:
+def insert(data: object, written: Written) -> Any:
     """Replace values in plain data by the expressions at the same key paths, and return the data.
 
     Key paths that do not exist in the data are ignored.
@@ -261,7 +261,7 @@ def _in_order_of_use(uses: Mapping[str, set[str]]) -> Iterator[str]:
 
 
 def _replacements(
-    error: ValidationError, data: Any, root: Any, plugins: PluginLookup, values: Values
+    error: ValidationError, data: object, root: object, plugins: PluginLookup, values: Values
 ) -> Iterator[tuple[Path, str | float, Kind]]:
     """Yield the key path of each rejected text, its replacement, and the expected kind of value.
 
@@ -314,7 +314,7 @@ def _replacements(
             yield path, text, "whole number"
 
 
-def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any, plugins: PluginLookup) -> float:
+def _in_si(value: float, unit: Unit, details: ErrorDetails, data: object, root: object, plugins: PluginLookup) -> float:
     """Return the value of a number with a unit; raise SpecError if the unit is not that of the key."""
     if details["type"] == "int_type":
         raise SpecError(f"should be a whole number without a unit, not '{details['input']}'")
@@ -326,7 +326,7 @@ def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any
     return value
 
 
-def _units_of(location: Path, data: Any, root: Any, plugins: PluginLookup) -> tuple[str, ...] | None:
+def _units_of(location: Path, data: object, root: object, plugins: PluginLookup) -> tuple[str, ...] | None:
     """Return the units of the number at a location, from the description of its key; None if the key is not known."""
     for length in range(len(location), 0, -1):  # numbers in lists and mappings have the unit of their field
         path, owner = walk(location[:length], root, plugins)
@@ -351,8 +351,8 @@ def _check_unit(
     values: Values,
     location: Path,
     path: Path,
-    data: Any,
-    root: Any,
+    data: object,
+    root: object,
     plugins: PluginLookup,
     *,
     of_time: bool = False,
@@ -379,7 +379,7 @@ def _field(owner: type[BaseModel], key: str | int) -> str:
     return next((name for name, info in owner.model_fields.items() if key in (name, info.alias)), "")
 
 
-def _is_expression(text: Any, values: Values) -> bool:
+def _is_expression(text: object, values: Values) -> bool:
     """Return whether a text is intended as an expression.
 
     It then contains an operator or a parenthesis, or it is the name of one of the `values`, or ``pi``. Quoted numbers

@@ -43,7 +43,7 @@ def is_of_state(value: object) -> bool:
     return isinstance(value, str) and _QUANTITY.search(value) is not None
 
 
-def _value(given: Any) -> Any:
+def _value(given: Any) -> object:
     """Accept functions of time, and expressions of the state."""
     if not is_of_state(given):
         return checked_motion(given)

@@ -31,7 +31,7 @@ class ChosenTreatment(NamedTuple):
         return element_kinds()[self.key].section
 
     @property
-    def content(self) -> tuple[Any, ...]:
+    def content(self) -> tuple[object, ...]:
         """The values of the section."""
         return tuple(value for _, value in self.section)
 

@@ -69,7 +69,7 @@ PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 def spec_error(
     error: ValidationError,
-    root: Any,
+    root: object,
     *,
     prefix: str = "",
     plugins: PluginLookup | None = None,
@@ -250,7 +250,7 @@ def _either(sentences: list[str]) -> str:
 Model = type[BaseModel]
 
 
-def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tuple[Path, Model | None]:
+def walk(location: Sequence[str | int], root: object, plugins: PluginLookup) -> tuple[Path, Model | None]:
     """Return the key path of a location, without union tags, and the model that contains its last key.
 
     `location`: ``loc`` of a pydantic error. `root`: the model or type that was validated. `plugins`: lookup of the
@@ -299,7 +299,7 @@ def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tup
     return path, owner
 
 
-def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[Any, ...]) -> Any:
+def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[object, ...]) -> Any:
     """Return the alternative of a union that a label of pydantic denotes, which is a tag, or the name of a class or
     validator; failing that, the first alternative that can contain the keys `below`.
     """

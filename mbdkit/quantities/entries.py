@@ -66,7 +66,7 @@ def name_array(name: str, dim: str, what: str, texts: Callable[[ArchiveNames], S
     return Array(name, (dim,), "1", what, TEXT, texts=texts, **more)
 
 
-def unit_array(name: str, dim: str, of: str, units: Callable[[ArchiveNames], Sequence[str]], **more: Any) -> Array:
+def unit_array(name: str, dim: str, of: str, units: Callable[[ArchiveNames], Sequence[str]], **more: object) -> Array:
     """Return an array of units that are determined by the units of the lengths or angles of elements."""
     derived = UNITS_OF_ELEMENT.get(name, {})
     what = f"units of {of}, row by row"

@@ -81,7 +81,7 @@ def with_members(names: ArchiveNames, **members: Sequence[tuple[str, Sequence[st
     return replace(names, members=tuple((dict(names.members) | more).items())) if more else names
 
 
-def _tuples(value: Any) -> Any:
+def _tuples(value: Any) -> object:
     """Return nested sequences as tuples, which can be compared and hashed."""
     return value if isinstance(value, str) else tuple(map(_tuples, value))
 

@@ -10,7 +10,7 @@ import logging
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 import pluggy
 
@@ -47,7 +47,7 @@ class EntryPoint(Protocol):
         ...
 
     @property
-    def dist(self) -> Any:
+    def dist(self) -> object:
         """Distribution, an object with `name` and `version`."""
         ...
 

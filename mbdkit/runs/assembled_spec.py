@@ -79,7 +79,7 @@ def _check(spec: RunSpec) -> None:
         raise SpecError(f"{message}; `accept: [{doubts[0].criterion}]` accepts it")
 
 
-def _values(body: Body) -> Iterator[tuple[str, Any]]:
+def _values(body: Body) -> Iterator[tuple[str, object]]:
     for key in ("position", "angle", "velocity", "angular_velocity"):
         value = getattr(body, key)
         if any(value) if isinstance(value, tuple) else value:
@@ -167,7 +167,7 @@ def _mappings(node: yaml.Node | None) -> Iterator[yaml.MappingNode]:
             yield value
 
 
-def _is_same(one: Any, other: Any) -> bool:
+def _is_same(one: object, other: object) -> bool:
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         keys = {key for key in one.keys() | other.keys() if one.get(key) or other.get(key)}
         return all(_is_same(one.get(key, 0.0), other.get(key, 0.0)) for key in keys)

@@ -102,7 +102,7 @@ class CoarseBeams:
         """Return a warning for each beam whose elements are too coarse."""
         return tuple(warning for beam in self._beams for warning in beam.warnings())
 
-    def stored(self) -> list[Any]:
+    def stored(self) -> list[object]:
         """Return the state as plain values for a checkpoint."""
         return [[beam.turns, beam.largest] for beam in self._beams]
 

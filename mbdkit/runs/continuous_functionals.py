@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -238,7 +238,7 @@ class ContinuousFunctionals:
 
     def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
-        own: dict[str, Mapping[str, Any]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
+        own: dict[str, Mapping[str, object]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
         if any(state[name].keys() != entries.keys() for name, entries in own.items()):
             raise ValueError("it has other integrals")
         size, states, parts = len(self._workspace.q0), len(self._workspace.mechanism.states), []

@@ -23,7 +23,7 @@ def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> Iterator[tupl
             yield item, criterion
 
 
-def findings(stage: Stage, *examined: Any, kind: str = "run") -> list[Finding]:
+def findings(stage: Stage, *examined: object, kind: str = "run") -> list[Finding]:
     """Return what all criteria of a stage find in the objects that are examined; see `CriterionItem`."""
     return [
         finding

@@ -12,7 +12,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.checkpoint import Checkpoint
@@ -222,7 +222,7 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
     return load(path)
 
 
-def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any]) -> RunSpec:
+def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, object]) -> RunSpec:
     """Return the spec of a run; raise SpecError if the run began with other versions of software.
 
     Its results might then differ from those of an uninterrupted run.

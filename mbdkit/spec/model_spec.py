@@ -48,10 +48,10 @@ class StrictSpec(Section):
     _canonical: str = PrivateAttr(default="")
 
     @without_collection()
-    def __init__(self, **data: Any):
+    def __init__(self, **data: object):
         plugins = RegistryLookup(lambda: registry_of(type(self)))
 
-        def validate(values: Any) -> None:
+        def validate(values: object) -> None:
             # Every source is validated as JSON, because pydantic's strict mode accepts a list for a tuple only in JSON.
             text = json.dumps(values, allow_nan=False)
             self.__pydantic_validator__.validate_json(text, self_instance=self, context={"plugins": plugins})
@@ -92,7 +92,7 @@ class StrictSpec(Section):
         return sections
 
     @model_serializer(mode="wrap")
-    def _as_written(self, serialize: SerializerFunctionWrapHandler) -> Any:
+    def _as_written(self, serialize: SerializerFunctionWrapHandler) -> object:
         data = serialize(self)
         return insert(plain(data), self._written) if self._written else data
 

@@ -165,12 +165,12 @@ def _decoded(raw: bytes, file: str) -> str:
     return text
 
 
-def _json(text: str) -> Any:
+def _json(text: str) -> object:
     if not text.strip():
         return None
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        result: dict[str, Any] = {}
+    def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        result: dict[str, object] = {}
         for key, value in pairs:
             if key in result:
                 raise SpecError(f"the key '{key}' occurs twice in one object")
@@ -195,7 +195,7 @@ _DEEP_KEY = re.compile(rf"(?<![\w.-]){_WORD}(?:[ \t]*+\.[ \t]*+{_WORD}){{{DEEPES
 """A dotted key with too many parts; time and memory for reading it would be quadratic in its length."""
 
 
-def _toml(text: str) -> Any:
+def _toml(text: str) -> object:
     if not text.strip():
         return None
     if _DEEP_KEY.search(text):
@@ -248,7 +248,7 @@ def set_value(document: Document, assignment: str) -> None:
     document.overridden[path] = assignment
 
 
-def read_assignment(assignment: str) -> tuple[Path, Any]:
+def read_assignment(assignment: str) -> tuple[Path, object]:
     """Return the key path and the value of an assignment ``key.path=value`` from the command line.
 
     Raises SpecError if the text is not an assignment, or if the value is not YAML.
@@ -264,7 +264,7 @@ def read_assignment(assignment: str) -> tuple[Path, Any]:
         raise SpecError(error.message, key=key.strip(), file=where) from None
 
 
-def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+def read_assignments(assignments: Iterable[str]) -> dict[str, object]:
     """Return plain data with the values that assignments ``key.path=value`` from the command line set."""
     document = Document({})
     for assignment in assignments:
@@ -272,7 +272,7 @@ def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     return document.data
 
 
-def put(data: dict[str, Any], path: Path, value: Any) -> None:
+def put(data: dict[str, Any], path: Path, value: object) -> None:
     """Set the value at `path` in plain data; missing mappings along the path are created, except elements.
 
     Raises SpecError if a value along the path is not a mapping or list with the next key, or if it is a mapping of
@@ -300,7 +300,7 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
             holder = holder.get(part) if isinstance(holder, dict) else holder[part]
 
 
-def _refuse_other_element(elements: Mapping[str, Any], path: Path, index: int) -> None:
+def _refuse_other_element(elements: Mapping[str, object], path: Path, index: int) -> None:
     """Refuse a path to one key of an element that does not exist, whose name is probably misspelt.
 
     The mapping at ``path[:index]`` contains `elements`, such as bodies or loads, if all of its values are mappings.

@@ -53,6 +53,8 @@ from mbdkit.spec.sections import (
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 
 if TYPE_CHECKING:
+    from pydantic.json_schema import JsonSchemaValue
+
     from mbdkit.events.event_expression import RunExpression
     from mbdkit.mechanism.mechanism import Mechanism
 
@@ -60,17 +62,17 @@ if TYPE_CHECKING:
 SMALLEST_ACCURACY, LARGEST_ACCURACY = 1e-12, 0.1
 """Limits of `accuracy`: below the first, rounding errors dominate; above the second, no digit is correct."""
 
-FIRST_EXPLICIT: Mapping[str, Any] = {"name": "dop853", "adaptive": True}
+FIRST_EXPLICIT: Mapping[str, object] = {"name": "dop853", "adaptive": True}
 """Method tried first for `accuracy` if the spec names none. For stiff mechanisms, another one is chosen later."""
 
-FIRST_IMPLICIT: Mapping[str, Any] = {"name": "radau-iia", "stages": 5, "adaptive": True}
+FIRST_IMPLICIT: Mapping[str, object] = {"name": "radau-iia", "stages": 5, "adaptive": True}
 """Method tried first for formulations that solve for multipliers, which explicit methods do not support."""
 
-FIRST_SYMMETRIC: Mapping[str, Any] = {"name": "gauss", "stages": 3}
+FIRST_SYMMETRIC: Mapping[str, object] = {"name": "gauss", "stages": 3}
 """Method tried first with symmetric projection, which needs fixed steps."""
 
 
-def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:
+def _with_accuracy(data: Mapping[str, object]) -> dict[str, Any]:
     """Return the data of a run spec with the keys that `accuracy` implies added.
 
     Raises SpecError if `choose` is given without `accuracy`.
@@ -87,7 +89,7 @@ def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:
     return data
 
 
-def _first_method(data: Mapping[str, Any]) -> Mapping[str, Any]:
+def _first_method(data: Mapping[str, object]) -> Mapping[str, object]:
     stabilization = data.get("stabilization")
     if getattr(stabilization, "symmetric", False) or (
         isinstance(stabilization, Mapping) and stabilization.get("symmetric")
@@ -174,11 +176,11 @@ class RunSpec(ModelSpec):
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
     """The canonical JSON before and after the value of `model`; None until it is needed."""
 
-    def __new__(cls, **data: Any) -> RunSpec:
+    def __new__(cls, **data: object) -> RunSpec:
         """Create a spec of a derived class if there are sections for kinds of elements that plugins add."""
         return super().__new__(with_sections(cls, data))
 
-    def __init__(self, **data: Any):
+    def __init__(self, **data: object):
         super().__init__(**_with_accuracy(data))
 
     if not TYPE_CHECKING:  # otherwise any attribute would be valid
@@ -201,7 +203,7 @@ class RunSpec(ModelSpec):
         return with_sections(cls, kinds_with_section()).model_fields.get(str(key))
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Return the schema with the sections of plugins in their place."""
         schema = super().__get_pydantic_json_schema__(core_schema, handler)
         resolved = handler.resolve_ref_schema(schema)
@@ -306,7 +308,7 @@ class RunSpec(ModelSpec):
         """Whether method or step have yet to be chosen for the requested accuracy."""
         return self.accuracy is not None and self.choose != "nothing"
 
-    def with_choice(self, integrator: dict[str, Any], step: float | None) -> RunSpec:
+    def with_choice(self, integrator: dict[str, object], step: float | None) -> RunSpec:
         """Return this spec with the method and step that were chosen for its accuracy.
 
         `integrator`: the integrator: its name and its options. `step`: step [s]; for an adaptive method the first step,

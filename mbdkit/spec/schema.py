@@ -91,7 +91,7 @@ def allow_units(schema: dict[str, Any], *sections: str) -> dict[str, Any]:
     return schema
 
 
-def _allow_text(part: Any, pattern: str) -> None:
+def _allow_text(part: object, pattern: str) -> None:
     """Allow texts that match a pattern for the numbers in a part of a schema."""
     if isinstance(part, dict) and {"type": "string"} in part.get("anyOf", ()):
         return  # any text is already allowed

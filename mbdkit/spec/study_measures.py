@@ -84,14 +84,14 @@ def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
     return tuple(measure.expression for measure in measures if measure.item is None and not measure.of_base)
 
 
-def built_in(measures: Any) -> tuple[str, ...] | None:
+def built_in(measures: object) -> tuple[str, ...] | None:
     """Return the names of built-in measures that a study lists; None if all of them are computed."""
     if isinstance(measures, list):
         return tuple(entry for entry in measures if isinstance(entry, str) and entry in built_in_measures())
     return None
 
 
-def defined(measures: Any, above: Path = ()) -> Iterator[DefinedMeasure]:
+def defined(measures: object, above: Path = ()) -> Iterator[DefinedMeasure]:
     """Yield the measures that a spec defines, and those of plugins that it names.
 
     `above`: key path of `measures`; the key paths of measures and of errors begin with it. Raises SpecError if a
@@ -125,7 +125,7 @@ def _defined_in(definitions: Mapping[str, Any], above: Path) -> Iterator[Defined
                 raise SpecError(f"should be {_FORMS}, not {value_text(definition)}", key=path_text(place))
 
 
-def _unit(keys: Mapping[str, Any], place: Path) -> str:
+def _unit(keys: Mapping[str, object], place: Path) -> str:
     for key in keys:
         if key not in ("value", "unit"):
             hint = did_you_mean(key, ["value", "unit"])
@@ -142,7 +142,7 @@ def _unit(keys: Mapping[str, Any], place: Path) -> str:
     return str(unit)
 
 
-def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> DefinedMeasure:
+def _of_plugin(name: str, definition: Mapping[str, object], place: Path) -> DefinedMeasure:
     installed = registry()
     wanted = str(definition["name"])
     items = installed.of_kind("measure")
@@ -167,7 +167,7 @@ def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> Defined
     return DefinedMeasure(name, place, item=item, options=options)
 
 
-def _check(given: Any) -> Any:
+def _check(given: object) -> object:
     if given == "all":
         return given
     if not isinstance(given, list | Mapping):
@@ -186,7 +186,7 @@ def _check(given: Any) -> Any:
     return given
 
 
-def _check_definitions(given: Any) -> Any:
+def _check_definitions(given: object) -> object:
     if not isinstance(given, Mapping):
         raise SpecError(f"should be a mapping of names and expressions, not {value_text(given)}")
     return _check(given)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from itertools import chain
-from typing import Any
 
 from mbdkit.base.plain_data import Path, copied, plain
 from mbdkit.spec.choices import RegistryLookup, registry_of
@@ -24,12 +23,12 @@ class VariedSpecs:
     """
 
     def __init__(self, base: str):
-        self._base: dict[str, Any] = json.loads(base)
+        self._base: dict[str, object] = json.loads(base)
         self._pattern: RunSpec | None = None
-        self._template: tuple[tuple[Path, ...], Callable[[Sequence[Any]], str]] | None = None
+        self._template: tuple[tuple[Path, ...], Callable[[Sequence[object]], str]] | None = None
         self._context = {"plugins": RegistryLookup(lambda: registry_of(RunSpec))}
 
-    def spec(self, values: Sequence[tuple[Path, Any]]) -> RunSpec:
+    def spec(self, values: Sequence[tuple[Path, object]]) -> RunSpec:
         """Return the spec with these values at their key paths. Raises SpecError if the spec is not valid."""
         in_model = all(path[:1] == ("model",) and len(path) > 1 and path[1] != "name" for path, _ in values)
         if self._pattern is not None and in_model:
@@ -45,14 +44,14 @@ class VariedSpecs:
             self._pattern = spec
         return spec
 
-    def _with_values(self, pattern: RunSpec, values: Sequence[tuple[Path, Any]]) -> RunSpec:
+    def _with_values(self, pattern: RunSpec, values: Sequence[tuple[Path, object]]) -> RunSpec:
         paths = tuple([path for path, _ in values])
         if self._template is None or self._template[0] != paths:
             self._template = paths, self._text_with(paths)
         text = self._template[1]([value for _, value in values])
         return pattern.with_model(type(pattern.model).model_validate_json(text, context=self._context))
 
-    def _text_with(self, paths: tuple[Path, ...]) -> Callable[[Sequence[Any]], str]:
+    def _text_with(self, paths: tuple[Path, ...]) -> Callable[[Sequence[object]], str]:
         """Return a function that returns the JSON of the model with values at these paths.
 
         Everything but the values is converted to JSON only once.
@@ -70,7 +69,7 @@ class VariedSpecs:
             before, _, text = text.partition(json.dumps(marks[number]))
             fixed.append(before)
 
-        def filled(values: Sequence[Any]) -> str:
+        def filled(values: Sequence[object]) -> str:
             texts = [encode(plain(values[number], paths[number])) for number in order]
             return "".join([*chain.from_iterable(zip(fixed, texts, strict=True)), text])
 

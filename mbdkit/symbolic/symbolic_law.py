@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
@@ -37,7 +36,7 @@ def law_expressions(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, 
     return _expression(law.force, names, ARGUMENTS), _expression(potential, names, ARGUMENTS[:1])
 
 
-def _expression(given: Any, names: Sequence[str], arguments: Sequence[str]) -> sp.Expr:
+def _expression(given: object, names: Sequence[str], arguments: Sequence[str]) -> sp.Expr:
     made = given() if callable(given) else given
     try:
         expression = sp.sympify(made, strict=True)

@@ -301,7 +301,7 @@ def code_id() -> str:
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()[:16] if digests else "none"
 
 
-def code_report() -> dict[str, Any]:
+def code_report() -> dict[str, object]:
     """Return platform, processor level, number of lanes, whether stored code exists, and the tools that built it."""
     level = chosen_level()
     return {

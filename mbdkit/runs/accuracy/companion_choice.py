@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -162,7 +162,7 @@ def _guards_of_treatment(
     )
 
 
-def _created(name: str, options: Mapping[str, Any]) -> Callable[[], Method]:
+def _created(name: str, options: Mapping[str, object]) -> Callable[[], Method]:
     plugin = cast(IntegratorPlugin, registry().get("integrator", name).plugin)
     return cast("Callable[[], Method]", partial(plugin.create, plugin.options(**options)))
 

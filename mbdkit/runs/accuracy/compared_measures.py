@@ -147,7 +147,7 @@ def _varied(
     factor: int = 1,
     most_steps: int | None = None,
     interval: float | None = None,
-    **sections: Any,
+    **sections: object,
 ) -> RunSpec:
     """Return the spec of a comparison run, without measures, checks and gradients.
 
