@@ -196,8 +196,8 @@ def _stored_rows(values: Mapping[str, Any]) -> StoredRows:
 
 
 class _Reader:
-    def __init__(self, body: bytes, place: int):
-        self.body, self.place = body, place
+    def __init__(self, body: bytes, offset: int):
+        self.body, self.place = body, offset
 
     def take(self, kind: str, shape: list[int]) -> np.ndarray:
         if kind not in _KINDS or any(not isinstance(size, int) or size < 0 for size in shape):

@@ -81,7 +81,7 @@ def datasets(group: h5py.Group) -> Iterator[h5py.Dataset]:
 
 def data_sha256(file: h5py.File) -> str:
     """Return the hash of all arrays of an archive except timings and estimated errors, in lower-case hexadecimal."""
-    arrays = (one for one in _identifiers(h5o.open(file.id, b"/"), "") if isinstance(one[1], h5d.DatasetID))
+    arrays = (entry for entry in _identifiers(h5o.open(file.id, b"/"), "") if isinstance(entry[1], h5d.DatasetID))
     return digest_lines(_line_of(path, item) for path, item in arrays if is_hashed(path))
 
 

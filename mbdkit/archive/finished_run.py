@@ -80,9 +80,11 @@ class ArrayWriter(RunWriter):
             dim: tuple(dict.fromkeys(array.key for array in self.arrays if array.grows and array.dims[0] == dim))
             for dim in GROWING
         }
-        types = {one.key: np.dtype(object if one.dtype == TEXT else one.dtype) for one in self.arrays if one.grows}
+        types = {
+            array.key: np.dtype(object if array.dtype == TEXT else array.dtype) for array in self.arrays if array.grows
+        }
         sizes = sizes_of(names)
-        shapes = {one.key: tuple(sizes[dim] for dim in one.dims[1:]) for one in self.arrays if one.grows}
+        shapes = {array.key: tuple(sizes[dim] for dim in array.dims[1:]) for array in self.arrays if array.grows}
         self._buffers = {key: np.empty((0, *shape), types[key]) for key, shape in shapes.items()}
         self._rows = dict.fromkeys(GROWING, 0)
         self._capacity = dict.fromkeys(GROWING, 0)
@@ -148,19 +150,19 @@ class ArrayHash:
     """
 
     def __init__(self, names: ArchiveNames, recorded: Sequence[Array]):
-        hashed = [one for one in recorded if one.grows and layout.is_hashed(one.path)]
+        hashed = [array for array in recorded if array.grows and layout.is_hashed(array.path)]
         lines: list[tuple[str, Array | None]] = [(name, None) for name in name_lines(names, tuple(recorded))]
-        lines += [(f"{one.path} ", one) for one in hashed]
+        lines += [(f"{array.path} ", array) for array in hashed]
         #: For each hashed array, in the order of their paths: lines of names that precede its line, path, key and type.
         self._arrays: list[tuple[str, str, str, str]] = []
         self._rest = ""
         self._shared: dict[str, tuple[np.ndarray, str]] | None = None
         self._latest: tuple[tuple[tuple[int, ...], ...] | None, Sequence[tuple[str, str, bool]]] = None, []
-        for name, one in sorted(lines, key=lambda item: item[0]):
-            if one is None:
+        for name, array in sorted(lines, key=lambda item: item[0]):
+            if array is None:
                 self._rest += name
             else:
-                self._arrays.append((self._rest, one.path, one.key, one.dtype))
+                self._arrays.append((self._rest, array.path, array.key, array.dtype))
                 self._rest = ""
 
     def digest(self, array: np.ndarray) -> str:

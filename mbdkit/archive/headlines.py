@@ -223,7 +223,7 @@ def largest_loads(run: Run) -> list[Headline]:
     """
     forces = largest_forces(run)
     floor = ROUND_OFF * max((headline.largest for headline in forces), default=0.0)
-    of_drivers = [one for one in largest_torques(run) if one.element in run.drivers] if run.drivers else []
+    of_drivers = [torque for torque in largest_torques(run) if torque.element in run.drivers] if run.drivers else []
     return [*(headline for headline in of_drivers if headline.largest > floor), *forces]
 
 
@@ -294,7 +294,9 @@ def largest_of(
             Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked, ends)
         )
     most = max((headline.largest for headline in headlines), default=0.0)
-    return sorted((one for one in headlines if one.largest > ROUND_OFF * most), key=lambda one: -one.largest)
+    return sorted(
+        (headline for headline in headlines if headline.largest > ROUND_OFF * most), key=lambda one: -one.largest
+    )
 
 
 def _peak_rows(size: np.ndarray) -> np.ndarray:

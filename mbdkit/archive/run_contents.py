@@ -247,7 +247,7 @@ class ArchiveContents(RunContents):
             if path in file:
                 return file[path]
         if array is None:
-            raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
+            raise UnknownNameError("array", path, [array.path for array in layout.every_array()])
         raise NotRecordedError(path)
 
     def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
@@ -415,7 +415,7 @@ class ArrayContents(RunContents):
             if path in of_accuracy:
                 return of_accuracy[path]
         if array_at(path) is None:
-            raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
+            raise UnknownNameError("array", path, [array.path for array in layout.every_array()])
         if self._store:
             raise NotStoredError(path, self._store)
         raise NotRecordedError(path)

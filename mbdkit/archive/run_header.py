@@ -82,7 +82,7 @@ def check_shapes(file: h5py.File, kinds: Iterable[Kind]) -> None:
     for path in ("trajectory/body", "joints/joint"):
         if path not in file:
             raise ValueError(f"{path} is missing")
-    for path, array in ((one.path, one) for kind in kinds for one in kind.arrays):
+    for path, array in ((array.path, array) for kind in kinds for array in kind.arrays):
         if path not in file:
             continue
         dataset = file[path]

@@ -121,7 +121,7 @@ def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
     `spec`: the spec of the run as a plain mapping.
     """
     name = str(spec.get("model", {}).get("name", ""))
-    item = next((one for one in registry().only("mbdkit").of_kind("model") if name in (one.name, one.id)), None)
+    item = next((model for model in registry().only("mbdkit").of_kind("model") if name in (model.name, model.id)), None)
     lacks = "the mechanism of this run is not stored"
     if item is None:
         why = f"{lacks}, and the model '{shown(name)}' is of a plugin, which may read files"

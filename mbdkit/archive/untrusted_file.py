@@ -213,18 +213,18 @@ class _Inspection:
                 at = content.find(b"GCOL", at + 4)
         return min(largest, self.size)
 
-    def kind(self, place: str, kind: h5t.TypeID, space: h5s.SpaceID) -> bool:
+    def kind(self, what: str, kind: h5t.TypeID, space: h5s.SpaceID) -> bool:
         """Return whether values are strings of variable length; refuse values that are neither strings nor numbers, and
         long strings of fixed length.
         """
         if space.get_simple_extent_type() == h5s.NULL:
-            raise self.refused(f"{place} has no values and no type of number")
+            raise self.refused(f"{what} has no values and no type of number")
         if isinstance(kind, h5t.TypeStringID):
             if not kind.is_variable_str() and kind.get_size() > FIXED:
-                raise self.refused(f"{place} has strings of the fixed length {kind.get_size():,}")
+                raise self.refused(f"{what} has strings of the fixed length {kind.get_size():,}")
             return bool(kind.is_variable_str())
         if not isinstance(kind, h5t.TypeIntegerID | h5t.TypeFloatID):
-            raise self.refused(f"{place} has values that are neither numbers nor strings")
+            raise self.refused(f"{what} has values that are neither numbers nor strings")
         return False
 
     def dataset(self, path: str, item: h5d.DatasetID) -> None:

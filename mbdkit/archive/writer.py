@@ -186,8 +186,8 @@ class ArchiveWriter(RunWriter):
                 self.take(
                     dim,
                     {
-                        one.array.key: checkpoint.arrays[one.array.path].read(part, one.array, some)
-                        for one in table.series
+                        series.array.key: checkpoint.arrays[series.array.path].read(part, series.array, some)
+                        for series in table.series
                     },
                 )
         with self._storing():
@@ -309,7 +309,7 @@ class ArchiveWriter(RunWriter):
                 len(self.origin.spec_json)
                 + sum(map(len, self.origin.texts.values()))
                 + 16 * len(names.bodies)
-                + 64 * sum(len(one.texts(names)) for one in self.arrays if one.texts)
+                + 64 * sum(len(array.texts(names)) for array in self.arrays if array.texts)
             )
             with self._room(more=False, also=_ATTRIBUTE_BYTES + text):
                 begin_file(self._file, names, self.arrays)

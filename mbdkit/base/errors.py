@@ -33,10 +33,10 @@ class SpecError(MbdkitError, ValueError):
         self.line = line
 
     def __str__(self) -> str:
-        place = shown(self.file or "")
+        location = shown(self.file or "")
         if self.line is not None:
-            place += f":{self.line}" if place else f"line {self.line}"
-        where = ": ".join(part for part in (place, shortened(shown(self.key))) if part)
+            location += f":{self.line}" if location else f"line {self.line}"
+        where = ": ".join(part for part in (location, shortened(shown(self.key))) if part)
         return f"{where}: {self.message}" if where else self.message
 
     def located(self, *, prefix: str = "", file: str | Path | None = None, line: int | None = None) -> SpecError:
@@ -141,15 +141,15 @@ def with_place(error: BaseException) -> str:
     library, and the line is the last one in this package. An exception raised in a library is thus reported with the
     line of the plugin that called the library.
     """
-    place = _place_of(error)
+    location = _place_of(error)
     cause = error.__cause__
-    while not place and cause is not None:  # mbdkit raised this error because of an exception of the plugin
-        place, cause = _place_of(cause), cause.__cause__
-    return f"{one_line(error)} ({shown(place)})" if place else one_line(error)
+    while not location and cause is not None:  # mbdkit raised this error because of an exception of the plugin
+        location, cause = _place_of(cause), cause.__cause__
+    return f"{one_line(error)} ({shown(location)})" if location else one_line(error)
 
 
 def _place_of(error: BaseException) -> str:
-    package, place = "", ""
+    package, location = "", ""
     trace = error.__traceback__
     while trace is not None:
         frame = trace.tb_frame
@@ -157,9 +157,9 @@ def _place_of(error: BaseException) -> str:
         if not package and name and name not in _NO_PLUGINS | sys.stdlib_module_names:
             package = name
         if package and name == package:
-            place = f"{frame.f_code.co_filename}, line {trace.tb_lineno}"
+            location = f"{frame.f_code.co_filename}, line {trace.tb_lineno}"
         trace = trace.tb_next
-    return place
+    return location
 
 
 class MissingPartError(MbdkitError, ImportError):

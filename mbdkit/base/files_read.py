@@ -102,7 +102,7 @@ def note_read(path: str | Path, content: bytes) -> None:
     if not _RECORDS.get() and known is None:
         return
     file = FileRead(Path(path).name, len(content), hashlib.sha256(content).hexdigest())
-    if known is not None and file.sha256 not in {one.sha256 for one in known}:
+    if known is not None and file.sha256 not in {other.sha256 for other in known}:
         raise SpecError("this file is not the one with which the run was made: its SHA-256 differs", file=path)
     for record in _RECORDS.get():
         record.add(file)
@@ -115,4 +115,4 @@ def files_json(files: Sequence[FileRead]) -> str:
 
 def read_files(text: str) -> tuple[FileRead, ...]:
     """Return files from JSON; raise ValueError or TypeError if it is damaged."""
-    return tuple(FileRead(str(one["name"]), int(one["size"]), str(one["sha256"])) for one in json.loads(text))
+    return tuple(FileRead(str(entry["name"]), int(entry["size"]), str(entry["sha256"])) for entry in json.loads(text))

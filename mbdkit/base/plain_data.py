@@ -194,7 +194,7 @@ def canonical(value: Any) -> Any:
         case list() | tuple():
             return [canonical(item) for item in value]
         case BaseModel():
-            parts = [(one, getattr(value, one.field)) for one in _written_fields(type(value))]
+            parts = [(field, getattr(value, field.field)) for field in _written_fields(type(value))]
             return {one.name: canonical(part) for one, part in parts if one.is_written(part)}
         case Mapping():
             return {key: canonical(item) for key, item in value.items()}

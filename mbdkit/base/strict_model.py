@@ -118,14 +118,14 @@ def description(model: type[BaseModel], name: str) -> str:
 @cache
 def _docstrings(model: type[BaseModel]) -> Mapping[str, str]:
     """Return the docstrings of the attributes of a model and of its bases, by name of the attribute."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if issubclass(base, StrictModel) and (definition := _definition(base)) is not None:
             for statement, following in pairwise(definition.body):
                 match statement, following:
                     case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                        found[name] = inspect.cleandoc(text)
-    return found
+                        texts[name] = inspect.cleandoc(text)
+    return texts
 
 
 def _definition(model: type) -> ast.ClassDef | None:

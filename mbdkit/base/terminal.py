@@ -178,12 +178,12 @@ def show_json(data: object, indent: int | None = None) -> None:
 def _json_error(message: str, status: int, error: BaseException | None = None) -> str:
     from mbdkit.base.plain_data import json_text
 
-    place = {}
+    location = {}
     if isinstance(error, SpecError):
-        place = {"key": error.key or None, "file": error.file, "line": error.line}
+        location = {"key": error.key or None, "file": error.file, "line": error.line}
     elif isinstance(error, ArchiveError):
-        place = {"key": None, "file": error.file, "line": None}
-    return json_text({"error": message, "exit_status": status, **place})
+        location = {"key": None, "file": error.file, "line": None}
+    return json_text({"error": message, "exit_status": status, **location})
 
 
 def open_streams() -> None:

@@ -25,10 +25,10 @@ def tell(result: Run, printing: Printing) -> None:
             show_json(_outcome(result))
         elif not printing.quiet:
             show(result.summary())
-        told = not (printing.as_json or printing.quiet)
-        if not told and result.status == "complete" and result.verdict in ("doubtful", "bad"):
+        verbose = not (printing.as_json or printing.quiet)
+        if not verbose and result.status == "complete" and result.verdict in ("doubtful", "bad"):
             say(f"verdict {result.verdict}: {' '.join(result.verdict_reasons)}")
-        exit_with(result, told=told)
+        exit_with(result, told=verbose)
 
 
 def exit_with(result: Run, *, told: bool = False) -> None:

@@ -77,8 +77,8 @@ class AssembledState:
             if most:
                 more = f" and {len(most) - 3} more" if len(most) > 3 else ""
                 parts.append(", ".join(f"{name} {moved[name]:.3g} {unit}" for name in most[:3]) + more)
-        told = "; ".join(parts) or "none above 1e-9"
-        return f"The start was made consistent; changes: {told}."
+        changes = "; ".join(parts) or "none above 1e-9"
+        return f"The start was made consistent; changes: {changes}."
 
 
 def search_for(mechanism: Mechanism, compiled: CompiledMechanism, t0: float) -> LeastChange:

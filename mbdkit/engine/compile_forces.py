@@ -173,11 +173,11 @@ class Lowering:
         names = [parameter for parameter, _ in compiled.parameters]
         for number, state in enumerate(law.states, len(self.laws) + 1):
             self.states.append(ElementState(f"{name}.{state.name}", state.unit))
-            place = begin + 1 + names.index(state.name)
-            self.state_places.append(rows.StateUse(len(self.state_rows), place))
-            self.state_rows.append(rows.StateRow(segment, place, number))
-        for one in (compiled, *rates):
-            self._add_law_row(name, one, begin)
+            index = begin + 1 + names.index(state.name)
+            self.state_places.append(rows.StateUse(len(self.state_rows), index))
+            self.state_rows.append(rows.StateRow(segment, index, number))
+        for part in (compiled, *rates):
+            self._add_law_row(name, part, begin)
         self.law_parameters += block
 
     def _add_friction(self, number: int, friction: FrictionForce) -> None:
@@ -233,7 +233,7 @@ class Lowering:
         and y, and of the torque.
         """
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
-            motions = [self.motions.add(f'loads["{name}"].{len(self.loads)}.{one}') for one in components]
+            motions = [self.motions.add(f'loads["{name}"].{len(self.loads)}.{component}') for component in components]
             self.load_places.append(len(self.elements))
             self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
             self.load_values += [
@@ -250,13 +250,18 @@ class Lowering:
         These are values of loads, expressions of further kinds of elements, rates of the first-order states that the
         mechanism defines, and outputs and states of sampled controllers.
         """
-        held = [(name, value, 0.0) for name, one in mechanism.controllers.items() for value in one.outputs]
+        held = [
+            (name, value, 0.0) for name, controller in mechanism.controllers.items() for value in controller.outputs
+        ]
         held += [
             (name, value, state.initial)
-            for name, one in mechanism.controllers.items()
-            for value, state in one.states.items()
+            for name, controller in mechanism.controllers.items()
+            for value, state in controller.states.items()
         ]
-        names = [one.name for one in self.states] + [*mechanism.states, *(f"{name}.{value}" for name, value, _ in held)]
+        names = [state.name for state in self.states] + [
+            *mechanism.states,
+            *(f"{name}.{value}" for name, value, _ in held),
+        ]
         places = {name: i for i, name in enumerate(names)}
         numbering = self.numbering = Numbering(mechanism, self.bodies, self.first_segments, places)
         loads = [name for name, force in mechanism.forces.items() if isinstance(force, Torque | PointForce)]
@@ -303,10 +308,10 @@ class Lowering:
         by_method
             Whether the method of the run sets its values.
         """
-        place = len(self.law_parameters) + 1
+        index = len(self.law_parameters) + 1
         self.law_parameters += [1.0, initial]
-        self.state_places.append(rows.StateUse(len(self.states), place))
-        self.state_rows.append(rows.StateRow(-1, place, law))
+        self.state_places.append(rows.StateUse(len(self.states), index))
+        self.state_rows.append(rows.StateRow(-1, index, law))
         self.states.append(ElementState(name, unit, by_method))
         return len(self.states) - 1
 

@@ -193,13 +193,13 @@ class Starts:
         """Return a mechanism compiled for a start at time `t0` [s]; raise the errors of `mechanism_at_start`."""
         content = compiled_content(mechanism)
         key = content, t0
-        found = None if content is None else self._compiled.pop(key, None)
-        if found is None:
+        compiled = None if content is None else self._compiled.pop(key, None)
+        if compiled is None:
             with within_double_precision():
-                found = CompiledForStarts.of(mechanism, t0)
+                compiled = CompiledForStarts.of(mechanism, t0)
         if content is None:
-            return found
-        self._compiled[key] = found
+            return compiled
+        self._compiled[key] = compiled
         if len(self._compiled) > MOST_MECHANISMS:
             self._compiled.pop(next(iter(self._compiled)))
-        return found
+        return compiled

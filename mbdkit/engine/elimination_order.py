@@ -94,8 +94,8 @@ def schur_schedule(
     `pairs`: first and second body of each pair of rows, already numbered in elimination order. `ground`: number of the
     ground body. `order`, `below`: result of `sparse_order`, in the numbering before reordering.
     """
-    place = {node: k for k, node in enumerate(order)}
-    columns = [sorted(place[other] for other in below[node]) for node in order]
+    position = {node: k for k, node in enumerate(order)}
+    columns = [sorted(position[other] for other in below[node]) for node in order]
     start = np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64)
     block = {(i, k): int(start[k]) + e for k, rows in enumerate(columns) for e, i in enumerate(rows)}
     update = [block[i, j] for rows in columns for e, i in enumerate(rows) for j in rows[:e]]

@@ -137,11 +137,11 @@ class EquationsOfMotion(EvaluatedEquations):
         a, lam, _ = self._derivatives(t, q, v, z)
         self._evaluate_tangents(t, q, v, a, lam)
         try:
-            found = self._forms.jacobian(q, v, z, partial(self._derivatives, t))
+            jacobian = self._forms.jacobian(q, v, z, partial(self._derivatives, t))
         except np.linalg.LinAlgError:
             raise StepError("singular", "the system of equations is singular") from None
         self.hold(z)
-        return found
+        return jacobian
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
         """Return Phi_q, a sparse (m, n) array."""
@@ -159,8 +159,8 @@ class EquationsOfMotion(EvaluatedEquations):
         """
         if z is not None:
             self.hold(z)
-        found = self._sparse_tangents(t, q, v, a, lam)
-        return found if z is None else replace(found, states=self._state_tangents(t, q, v, a, lam, z))
+        tangents = self._sparse_tangents(t, q, v, a, lam)
+        return tangents if z is None else replace(tangents, states=self._state_tangents(t, q, v, a, lam, z))
 
     def evaluated_terms(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the values of all terms of the tangents at a state, in the order of the workspace's list of terms."""
@@ -296,9 +296,9 @@ class EquationsOfMotion(EvaluatedEquations):
             self.hold(x)
             return self._residual(t, q, v, a, lam)
 
-        found = self._forms.tangents(q, v, z, residual, lambda *state: self._derivatives(t, *state)[2])
+        tangents = self._forms.tangents(q, v, z, residual, lambda *state: self._derivatives(t, *state)[2])
         self.hold(z)
-        return found
+        return tangents
 
     @cached_property
     def _jacobian_part(self) -> SparseParts:

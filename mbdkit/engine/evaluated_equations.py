@@ -191,10 +191,10 @@ class EvaluatedEquations:
         if not len(self.z0):
             self._at(q, v)
             return *self._solved(self._calls.accelerations, t), vector(z, 0).copy()
-        found = self._forms.evaluated(t, q, v, z, self.solved_by)
-        if found is None:
+        rates = self._forms.evaluated(t, q, v, z, self.solved_by)
+        if rates is None:
             raise self._not_finite()
-        return found
+        return rates
 
     def _solved(self, solve: Callable[[float], int], t: float) -> tuple[np.ndarray, np.ndarray]:
         self.solved_by(solve, t)

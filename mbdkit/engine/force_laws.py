@@ -236,7 +236,7 @@ class _Compiler:
                 self.names[target.id] = self.value(statement.value)
             elif isinstance(statement, ast.Return):
                 assert isinstance(statement.value, ast.Tuple)
-                self.results = [self.value(one) for one in statement.value.elts]
+                self.results = [self.value(element) for element in statement.value.elts]
 
     def value(self, node: ast.expr) -> int:
         """Append the instructions of an expression; return the index of its value."""
@@ -301,7 +301,7 @@ class _Compiler:
     def block(self) -> np.ndarray:
         """Return the program as integers for the kernel."""
         places = self._registers()
-        code = [len(self.code), len(self.constants), *(places[one] for one in self.results)]
+        code = [len(self.code), len(self.constants), *(places[result] for result in self.results)]
         for number, (name, first, second, third) in enumerate(self.code, 3 + self.parameters):
             second = second if name == "power_of_integer" else places[second]
             code += [OPCODES[name], places[first], second, places[third], places[number]]

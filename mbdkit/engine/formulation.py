@@ -55,13 +55,13 @@ _HOLDS: dict[LoopsName, tuple[Level, ...]] = {
 }
 
 FORMULATIONS: dict[str, Formulation] = {
-    one.name: one
-    for one in (
+    formulation.name: formulation
+    for formulation in (
         *(Formulation(name, holds) for name, holds in _HOLDS.items()),
         *(Formulation(formulation_name("joint-coordinates", name), holds, "joint") for name, holds in _HOLDS.items()),
     )
 }
 """All formulations by name. The stage equations of each are those of `mbdkit.integrators.stages.collocation`."""
 
-ORDINARY = tuple(name for name, one in FORMULATIONS.items() if not one.solves_multipliers)
+ORDINARY = tuple(name for name, formulation in FORMULATIONS.items() if not formulation.solves_multipliers)
 """Formulations whose equations are ordinary differential equations."""

@@ -105,8 +105,8 @@ def friction_law(force: Law) -> TracedLaw:
 
 def friction_forces(mechanism: Mechanism) -> list[FrictionForce]:
     """Return the friction of all joints that have friction, as force elements."""
-    found = []
+    forces = []
     for number, (name, joint) in enumerate(mechanism.joints.items()):
         if (friction := getattr(joint, "friction", None)) is not None:
-            found.append(FrictionForce(name, joint, number, friction))
-    return found
+            forces.append(FrictionForce(name, joint, number, friction))
+    return forces

@@ -106,7 +106,7 @@ def direction_frames(
     times = np.bincount([pair for pair, _ in chosen], minlength=len(rows))
     for pair, directions in chosen:
         if times[pair] == rows[pair]:  # the whole pair is redundant, so any basis is suitable
-            second = any(one.pair == pair for one in spare)
+            second = any(direction.pair == pair for direction in spare)
             spare.append(Spare(pair, ground, (0.0, 1.0) if second else (1.0, 0.0)))
             continue
         near = [int(pairs[pair, PAIR.first]), int(pairs[pair, PAIR.second]), ground]

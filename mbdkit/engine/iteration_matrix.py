@@ -305,20 +305,25 @@ class IterationMatrices:
     def stored(self) -> list[dict[str, object]]:
         """Return all pivots as plain values for a checkpoint."""
         return [
-            {"matrix": list(key), "pattern": stored(one.pattern), "scatter": one.scatter, "reference": one.reference}
-            for key, one in self._pivots.items()
+            {
+                "matrix": list(key),
+                "pattern": stored(pivots.pattern),
+                "scatter": pivots.scatter,
+                "reference": pivots.reference,
+            }
+            for key, pivots in self._pivots.items()
         ]
 
     def restore(self, state: Any) -> None:
         """Use stored pivots; raise ValueError if they are not valid."""
         workspace = self._workspace
         unknowns, sources, n = workspace.unknowns, len(workspace.scratch.source), 3 * len(workspace.mechanism.bodies)
-        for one in state:
-            pattern = pattern_of(one["pattern"], unknowns)
-            scatter, reference = np.zeros((len(one["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
+        for entry in state:
+            pattern = pattern_of(entry["pattern"], unknowns)
+            scatter, reference = np.zeros((len(entry["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
             restore(
-                {"scatter": scatter, "reference": reference}, {name: one[name] for name in ("scatter", "reference")}
+                {"scatter": scatter, "reference": reference}, {name: entry[name] for name in ("scatter", "reference")}
             )
             if np.any(scatter >= [sources, len(pattern.a_column), len(_DEFAULTS) + 1]):
                 raise ValueError("a term of a matrix does not exist")
-            self._pivots[tuple(map(bool, one["matrix"]))] = Pivots((n, unknowns - n), pattern, scatter, reference)
+            self._pivots[tuple(map(bool, entry["matrix"]))] = Pivots((n, unknowns - n), pattern, scatter, reference)

@@ -23,8 +23,8 @@ class JointSums:
         pairs = len(mechanism.topology.pairs)
         longest = max(map(len, mechanism.joint_pairs), default=0)
         self._rounds = [
-            np.array([sorted(members)[place] for members in mechanism.joint_pairs if place < len(members)])
-            for place in range(longest)
+            np.array([sorted(members)[index] for members in mechanism.joint_pairs if index < len(members)])
+            for index in range(longest)
         ]
         #: Pairs of the first round in the order of the joints; None if some joint has no pair.
         self._first = None

@@ -107,11 +107,11 @@ class SparseFactors:
             largest = norm
             slope = np.conj(np.where(size > 0.0, y / np.where(size > 0.0, size, 1.0), 1.0))
             (solve_complex_transposed if self._is_complex else solve_transposed)(self._pinned.address, slope)
-            place = int(np.argmax(np.abs(slope)))
-            if np.abs(slope[place]) <= np.abs(np.sum(slope * x)):
+            index = int(np.argmax(np.abs(slope)))
+            if np.abs(slope[index]) <= np.abs(np.sum(slope * x)):
                 break
             x = np.zeros(n)
-            x[place] = 1.0
+            x[index] = 1.0
         # A second vector detects matrices for which the first ones fail by coincidence.
         other = np.where(np.arange(n) % 2, -1.0, 1.0) * (1.0 + np.arange(n) / max(n - 1, 1))
         return max(largest, 2.0 * float(np.sum(np.abs(self.solve(other[None])))) / (3.0 * n))

@@ -150,8 +150,8 @@ class StateObserver:
 
     def _note_gaps(self, rows: slice, q: np.ndarray, observed: Observed, stress: SelfStress) -> None:
         distance = observed.singularity_distance
-        found = unexplained_gaps(self.workspace.mechanism, q, observed.phi, distance, stress.lam)
-        self.gaps[rows], self.gap_uncertainty[rows] = found
+        gaps = unexplained_gaps(self.workspace.mechanism, q, observed.phi, distance, stress.lam)
+        self.gaps[rows], self.gap_uncertainty[rows] = gaps
 
     def _share(self, observed: Observed, stress: SelfStress) -> None:
         mechanism = self.workspace.mechanism

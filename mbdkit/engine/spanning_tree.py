@@ -52,7 +52,7 @@ def spanning_tree(top: Topology) -> np.ndarray:
         """Return the pair that determines the angle of a body relative to a body in the tree, and the side of `body` in
         this pair; (-1, 0) if there is no such pair.
         """
-        known = (one for one in turning[body] if depth[int(top.pairs[one[0], PAIR.second - one[1]])] >= 0)
+        known = (joint for joint in turning[body] if depth[int(top.pairs[joint[0], PAIR.second - joint[1]])] >= 0)
         return next(known, (-1, 0))
 
     def put(body: int, place: int, side: int, level: int) -> None:

@@ -63,10 +63,10 @@ def least_norms(matrices: np.ndarray, right: np.ndarray, least: float) -> np.nda
 
 def pseudoinverses(matrices: np.ndarray, least: float) -> np.ndarray:
     """Return the pseudoinverses (T, K, I) of matrices (T, I, K); see `least_norms` for `least`."""
-    found = np.empty((len(matrices), *matrices.shape[:0:-1]))
+    solution = np.empty((len(matrices), *matrices.shape[:0:-1]))
     for row, unit in enumerate(np.eye(matrices.shape[1])):
-        found[:, :, row] = least_norms(matrices, unit, least)
-    return found
+        solution[:, :, row] = least_norms(matrices, unit, least)
+    return solution
 
 
 def singular_values(matrices: np.ndarray) -> np.ndarray:

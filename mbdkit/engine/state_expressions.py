@@ -146,7 +146,7 @@ class _Terms:
         return self._input(kind, 3 * self.numbering.bodies[name] + places[attribute])
 
     def _of_point(self, body: str, point: Sequence[float], attribute: str) -> str:
-        px, py = (self._constant(one) for one in point)
+        px, py = (self._constant(coordinate) for coordinate in point)
         angle, spin = self._of_body(body, "angle"), self._of_body(body, "angular_velocity")
         x = f"({px}*cos({angle}) - {py}*sin({angle}))"
         y = f"({px}*sin({angle}) + {py}*cos({angle}))"

@@ -62,7 +62,7 @@ class Source:
 
     def term(self, function: Any, operands: Sequence[Term]) -> Term:
         """Return the variable that holds the value of a function, or the value if all operands are constants."""
-        if not any(isinstance(one, str) for one in operands):
+        if not any(isinstance(operand, str) for operand in operands):
             return float(_OWN.get(function, function)(*operands))
         same = _without_effect(function, operands)
         if same is not None:
@@ -71,14 +71,17 @@ class Source:
         if key not in self.names:
             name = f"x_{len(self.names)}"
             self.names[key] = name
-            written = [one if isinstance(one, str) else f"({one!r})" if one < 0 else repr(one) for one in operands]
-            used = tuple(one for one in operands if isinstance(one, str))
+            written = [
+                operand if isinstance(operand, str) else f"({operand!r})" if operand < 0 else repr(operand)
+                for operand in operands
+            ]
+            used = tuple(operand for operand in operands if isinstance(operand, str))
             self.lines.append((name, _TEXTS[function].format(*written), used))
         return self.names[key]
 
     def needed(self, results: Sequence[Term]) -> list[str]:
         """Return the assignments on which the results depend, in their order."""
-        wanted = {one for one in results if isinstance(one, str)}
+        wanted = {result for result in results if isinstance(result, str)}
         kept = []
         for name, text, used in reversed(self.lines):
             if name in wanted:
@@ -134,21 +137,24 @@ class Traced(NDArrayOperatorsMixin):
         if function is np.arcsinh:  # dual numbers do not support it
             (x,) = operands
             return np.log(x + np.sqrt(x * x + 1.0))
-        operands = [one.term if isinstance(one, Traced) and not isinstance(one.term, str) else one for one in operands]
-        operands = [one.item() if isinstance(one, np.generic) else one for one in operands]
+        operands = [
+            operand.term if isinstance(operand, Traced) and not isinstance(operand.term, str) else operand
+            for operand in operands
+        ]
+        operands = [operand.item() if isinstance(operand, np.generic) else operand for operand in operands]
         if function is np.power and float(operands[1]).is_integer():
             operands[1] = int(operands[1])
-        given = [one if isinstance(one, Traced) else Traced(self.source, one) for one in operands]
-        value = Traced(self.source, self.source.term(function, [one.term for one in given]))
-        count = max(len(one.slopes) for one in given)
+        given = [operand if isinstance(operand, Traced) else Traced(self.source, operand) for operand in operands]
+        value = Traced(self.source, self.source.term(function, [value.term for value in given]))
+        count = max(len(value.slopes) for value in given)
         if not count:
             return value
         if function is np.where:
-            pairs = [[one.slopes[k] if one.slopes else 0.0 for one in given[1:]] for k in range(count)]
+            pairs = [[value.slopes[k] if value.slopes else 0.0 for value in given[1:]] for k in range(count)]
             condition = Traced(self.source, given[0].term)
             chosen = (a if a is b else _plain(np.where(condition, a, b)) for a, b in pairs)
             return Traced(self.source, value.term, tuple(chosen))
-        plain = [Traced(self.source, one.term) for one in given]
+        plain = [Traced(self.source, value.term) for value in given]
         factors = _SLOPES[function](value, *plain)
         varying = [(factor, one.slopes) for factor, one in zip(factors, given, strict=True) if one.slopes]
         slopes = tuple(
@@ -180,7 +186,7 @@ def traced_source(law: TracedLaw, names: Sequence[str]) -> str:
     parameters = {name: Traced(source, f"parameters[{i}]") for i, name in enumerate(names)}
     value = law.function(length, rate, Traced(source, ARGUMENTS[2]), parameters)
     slopes = value.slopes or (0.0, 0.0)
-    results = [value.term, *(one.term if isinstance(one, Traced) else float(one) for one in slopes), 0.0]
+    results = [value.term, *(slope.term if isinstance(slope, Traced) else float(slope) for slope in slopes), 0.0]
     lines = ["def law(length, rate, time, parameters):", *value.source.needed(results)]
-    lines.append(f"    return {', '.join(f'float({one})' for one in results)}")
+    lines.append(f"    return {', '.join(f'float({result})' for result in results)}")
     return "\n".join(lines) + "\n"

@@ -215,8 +215,8 @@ class Workspace:
 
     def take_states(self, z: np.ndarray) -> None:
         """Use the values `z` (Z,) of first-order states in later evaluations of forces."""
-        state, place = self.mechanism.topology.state_places.T
-        self.scratch.law_values[place] = z[state]
+        state, index = self.mechanism.topology.state_places.T
+        self.scratch.law_values[index] = z[state]
 
     def motions_are_finite(self) -> bool:
         """Return whether drivers, loads and moving centers were finite in the last evaluation."""

@@ -137,11 +137,11 @@ def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
         bend = (right - left) / (c - a)
         if bend == 0.0:
             continue
-        place = 0.5 * (a + b) - 0.5 * left / bend
-        if a < place < c and place != b and sign(fb) * (fb + (left + bend * (place - a)) * (place - b)) < LOW * abs(fb):
-            value = dense(place)
+        x = 0.5 * (a + b) - 0.5 * left / bend
+        if a < x < c and x != b and sign(fb) * (fb + (left + bend * (x - a)) * (x - b)) < LOW * abs(fb):
+            value = dense(x)
             if math.isfinite(value) and sign(value) == -sign(fb):
-                more.append((place, value))
+                more.append((x, value))
     return sorted({*points, *more}) if more else points
 
 

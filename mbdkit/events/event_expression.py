@@ -259,8 +259,8 @@ class RunCompiler(Compiler):
             case ast.Name(id=name) if any(name in names for names in self.known.values()):
                 kind = next(kind for kind, names in self.known.items() if name in names)
                 example = f"{'' if kind in _BARE else f'{kind}.'}{name}.{kind_of_word(kind).example}"
-                one = kind_of_word(kind).one
-                self.refuse(f"'{name}' is a {one}, not a number; use one of its quantities, such as {example}", node)
+                noun = kind_of_word(kind).one
+                self.refuse(f"'{name}' is a {noun}, not a number; use one of its quantities, such as {example}", node)
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
             case ast.Attribute() if right := self.with_quotes(ast.unparse(node)):
@@ -385,7 +385,7 @@ class RunCompiler(Compiler):
         """Raise SpecError for an unknown name."""
         few = f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}" if known else "; there are none"
         hint = did_you_mean(name, known) or few
-        for meant in (one for one in known if not one.isidentifier() and f"'{one}'" in hint):
+        for meant in (word for word in known if not word.isidentifier() and f"'{word}'" in hint):
             kind = next((kind for kind, names in self.known.items() if meant in names), "")
             hint = f" (did you mean {kind}[{meant!r}]?)" if kind else hint
         self.refuse(

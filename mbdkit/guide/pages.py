@@ -46,7 +46,7 @@ class Hit:
 def search(words: str) -> list[Hit]:
     """Return the sections of the guide that contain all words; sections in which the words are adjacent come first."""
     wanted = _plain(words).split()
-    found: list[tuple[bool, int, Hit]] = []
+    matches: list[tuple[bool, int, Hit]] = []
     for page in pages().values():
         for section in re.split(r"^(?=#+ )", page.text, flags=re.MULTILINE):
             text = _plain(section)
@@ -55,8 +55,8 @@ def search(words: str) -> list[Hit]:
             heading, *lines = section.splitlines()
             best = max(lines or [""], key=lambda line: sum(word in _plain(line) for word in wanted))
             away = sum(word not in _plain(heading) for word in wanted)
-            found.append((" ".join(wanted) not in text, away, Hit(page.topic, heading.lstrip("# "), best.strip())))
-    return [hit for *_, hit in sorted(found, key=lambda one: one[:2])]
+            matches.append((" ".join(wanted) not in text, away, Hit(page.topic, heading.lstrip("# "), best.strip())))
+    return [hit for *_, hit in sorted(matches, key=lambda match: match[:2])]
 
 
 def _plain(text: str) -> str:

@@ -241,8 +241,8 @@ class MeasureCompiler(RunCompiler):
         unit = self.unit(operation, values, exponent, node)
         value = _Value(
             unit,
-            is_number=all(one.is_number for one in values),
-            is_series=any(one.is_series for one in values),
+            is_number=all(operand.is_number for operand in values),
+            is_series=any(operand.is_series for operand in values),
             is_vector=self.makes_vector(operation, values, node),
             along=self.beam_of(values, node),
         )

@@ -126,15 +126,15 @@ class MeasureExpression:
         if not len(run.time) or not any(functional.is_extremum for functional in self.functionals):
             return remarks
 
-        def compared(name: str, found: np.ndarray, values: np.ndarray) -> None:
+        def compared(name: str, extremum: np.ndarray, values: np.ndarray) -> None:
             sign, spread = -1.0 if name == "min" else 1.0, float(np.max(values) - np.min(values))
             row = int(np.argmax(sign * values))
-            if sign * (values[row] - found[0]) > BEYOND * spread:
+            if sign * (values[row] - extremum[0]) > BEYOND * spread:
                 remarks.append(
                     f"the recorded row at t = {run.time[row]:.6g} s has {values[row]:.6g}, beyond the {name} of the "
-                    f"motion between the ends of steps, {found[0]:.6g}: states between steps are less accurate there"
+                    f"motion between the ends of steps, {extremum[0]:.6g}: states between steps are less accurate there"
                 )
-            if sign * (found[0] - values[-1]) <= BEYOND * spread and is_at_end(sign * values):
+            if sign * (extremum[0] - values[-1]) <= BEYOND * spread and is_at_end(sign * values):
                 remarks.append(AT_END_OF_RUN.format(name))
 
         try:
@@ -144,7 +144,7 @@ class MeasureExpression:
         return list(dict.fromkeys(remarks))
 
     def _values(
-        self, run: Run, compared: Callable[[str, np.ndarray, np.ndarray], None] = lambda name, found, values: None
+        self, run: Run, compared: Callable[[str, np.ndarray, np.ndarray], None] = lambda name, extremum, values: None
     ) -> np.ndarray:
         """Return the value of the program for a run, in SI units; see `applied` for its shape.
 
@@ -157,13 +157,13 @@ class MeasureExpression:
             if not operation.startswith(REDUCE):
                 return applied(operation, number, operands, self.quantities, series)
             name, values = operation.removeprefix(REDUCE), operands[0]
-            found = run.integrals.get(self.functionals[int(number) - 1].text) if number else None
-            if name == "at" and (found is None or np.any(run.time == operands[1][0])):
+            extremum = run.integrals.get(self.functionals[int(number) - 1].text) if number else None
+            if name == "at" and (extremum is None or np.any(run.time == operands[1][0])):
                 return interpolated(float(operands[1][0]), run.time, values)
             duration = run.time[-1] - run.time[0]
-            if found is None or not duration > 0.0:
+            if extremum is None or not duration > 0.0:
                 return np.asarray(REDUCTIONS[name](run.time, values)[..., None])
-            reduced = from_functional(name, found, duration, values)
+            reduced = from_functional(name, extremum, duration, values)
             if name in EXTREMA:
                 compared(name, reduced, values)
             return reduced

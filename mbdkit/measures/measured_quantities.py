@@ -36,9 +36,9 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
     """
     if quantity.kind == "events":
         return read_unit(_EVENTS[quantity.attribute][0])
-    found = quantity.recorded
-    if found.units:
-        return read_unit(found.units)
+    recorded_array = quantity.recorded
+    if recorded_array.units:
+        return read_unit(recorded_array.units)
     if quantity.of.unit_of is None:
         return read_unit(spec.actuator_units[quantity.name])
     mechanism = spec.mechanism()
@@ -51,7 +51,7 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
             return read_unit(of_element if quantity.attribute == "value" else f"{of_element}/s")
         except SpecError:
             return None
-    return read_unit(UNITS_OF_ELEMENT.get(found.array.row_units, {}).get(of_element, of_element))
+    return read_unit(UNITS_OF_ELEMENT.get(recorded_array.array.row_units, {}).get(of_element, of_element))
 
 
 def of_event(quantity: Quantity, times: np.ndarray) -> float:

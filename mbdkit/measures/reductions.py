@@ -64,9 +64,9 @@ EventTimes = Callable[[Quantity], float]
 """Function that returns a quantity of an event, such as the time of its first crossing."""
 
 
-def from_functional(name: str, found: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
+def from_functional(name: str, value: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
     """Return a reduction of values (..., T), given the functional that was computed during the run."""
-    return OF_FUNCTIONAL[name](np.atleast_1d(found), duration).reshape(*values.shape[:-1], 1)
+    return OF_FUNCTIONAL[name](np.atleast_1d(value), duration).reshape(*values.shape[:-1], 1)
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class Functional:
             if operation == REDUCE + "final":  # of t
                 return np.array([span[1]])
             if operation.startswith(REDUCE):
-                found = known[self.inner[int(number) - 1].text]
-                return from_functional(operation.removeprefix(REDUCE), found, span[1] - span[0], operands[0])
+                known_value = known[self.inner[int(number) - 1].text]
+                return from_functional(operation.removeprefix(REDUCE), known_value, span[1] - span[0], operands[0])
             if operation == "get":  # other quantities are operands of functionals
                 quantity = self.quantities[int(number)]
                 return np.array([events(quantity) if quantity.kind == "events" else np.nan])
@@ -178,8 +178,8 @@ class Functional:
 
         def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
             if operation.startswith(REDUCE):
-                found = known[self.inner[int(number) - 1].text]
-                return from_functional(operation.removeprefix(REDUCE), found, duration, operands[0])
+                known_value = known[self.inner[int(number) - 1].text]
+                return from_functional(operation.removeprefix(REDUCE), known_value, duration, operands[0])
             argument = _switch_of(operation, operands, groups)
             if argument is not None and argument.shape[-1] * groups == count:
                 switches.append(np.broadcast_to(argument, (groups, count // groups)))

@@ -107,7 +107,7 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
         at -= (whole[piece] + lengths(knots[piece], at) - wanted) / elementary.hypot(*rate(at).T)
     dx, dy = rate(at).T
     angles = np.unwrap(elementary.atan2(dy, dx))
-    return [Place(*place) for place in np.column_stack([curve(at), angles]).tolist()], float(whole[-1])
+    return [Place(*point) for point in np.column_stack([curve(at), angles]).tolist()], float(whole[-1])
 
 
 def with_ends(forces: np.ndarray, angles: np.ndarray, length: float) -> np.ndarray:

@@ -78,7 +78,7 @@ def _function(value: Any) -> Any:
         of = value.get("of")
         if not isinstance(of, str):
             raise SpecError("is missing: the name of the coordinate that the table is a function of", key="of")
-        points = number_or_table({key: one for key, one in value.items() if key != "of"}, _Points, WANTED)
+        points = number_or_table({key: entry for key, entry in value.items() if key != "of"}, _Points, WANTED)
         return CoordinateTable(of=of, **points.model_dump(exclude_unset=True))
     return value
 

@@ -44,7 +44,7 @@ def law_range(law: ForceLaw, options: object, name: str) -> dict[str, tuple[floa
     """
     with blaming(f"force law {name} failed to compute its valid range"):
         given: Any = law.valid_range(options) if callable(law.valid_range) else law.valid_range
-    found = dict.fromkeys(ARGUMENTS, (-inf, inf))
+    ranges = dict.fromkeys(ARGUMENTS, (-inf, inf))
     if not isinstance(given, Mapping) or not set(given) <= set(ARGUMENTS):
         raise PluginError(
             f"force law {name}: its valid range should be a mapping whose keys are {listed(ARGUMENTS, 'or')}"
@@ -58,8 +58,8 @@ def law_range(law: ForceLaw, options: object, name: str) -> dict[str, tuple[floa
             raise PluginError(
                 f"force law {name}: its valid range of {argument} should be two numbers, the lower one first"
             )
-        found[argument] = low, high
-    return found
+        ranges[argument] = low, high
+    return ranges
 
 
 def _parameters(law: ForceLaw, options: object) -> tuple[tuple[str, ...], list[float]]:

@@ -54,7 +54,7 @@ class _ModelMethod:
     @cached_property
     def __signature__(self) -> inspect.Signature:
         given = inspect.signature(self.function)
-        own, *arguments = [one for name, one in given.parameters.items() if name != "keys"]
+        own, *arguments = [parameter for name, parameter in given.parameters.items() if name != "keys"]
         if "keys" in given.parameters:
             hidden = {"type", "bodies", *given.parameters}
             fields = {name: model.model_fields[name] for name, model in self.models.items() if name not in hidden}
@@ -105,8 +105,8 @@ def accepted(annotation: Any) -> str:
     """Return the annotation of an argument for a field of this type: any sequences, and mappings for models."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        inputs = (one.json_schema_input_type for one in parts[1:] if isinstance(one, BeforeValidator))
-        return accepted(next((one for one in inputs if one is not PydanticUndefined), parts[0]))
+        inputs = (part.json_schema_input_type for part in parts[1:] if isinstance(part, BeforeValidator))
+        return accepted(next((kind for kind in inputs if kind is not PydanticUndefined), parts[0]))
     if origin is Literal:
         return f"Literal[{', '.join(map(json.dumps, parts))}]"
     if origin is dict:

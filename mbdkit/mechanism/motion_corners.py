@@ -103,8 +103,8 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     rounding = 4.0 * EPS * max(abs(start), abs(end))
     widest = WIDEST_MARGIN * (end - start)
     if isinstance(motion, Table):
-        found = [(t, rounding) for t in _knots(motion, start, end)] if _has_curve(motion) else []
-        return _described(motion, found, start, end, is_knot=True)
+        times = [(t, rounding) for t in _knots(motion, start, end)] if _has_curve(motion) else []
+        return _described(motion, times, start, end, is_knot=True)
     if not isinstance(motion, str):
         return ()
     program = Expression.parse(motion).program
@@ -114,8 +114,8 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     roots = switching_times(program, start, end, samples)
     # A noise above `widest` occurs where the argument crosses zero slowly, as in abs(t**3). Several derivatives then
     # agree on both sides, so the exact time does not matter.
-    found = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
-    corners = _described(motion, found, start, end, is_knot=False)
+    times = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
+    corners = _described(motion, times, start, end, is_knot=False)
     # Not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere.
     wraps = any(operation.jumps for operation in switches)
     return tuple(corner for corner in corners if not wraps or not corner.is_smooth)

@@ -114,11 +114,11 @@ class NamedElements:
     def _with_points(self, element: AnyPlaced, key: str) -> AnyPlaced:
         """Return an element with its points in the frames of its bodies, which must exist."""
         last = last_nodes(self.beams)
-        for place, body in element.places():
-            if body in last and not place.startswith(element.KEYS_WITHOUT_LAST):
-                element = with_body(element, parse_path(place), last[body])
+        for attachment, body in element.places():
+            if body in last and not attachment.startswith(element.KEYS_WITHOUT_LAST):
+                element = with_body(element, parse_path(attachment), last[body])
                 continue
-            self._known(body, f"{key}.{place}")
+            self._known(body, f"{key}.{attachment}")
         return element.placed(self.bodies, key)
 
 

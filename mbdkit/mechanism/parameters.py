@@ -113,15 +113,15 @@ def without_units(parameters: Mapping[Any, Any]) -> dict[Any, Any]:
 
 def _quantities(parameters: Mapping[Any, Any]) -> dict[Any, tuple[float, Unit]]:
     """Return value and unit of the parameters that are numbers with a unit."""
-    found = {}
+    quantities = {}
     for name, value in parameters.items():
         try:
             quantity = read_quantity(value, {"pi", *parameters})
         except SpecError as error:
             raise error.located(prefix=f"parameters.{name}") from None
         if quantity is not None:
-            found[name] = quantity
-    return found
+            quantities[name] = quantity
+    return quantities
 
 
 def evaluate(text: str, values: Values, known: list[str] | None = None) -> float:
@@ -321,7 +321,7 @@ def _in_si(value: float, unit: Unit, details: ErrorDetails, data: object, root: 
     if not abs(value) <= sys.float_info.max:
         raise SpecError(f"should be a finite number, not '{details['input']}'")
     units = _units_of(details["loc"], data, root, plugins)
-    if units is not None and not any(unit.fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
+    if units is not None and not any(unit.fits(read_unit(text) if text != "1" else PLAIN) for text in units or ("1",)):
         raise SpecError(misfit(details["input"], unit, units))
     return value
 
@@ -368,7 +368,7 @@ def _check_unit(
         return
     alone = text.strip().lstrip("+- ") in known  # in products and quotients, angles count as pure numbers
     fits = unit.fits if alone else unit.is_like
-    if not any(fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
+    if not any(fits(read_unit(unit) if unit != "1" else PLAIN) for unit in units or ("1",)):
         has_factor = re.search(r"(?<![\w.])\d", text)
         hint = "; factors that have a unit should be parameters, such as `m: 2 kg`" if has_factor else ""
         raise SpecError(f"{misfit(text, unit, units)}{hint}", key=path_text(path))

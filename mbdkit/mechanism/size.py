@@ -30,7 +30,7 @@ def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> n
     held = [_joint_points(mechanism) for mechanism in mechanisms]
     bodies = held[0][0]
     if any(other != bodies for other, _ in held):
-        return np.array([mechanism_size(*one) for one in zip(mechanisms, positions, strict=True)])
+        return np.array([mechanism_size(*mechanism) for mechanism in zip(mechanisms, positions, strict=True)])
     poses = np.concatenate([positions, np.zeros((len(positions), 1, 3))], axis=1)  # ground is the last body
     points = np.array([own for _, own in held]).reshape(len(held), -1, 2)
     at, x, y = poses[:, bodies], points[..., 0], points[..., 1]
@@ -43,5 +43,5 @@ def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> n
 def _joint_points(mechanism: Mechanism) -> tuple[list[int], list[tuple[float, float]]]:
     """Return the joint points in the frames of their bodies, and the indices of these bodies, ground last."""
     numbers = {name: number for number, name in enumerate(mechanism.bodies)}
-    found = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
-    return [numbers.get(name, len(numbers)) for _, name, _ in found], [point for *_, point in found]
+    attachments = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
+    return [numbers.get(name, len(numbers)) for _, name, _ in attachments], [point for *_, point in attachments]

@@ -110,7 +110,7 @@ class Controller(StrictModel):
 
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key, text) of each expression."""
-        of_states = [(f"states.{quoted(name)}.next", one.next) for name, one in self.states.items()]
+        of_states = [(f"states.{quoted(name)}.next", state.next) for name, state in self.states.items()]
         return of_states + [(f"outputs.{quoted(name)}", text) for name, text in self.outputs.items()]
 
 

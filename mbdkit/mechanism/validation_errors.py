@@ -108,11 +108,11 @@ def spec_error(
     # The number is limited, because each explanation takes time, and there may be thousands of problems.
     for path in paths[:EXPLAINED]:
         value = f" (the value of '{written[path]}')" if written and path in written else ""
-        told = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
-        sentences.append((path_text((*parse_path(prefix), *path)), _either(list(told))))
+        complaints = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
+        sentences.append((path_text((*parse_path(prefix), *path)), _either(list(complaints))))
     (key, message), *others = sentences
-    for place, sentence in others:
-        message += f"\n  also: {shortened(shown(place))}: {sentence}"
+    for location, sentence in others:
+        message += f"\n  also: {shortened(shown(location))}: {sentence}"
     if len(paths) > EXPLAINED:
         message += f"\n  and {len(paths) - EXPLAINED} more"
     return SpecError(message, key=key)
@@ -197,8 +197,8 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
     known = sorted((info.alias or name for name, info in fields.items()), key=lambda name: name != "name")
     if issubclass(owner, StrictModel):
         further = [name for name in owner.further_keys() if name not in known]
-        place = known.index(owner.FURTHER_AFTER) + 1 if owner.FURTHER_AFTER in known else len(known)
-        known[place:place] = further
+        index = known.index(owner.FURTHER_AFTER) + 1 if owner.FURTHER_AFTER in known else len(known)
+        known[index:index] = further
         if owner.FURTHER_AFTER:  # further keys are sections
             fields |= {name: field for name in further if (field := owner.further_field(name)) is not None}
     message = plugins.owners_of(key, owner) or f"unknown key{did_you_mean(key, known)}"

@@ -163,7 +163,7 @@ class Recorded(Array):
             name = self.components[0] if self.components else self.name
             return (Attribute(self, name, None, "" if self.units == MIXED else self.units),)
         units = COORDINATE_UNITS[self.row_units] if self.row_units else (self.units,) * 2
-        parts = (Attribute(self, *one) for one in zip(self.components, range(3), units, strict=False))
+        parts = (Attribute(self, *component) for component in zip(self.components, range(3), units, strict=False))
         return (Attribute(self, self.vector, _XY, units[0]), *parts)
 
 
@@ -296,4 +296,4 @@ class Kind:
     def attributes(self) -> Mapping[str, Attribute]:
         """Quantities in expressions by name; empty if expressions cannot contain the kind."""
         recorded = (column for column in self.columns if isinstance(column, Recorded))
-        return {attribute.name: attribute for one in recorded for attribute in one.attributes if self.example}
+        return {attribute.name: attribute for array in recorded for attribute in array.attributes if self.example}

@@ -125,14 +125,14 @@ def _edits_of_points(
 ) -> Iterator[_Edit]:
     """Yield the replacements of the points of an element, which keep their places on the bodies."""
     bodies = _entry(element, "bodies") or _entry(element, "body")
-    names = [one.value for one in (bodies.value if isinstance(bodies, yaml.SequenceNode) else [bodies]) if one]
+    names = [name.value for name in (bodies.value if isinstance(bodies, yaml.SequenceNode) else [bodies]) if name]
     for key, index in _ENDS.items():
         node = _entry(element, key)
         on = [name for name in (names if key == "at" else names[index : index + 1]) if name in given]
         if not isinstance(node, yaml.SequenceNode) or not on or given[on[0]] == moved[on[0]]:
             continue
         with suppress(TypeError, ValueError):  # expressions
-            x, y = (float(one.value) for one in node.value)
+            x, y = (float(coordinate.value) for coordinate in node.value)
             old, new = given[on[0]], moved[on[0]]
             turn = new.angle - old.angle
             dx, dy = x - old.position[0], y - old.position[1]

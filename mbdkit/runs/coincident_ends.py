@@ -86,7 +86,7 @@ class CoincidentEnds:
 @rows_criterion
 def watch_coincident_ends(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> CoincidentEnds | None:
     """Return the forces that are watched in a run; None if there are none, or if rows skip ends of steps."""
-    columns = {one.name: column for column, one in enumerate(compiled.forces)}
+    columns = {force.name: column for column, force in enumerate(compiled.forces)}
     forces = spec.mechanism().forces
     names = [name for name, force in forces.items() if line_of_undefined_direction(force) is not None]
     return CoincidentEnds(names, [columns[name] for name in names]) if names and steps_are_rows(spec) else None

@@ -234,7 +234,7 @@ class Sampled:
         if np.isnan(self.values).any():
             return Peak(np.nan, np.nan)
         sign = -1.0 if self.functional.reduction == "min" else 1.0
-        return max(self.peaks(best), key=lambda one: sign * one.value)
+        return max(self.peaks(best), key=lambda peak: sign * peak.value)
 
     def peaks(self, best: float = -np.inf) -> list[Peak]:
         """Return the extremum over the steps, and other local extrema that may be equally large."""
@@ -319,10 +319,10 @@ def sampled(
 
     values, switches = at(steps, np.tile(_PLACES, (count, 1)))
     roots: list[tuple[int, float, int]] = []
-    for place, switch in enumerate(switches):
-        bracketed = _brackets(switch, lambda g, s, place=place: at(steps[g], _beside(s))[1][place][:, 1])  # type: ignore[misc]
-        group, share = _roots(*bracketed, lambda g, s, place=place: at(steps[g], _beside(s))[1][place][:, 1])  # type: ignore[misc]
-        roots += [(int(steps[g]), float(s), place) for g, s in zip(group, share, strict=True)]
+    for index, switch in enumerate(switches):
+        bracketed = _brackets(switch, lambda g, s, index=index: at(steps[g], _beside(s))[1][index][:, 1])  # type: ignore[misc]
+        group, share = _roots(*bracketed, lambda g, s, index=index: at(steps[g], _beside(s))[1][index][:, 1])  # type: ignore[misc]
+        roots += [(int(steps[g]), float(s), index) for g, s in zip(group, share, strict=True)]
     shape = values.shape[:-1]
     whole = np.broadcast_to(values, (*shape, count * len(_PLACES))).reshape(*shape, count, len(_PLACES))
     return Sampled(part, functional, known, duration, steps, whole, np.array(sorted(roots)).reshape(-1, 3))

@@ -164,7 +164,7 @@ def _peak_error(recorder: Recorder, accuracy: Accuracy, integrals: Integrals) ->
             if text in accuracy.compared_measures:
                 phrase = f"the largest {force.partition('.')[2].replace('_', ' ')} of {kind} '{name}'"
                 ratios.append((error / float(integrals[text]), phrase))  # type: ignore[arg-type] # not a vector
-    return max(ratios, key=lambda one: math.inf if math.isnan(one[0]) else one[0])
+    return max(ratios, key=lambda ratio: math.inf if math.isnan(ratio[0]) else ratio[0])
 
 
 def _largest(recorder: Recorded, values: np.ndarray) -> tuple[float, str]:

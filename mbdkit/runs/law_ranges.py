@@ -125,9 +125,11 @@ class LawRanges:
         if not has_ranges(model):
             return None
         laws = [
-            WatchedLaw(f"{one.kind} '{one.name}'", one.force.law_id, one.place, one.force.pathway.length_unit, bounds)
-            for one in mechanism.acting
-            if (bounds := _bounds(one.force)) != UNBOUNDED
+            WatchedLaw(
+                f"{force.kind} '{force.name}'", force.force.law_id, force.place, force.force.pathway.length_unit, bounds
+            )
+            for force in mechanism.acting
+            if (bounds := _bounds(force.force)) != UNBOUNDED
         ]
         return cls(laws, workspace, stops=stops)
 
@@ -186,28 +188,28 @@ class LawRanges:
         for side, sign in enumerate(self._sides):
             outside = sign * values - margins > self._limits[..., side]
             for k, argument in zip(*np.nonzero(outside.any(axis=0)), strict=True):
-                place, rows = (k, argument, side), np.flatnonzero(outside[:, k, argument])
+                index, rows = (k, argument, side), np.flatnonzero(outside[:, k, argument])
                 worst = rows[np.argmax(sign * values[rows, k, argument])]
-                if sign * values[worst, k, argument] > self._worst[place]:
-                    self._worst[place], self._worst_time[place] = (
+                if sign * values[worst, k, argument] > self._worst[index]:
+                    self._worst[index], self._worst_time[index] = (
                         sign * values[worst, k, argument],
                         times[worst, k, argument],
                     )
-                if np.isinf(self._first[place]):
+                if np.isinf(self._first[index]):
                     seen = float(times[rows, k, argument].min())
                     bound = self.laws[k].bounds[argument][side]
-                    self._first[place] = _entry(cubics[:, :, k, 2], cubics[:, :, k, argument], bound, seen)
+                    self._first[index] = _entry(cubics[:, :, k, 2], cubics[:, :, k, argument], bound, seen)
 
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each bound that an argument of a law has exceeded."""
         warnings = []
         for k, argument, side in zip(*np.nonzero(np.isfinite(self._first)), strict=True):
-            place = k, argument, side
-            law, value = self.laws[k], self._sides[side] * self._worst[place]
+            index = k, argument, side
+            law, value = self.laws[k], self._sides[side] * self._worst[index]
             warnings.append(
                 f"the {ARGUMENTS[argument]} of {law.name} leaves the range in which {law.held(int(argument))}, "
-                f"at t = {self._first[place]:.6g} s, and reaches {value:.6g} {law.units[argument]} at "
-                f"t = {self._worst_time[place]:.6g} s"
+                f"at t = {self._first[index]:.6g} s, and reaches {value:.6g} {law.units[argument]} at "
+                f"t = {self._worst_time[index]:.6g} s"
             )
         return tuple(warnings)
 
@@ -217,15 +219,15 @@ class LawRanges:
 
     def failure(self) -> Failure:
         """Return the failure of a run that is stopped because a force law has left its range."""
-        place = k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
+        index = k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
         law, what, first = self.laws[int(k)], ARGUMENTS[argument], float(self._first.min())
         leaves = f"the {what} of {law.name} leaves the range in which {law.held(int(argument))}"
-        clause = self._outside(*map(int, place)) if self._worst_time[place] == first else leaves
+        clause = self._outside(*map(int, index)) if self._worst_time[index] == first else leaves
         return Failure("out-of-range", f"at t = {first:.6g} s {clause}.")
 
     def in_one_state(self) -> tuple[str, ...]:
         """Return one clause for each argument that is out of range, with its value, if only one state was added."""
-        return tuple(self._outside(*place) for place in np.argwhere(np.isfinite(self._first)).tolist())
+        return tuple(self._outside(*index) for index in np.argwhere(np.isfinite(self._first)).tolist())
 
     def _outside(self, k: int, argument: int, side: int) -> str:
         law, value = self.laws[k], self._sides[side] * self._worst[k, argument, side]

@@ -440,11 +440,11 @@ class SimulatedRun:
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
         totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
-        found = (*self.findings, *self.recorder.findings(totals))
+        findings = (*self.findings, *self.recorder.findings(totals))
         if self.request.becomes_run and self.spec.gradients and status == "complete":
             self.gradients = higher_layers.gradients_json(self.spec)
         evidence = evidence_of_run(
-            self.spec, self.recorder, steps, (status, reason), misalignment_max, self.size, found,
+            self.spec, self.recorder, steps, (status, reason), misalignment_max, self.size, findings,
             self.doubtful_gradients(),
         )  # fmt: skip
         errors = None
@@ -465,7 +465,7 @@ class SimulatedRun:
             {**counters, **self.timings},
             misalignment_max,
             judgement,
-            (*map(str, found), *notes),
+            (*map(str, findings), *notes),
             self.accuracy,
             totals,
             self.cause,

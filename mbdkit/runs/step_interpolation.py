@@ -141,12 +141,12 @@ class StepEnds:
         gaps = np.where(window[:-1] == steps, np.inf, np.diff(self.time[window], axis=0))
         close = np.min(gaps, axis=0, initial=np.inf) < LEAST_DISTANCE * (self.time[steps + 1] - self.time[steps])
         nodes, newton = self._divided_differences(steps, window)
-        for place in np.flatnonzero(close):
-            one = steps[place : place + 1]
-            own = self._divided_differences(one, self._apart(int(one[0]), count)[:, None])
-            for every, found in zip((nodes, newton), own, strict=True):
-                every[:, place] = 0.0  # coefficients of higher powers
-                every[: len(found), place] = found[:, 0]
+        for index in np.flatnonzero(close):
+            piece = steps[index : index + 1]
+            own = self._divided_differences(piece, self._apart(int(piece[0]), count)[:, None])
+            for every, values in zip((nodes, newton), own, strict=True):
+                every[:, index] = 0.0  # coefficients of higher powers
+                every[: len(values), index] = values[:, 0]
         return nodes, newton
 
     def _apart(self, step: int, count: int) -> np.ndarray:

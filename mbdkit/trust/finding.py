@@ -36,12 +36,12 @@ class Finding:
 
 
 def open_doubts(
-    found: Iterable[Finding], accepted: Collection[str], level: Literal["doubtful", "bad"] = "doubtful"
+    findings: Iterable[Finding], accepted: Collection[str], level: Literal["doubtful", "bad"] = "doubtful"
 ) -> tuple[str, ...]:
     """Return the texts of those findings that lower the verdict to a level: those of criteria that are not accepted."""
-    return tuple(str(finding) for finding in found if finding.level == level and finding.criterion not in accepted)
+    return tuple(str(finding) for finding in findings if finding.level == level and finding.criterion not in accepted)
 
 
-def accepted_doubts(found: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
+def accepted_doubts(findings: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
     """Return the texts of the doubts of accepted criteria."""
-    return tuple(str(finding) for finding in found if finding.level is not None and finding.criterion in accepted)
+    return tuple(str(finding) for finding in findings if finding.level is not None and finding.criterion in accepted)

@@ -281,10 +281,10 @@ def _from_memory_file(name: str, content: bytes) -> ctypes.CDLL:
     file = os.memfd_create(name)
     with open(file, "wb", closefd=False) as stream:
         stream.write(content)
-    place = f"/proc/self/fd/{file}"
-    if not os.path.exists(place):
-        raise FileNotFoundError(place)
-    return ctypes.CDLL(place)
+    path = f"/proc/self/fd/{file}"
+    if not os.path.exists(path):
+        raise FileNotFoundError(path)
+    return ctypes.CDLL(path)
 
 
 def code_id() -> str:

@@ -396,12 +396,12 @@ class CompiledStepper:
     def stop_at(self, t: float) -> None:
         """Let a step end at time `t` [s], which must be later than the last stop that the run has passed."""
         table, margin = self.timetable, margin_of_stops(self.timetable)
-        place = bisect(table.stops, t)
+        index = bisect(table.stops, t)
         self.inserted.append(t)
         self.timetable = replace(
             table,
-            stops=(*table.stops[:place], t, *table.stops[place:]),
-            stop_margins=(*table.stop_margins[:place], margin, *table.stop_margins[place:]),
+            stops=(*table.stops[:index], t, *table.stops[index:]),
+            stop_margins=(*table.stop_margins[:index], margin, *table.stop_margins[index:]),
         )
         self._new_plan()
 

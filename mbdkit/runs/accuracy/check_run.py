@@ -169,19 +169,19 @@ def _guard(
     return best
 
 
-def _reached(found: CompanionRows) -> float:
-    rows = np.flatnonzero(np.all(np.isfinite(found.rows.position), axis=(1, 2)))
-    return float(found.rows.time[rows[-1]]) if len(rows) else -math.inf
+def _reached(states: CompanionRows) -> float:
+    rows = np.flatnonzero(np.all(np.isfinite(states.rows.position), axis=(1, 2)))
+    return float(states.rows.time[rows[-1]]) if len(rows) else -math.inf
 
 
-def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> str:
+def _sentence(chosen: Chosen, runs: list[tuple[Companion, CompanionRows]]) -> str:
     first, second = (companion.name for companion in chosen.finer)
     text = (
         f"Richardson extrapolation from comparison runs with {first} and {second}, confirmed by a run with "
-        f"{told[-1][0].name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
+        f"{runs[-1][0].name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
         f"converge to the last one."
     )
-    for companion, rows in told:
+    for companion, rows in runs:
         if rows.failure:
             text += f" The run with {companion.name} ended at {_reached(rows):.6g} s: {rows.failure}."
     return text

@@ -163,12 +163,12 @@ def _advance(
     stepper: Stepper,
     watched: Watch | None,
     companion: Companion,
-    found: _States,
+    states: _States,
     stopped: Callable[[], str],
     progress: Callable[[float, float], None] | None,
 ) -> str:
     """Advance to the last of the times; return the reason if this fails, otherwise an empty string."""
-    while found.done < len(found.times):
+    while states.done < len(states.times):
         if stepper.finished:
             return ""
         if why := stopped():
@@ -181,14 +181,14 @@ def _advance(
             stretch = stepper.advance() if watched is None else watched.step()
         except Exception:
             if (rows := stepper.rows_before_error()) is not None:
-                found.take(rows)
+                states.take(rows)
             raise
         if companion.within_steps:
-            found.take_within(stepper)
+            states.take_within(stepper)
         else:
-            found.take(stretch)
+            states.take(stretch)
         if progress is not None:
-            progress(stepper.time, float(found.times[-1]))
+            progress(stepper.time, float(states.times[-1]))
     return ""
 
 

@@ -172,7 +172,7 @@ class RecordedPilot:
         self.steps = self.stepper.counters.steps
         self.work = work_of(method, self.stepper.counters.rhs_evaluations)
         start = (np.array([workspace.t0]), workspace.q0[None], workspace.v0[None])
-        ends = [(one.time, one.q, one.v) for one in self.stretches]
+        ends = [(stretch.time, stretch.q, stretch.v) for stretch in self.stretches]
         self.time, self.q, self.v = (np.concatenate(parts) for parts in zip(start, *ends, strict=True))
 
     @cached_property
