@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
@@ -30,6 +30,7 @@ from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
 from mbdkit.mechanism.mechanism_seams import run_check
+from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.element_items import ElementKind
@@ -413,6 +414,10 @@ class RunSpec(ModelSpec):
         """The expressions of events and measures, which may contain names of parameters."""
         of_events = [text for event in self.events.values() for text in (event.when, *event.set.values())]
         return [*of_events, *(measure.expression for measure in self.defined_measures())]
+
+    def used_parameters(self, texts: Iterable[str] = ()) -> set[str]:
+        """Return the names of the parameters that the expressions of the spec, or further ones, use."""
+        return parameters_in_use(self.parameters, [*self.written.values(), *self.expressions_outside_model, *texts])
 
     def settings(self) -> dict[str, dict[str, RunExpression]]:
         """Return the parsed expressions of new state values, by event and state. Raises the errors of `mechanism`."""

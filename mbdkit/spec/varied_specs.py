@@ -6,7 +6,9 @@ import json
 from collections.abc import Callable, Sequence
 from itertools import chain
 
-from mbdkit.base.plain_data import Path, copied, plain
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, path_text, plain
+from mbdkit.base.text import did_you_mean
 from mbdkit.spec.choices import RegistryLookup, registry_of
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
@@ -29,7 +31,10 @@ class VariedSpecs:
         self._context = {"plugins": RegistryLookup(lambda: registry_of(RunSpec))}
 
     def spec(self, values: Sequence[tuple[Path, object]]) -> RunSpec:
-        """Return the spec with these values at their key paths. Raises SpecError if the spec is not valid."""
+        """Return the spec with these values at their key paths.
+
+        Raises SpecError if the spec is not valid, or if a value is that of an unknown parameter.
+        """
         in_model = all(path[:1] == ("model",) and len(path) > 1 and path[1] != "name" for path, _ in values)
         if self._pattern is not None and in_model:
             try:
@@ -40,9 +45,19 @@ class VariedSpecs:
         for path, value in values:
             put(data, path, value)
         spec = RunSpec(**data)
+        self._check_parameters(spec, values)
         if in_model and not spec.parameters and not spec.written and spec.accuracy is None:
             self._pattern = spec
         return spec
+
+    def _check_parameters(self, spec: RunSpec, values: Sequence[tuple[Path, object]]) -> None:
+        """Raise SpecError for a parameter that is set, but neither defined in the base nor used by an expression."""
+        given = self._base.get("parameters")
+        known = given if isinstance(given, dict) else {}
+        for path, _ in values:
+            if path[0] == "parameters" and len(path) > 1 and path[1] not in {*known, *spec.used_parameters()}:
+                hint = did_you_mean(str(path[1]), known)
+                raise SpecError(f"the spec has no such parameter, and no expression uses it{hint}", key=path_text(path))
 
     def _with_values(self, pattern: RunSpec, values: Sequence[tuple[Path, object]]) -> RunSpec:
         paths = tuple([path for path, _ in values])

@@ -61,8 +61,9 @@ def plugins_show(
 ) -> None:
     """Show the options, claims and references of a plugin.
 
-    With --json, prints one object with a list "plugins": a model and an
-    integrator may share a name.
+    Of items without options, such as commands and element kinds, it shows the
+    summary, and which command says more. With --json, prints one object with a
+    list "plugins": a model and an integrator may share a name.
     """
     items = describe.find(name)
     if as_json:
@@ -101,7 +102,7 @@ def plugins_verify(
     """
     from mbdkit.spec.reading import read_assignments
 
-    items = describe.find(name, further=["element-kind"], without_options=True)
+    items = describe.find(name, further=["element-kind"])
     options = read_assignments(assignments or ())
     from mbdkit_testing import verify
     from mbdkit_testing.verification_page import check_page, write_page

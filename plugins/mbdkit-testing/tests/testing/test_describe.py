@@ -51,6 +51,15 @@ def test_show_finds_a_model_and_an_integrator_of_one_name(mixed):
     assert [item.kind for item in describe.find("swing", mixed)] == ["model", "integrator"]
 
 
+def test_show_of_an_item_without_options_says_what_it_is_and_where_to_read_on():
+    [command] = describe.find("rerun")
+    page = describe.page(command)
+    assert page.startswith("mbdkit:rerun (command)\n")
+    assert command.plugin.summary in page
+    assert page.endswith("mbdkit plugins where mbdkit:rerun")
+    assert "options" not in describe.details(command)
+
+
 def test_show_of_a_broken_plugin_says_why_it_is_broken(mixed):
     with pytest.raises(PluginError, match="no acme here"):
         describe.find("broken:plugin", mixed)
