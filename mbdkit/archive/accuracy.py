@@ -78,38 +78,26 @@ class Accuracy(HtmlView):
     After a check of a run, the errors are envelopes, which never decrease with time. In inverse dynamics, each error is
     a bound that holds at its time with a probability of 95 %.
 
-    Attributes
-    ----------
-    time
-        (T,) time of the rows [s].
-    position_error, velocity_error
-        (T, B, 3) errors of x, y [m] and angle [rad] of the bodies, and of their rates.
-    reaction_error
-        (T, J) norm of the error of the reaction forces [N].
-    torque_error
-        (T, J) error of the reaction torques [N m].
-    known_until
-        Time until which all errors are known [s]; nan if no error is known.
-    order_observed
-        Observed order of convergence of the positions with the step or, for adaptive methods, with the tolerance; nan
-        if the comparison runs differed by rounding errors only.
-    method
-        How the estimates were made.
-    check_s
-        Duration of the check [s].
-    asked
-        Requested accuracy of positions (`accuracy` of the spec), as a share of the mechanism's size; nan if none.
-    reached
-        Largest estimated error of positions up to `known_until`, as a share of the mechanism's size; nan if unknown, or
-        if no accuracy was requested.
-    chosen, why
-        Method and step that were chosen for the requested accuracy, and the reason; empty if none was requested.
-    compared_measures
-        Values of the expressions of measures in the comparison runs.
-    unknown
-        Why errors are unknown after `known_until`, as a clause; empty if all are known.
-    further
-        Further arrays of the group ``/accuracy`` by name, such as the parts of `reaction_error`; empty for most runs.
+    - `time`: (T,) time of the rows [s].
+    - `position_error`, `velocity_error`: (T, B, 3) errors of x, y [m] and angle [rad] of the bodies, and of their
+      rates.
+    - `reaction_error`: (T, J) norm of the error of the reaction forces [N].
+    - `torque_error`: (T, J) error of the reaction torques [N m].
+    - `known_until`: time until which all errors are known [s]; nan if no error is known.
+    - `order_observed`: observed order of convergence of the positions with the step or, for adaptive methods, with the
+      tolerance; nan if the comparison runs differed by rounding errors only.
+    - `method`: how the estimates were made.
+    - `check_s`: duration of the check [s].
+    - `asked`: requested accuracy of positions (`accuracy` of the spec), as a share of the mechanism's size; nan if
+      none.
+    - `reached`: largest estimated error of positions up to `known_until`, as a share of the mechanism's size; nan if
+      unknown, or if no accuracy was requested.
+    - `chosen`, `why`: method and step that were chosen for the requested accuracy, and the reason; empty if none was
+      requested.
+    - `compared_measures`: values of the expressions of measures in the comparison runs.
+    - `unknown`: why errors are unknown after `known_until`, as a clause; empty if all are known.
+    - `further`: further arrays of the group ``/accuracy`` by name, such as the parts of `reaction_error`; empty for
+      most runs.
     """
 
     time: np.ndarray

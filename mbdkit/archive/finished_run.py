@@ -24,20 +24,12 @@ from mbdkit.quantities.registered_kinds import sizes_of
 class FinishedRun(Ending):
     """A finished run: how it has ended, and what it has recorded.
 
-    Parameters
-    ----------
-    names
-        Names of the mechanism's bodies, joints and other elements.
-    layout
-        The arrays of the archive's layout that the run recorded, including those of names.
-    arrays
-        Values of the arrays with rows, by `Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
-    shared
-        Description of the reactions of redundant joints; None without redundant joints.
-    data_sha256
-        Hash of the arrays, equal to that of the archive of this run.
-    assembly
-        Sentence on how the start was made consistent.
+    - `names`: names of the mechanism's bodies, joints and other elements.
+    - `layout`: the arrays of the archive's layout that the run recorded, including those of names.
+    - `arrays`: values of the arrays with rows, by `Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
+    - `shared`: description of the reactions of redundant joints; None without redundant joints.
+    - `data_sha256`: hash of the arrays, equal to that of the archive of this run.
+    - `assembly`: sentence on how the start was made consistent.
     """
 
     names: ArchiveNames

@@ -43,16 +43,8 @@ _ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
     """Return the errors (J,) of the largest values of the joints in the first `count` rows; None without a check.
 
-    Parameters
-    ----------
-    run
-        The run.
-    name
-        ``reaction_error`` or ``torque_error``.
-    size
-        (T, J) magnitudes of the joints.
-    count
-        Number of rows, at least 1.
+    `name`: ``reaction_error`` or ``torque_error``. `size`: (T, J) magnitudes of the joints. `count`: number of rows, at
+    least 1.
     """
     if run.accuracy is None:
         return None

@@ -332,22 +332,13 @@ class NotStoredError(NotRecordedError):
 class ArrayContents(RunContents):
     """A run whose arrays are in memory, such as one read from a block of a study.
 
-    Parameters
-    ----------
-    finished
-        The results; `FinishedRun.layout` lists only the arrays that are stored.
-    spec
-        Spec of the run.
-    run_id, created_utc, provenance
-        See `Origin`.
-    mechanism
-        The mechanism; None for that of `spec`.
-    store
-        Which arrays the study stores of each run; empty if it stores all.
-    measured
-        Values of the measures in the spec.
-    gradients
-        Gradients of the measures as JSON; empty if there are none.
+    - `finished`: the results; `FinishedRun.layout` lists only the arrays that are stored.
+    - `spec`: spec of the run.
+    - `run_id`, `created_utc`, `provenance`: see `Origin`.
+    - `mechanism`: the mechanism; None for that of `spec`.
+    - `store`: which arrays the study stores of each run; empty if it stores all.
+    - `measured`: values of the measures in the spec.
+    - `gradients`: gradients of the measures as JSON; empty if there are none.
     """
 
     def __init__(

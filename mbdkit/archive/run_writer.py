@@ -46,29 +46,18 @@ UNJUDGED = Judgement("unknown")
 class Ending:
     """How a run has ended.
 
-    Parameters
-    ----------
-    status
-        ``complete``, ``failed`` or ``interrupted``.
-    reason
-        Code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``. For a
-        complete run, the event that ended it, or an empty string.
-    stats
-        Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``.
-    misalignment_max
-        (J,) largest misalignment of each joint over all steps [m].
-    judgement
-        The verdict on the run; ``unknown`` by default.
-    warnings
-        Warnings about the spec and the run, as sentences.
-    accuracy
-        Estimated errors of the rows, if the run was checked.
-    integrals
-        Integrals over time and extrema, by expression, in SI units; see `mbdkit.archive.measured_values.Integrals`.
-    cause
-        The exception of a plugin that ended the run; None if there was none.
-    tables
-        Tables of further results by name.
+    - `status`: ``complete``, ``failed`` or ``interrupted``.
+    - `reason`: code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``.
+      For a complete run, the event that ended it, or an empty string.
+    - `stats`: attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``.
+    - `misalignment_max`: (J,) largest misalignment of each joint over all steps [m].
+    - `judgement`: the verdict on the run; ``unknown`` by default.
+    - `warnings`: warnings about the spec and the run, as sentences.
+    - `accuracy`: estimated errors of the rows, if the run was checked.
+    - `integrals`: integrals over time and extrema, by expression, in SI units; see
+      `mbdkit.archive.measured_values.Integrals`.
+    - `cause`: the exception of a plugin that ended the run; None if there was none.
+    - `tables`: tables of further results by name.
     """
 
     status: str
@@ -87,20 +76,12 @@ class Ending:
 class Origin:
     """The spec of a run, and where and how the run was made.
 
-    Parameters
-    ----------
-    spec_json, spec_sha256
-        The canonical JSON of the spec, and the SHA-256 of its UTF-8 bytes.
-    run_id
-        Unique name of the run.
-    provenance
-        Attributes of ``/provenance``: versions, platform, command.
-    created_utc
-        Time at which the run began, ISO 8601; by default now.
-    bodies
-        Attributes of ``/trajectory``: ``mass`` (B,) [kg] and ``inertia`` (B,) [kg m^2] of the bodies.
-    texts
-        Further root attributes: the mechanism, and the files that were read for the run.
+    - `spec_json`, `spec_sha256`: the canonical JSON of the spec, and the SHA-256 of its UTF-8 bytes.
+    - `run_id`: unique name of the run.
+    - `provenance`: attributes of ``/provenance``: versions, platform, command.
+    - `created_utc`: time at which the run began, ISO 8601; by default now.
+    - `bodies`: attributes of ``/trajectory``: ``mass`` (B,) [kg] and ``inertia`` (B,) [kg m^2] of the bodies.
+    - `texts`: further root attributes: the mechanism, and the files that were read for the run.
     """
 
     spec_json: str
@@ -130,17 +111,10 @@ class Origin:
 class SharedForces:
     """Attributes of an archive whose mechanism has redundant joints.
 
-    Parameters
-    ----------
-    redundancy
-        Description, such as ``1 redundant row: joint D``.
-    joints
-        The joints whose reactions are not unique.
-    length
-        Characteristic length [m]. Of all reactions that produce the same motion, the recorded ones minimize the sum
-        over joints of ``|force|^2 + (torque / length)^2``.
-    drivers
-        The drivers among these joints, whose powers are not unique.
+    `redundancy`: description, such as ``1 redundant row: joint D``. `joints`: the joints whose reactions are not
+    unique. `length`: characteristic length [m]. Of all reactions that produce the same motion, the recorded ones
+    minimize the sum over joints of ``|force|^2 + (torque / length)^2``. `drivers`: the drivers among these joints,
+    whose powers are not unique.
     """
 
     redundancy: str

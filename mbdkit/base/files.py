@@ -88,22 +88,11 @@ def check_name_of_file(name: str) -> None:
 def check_output(path: Path, *, overwrite: bool, source: str | Path | None = None, suffix: str = "") -> None:
     """Check that a file may be written at `path`; the check does not change the file system.
 
-    Parameters
-    ----------
-    overwrite
-        Whether an existing regular file may be replaced. Folders, devices, pipes, sockets and symbolic links are never
-        replaced.
-    source
-        The input file, which is never replaced; None or ``-`` if the input is not a file.
-    suffix
-        Suffix of the file name that the message suggests if `path` is a folder; by default the suffix of `path`.
-
-    Raises
-    ------
-    SpecError
-        If the folder does not exist, or an existing file may not be replaced.
-    ResourceError
-        If writing into the folder is not permitted, or the existing file cannot be replaced because it is open.
+    `overwrite`: whether an existing regular file may be replaced. Folders, devices, pipes, sockets and symbolic links
+    are never replaced. `source`: the input file, which is never replaced; None or ``-`` if the input is not a file.
+    `suffix`: suffix of the file name that the message suggests if `path` is a folder; by default the suffix of `path`.
+    Raises SpecError if the folder does not exist, or an existing file may not be replaced. Raises ResourceError if
+    writing into the folder is not permitted, or the existing file cannot be replaced because it is open.
     """
     check_name_of_file(path.name)
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission

@@ -26,18 +26,11 @@ LARGEST_EXPONENT = 99
 class Unit:
     """A unit. Two units can be compared and added if their `exponents` are equal.
 
-    Parameters
-    ----------
-    text
-        The unit as it is shown, such as ``N m``.
-    exponents
-        Exponents of metre, kilogram and second. Angles are pure numbers, as in the SI.
-    factor
-        Size of the unit in SI units.
-    counts
-        Exponents of angle, cycle and percent. In the SI these are pure numbers, but `fits` distinguishes them.
-    si
-        The SI unit of the same kind, such as ``N m/rad`` for ``N mm/deg``.
+    - `text`: the unit as it is shown, such as ``N m``.
+    - `exponents`: exponents of metre, kilogram and second. Angles are pure numbers, as in the SI.
+    - `factor`: size of the unit in SI units.
+    - `counts`: exponents of angle, cycle and percent. In the SI these are pure numbers, but `fits` distinguishes them.
+    - `si`: the SI unit of the same kind, such as ``N m/rad`` for ``N mm/deg``.
     """
 
     text: str

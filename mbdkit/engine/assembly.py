@@ -38,18 +38,14 @@ velocity times the largest lever arm."""
 class AssembledState:
     """An initial state that satisfies the constraints.
 
-    Attributes
-    ----------
-    q, v
-        (B, 3) positions (x, y, theta) and velocities [m, rad, m/s, rad/s].
-    changed
-        Whether any value changed; if not, `q` and `v` are bitwise equal to the given values.
-    moved_position, moved_angle
-        Displacement of each body's centre of mass [m] and rotation of each body [rad], as absolute values.
-    changed_velocity, changed_rate
-        Change of each body's velocity [m/s] and angular velocity [rad/s], as absolute values.
-    residual, velocity_residual
-        Largest remaining |Phi| [m, rad] and |Phi_q v + Phi_t| [m/s, rad/s] of the constraints Phi(q, t) = 0.
+    - `q`, `v`: (B, 3) positions (x, y, theta) and velocities [m, rad, m/s, rad/s].
+    - `changed`: whether any value changed; if not, `q` and `v` are bitwise equal to the given values.
+    - `moved_position`, `moved_angle`: displacement of each body's centre of mass [m] and rotation of each body [rad],
+      as absolute values.
+    - `changed_velocity`, `changed_rate`: change of each body's velocity [m/s] and angular velocity [rad/s], as absolute
+      values.
+    - `residual`, `velocity_residual`: largest remaining |Phi| [m, rad] and |Phi_q v + Phi_t| [m/s, rad/s] of the
+      constraints Phi(q, t) = 0.
     """
 
     q: np.ndarray

@@ -200,16 +200,8 @@ class Lowering:
     def pair(self, name: str, bodies: tuple[int, int], laws: Sequence[CompiledLaw], numbers: Sequence[float]) -> int:
         """Add a force between two bodies that depends on their poses and velocities; return the index of its law.
 
-        Parameters
-        ----------
-        name
-            Name in messages.
-        bodies
-            Indices of the bodies.
-        laws
-            The law of the forces and the law of their slopes.
-        numbers
-            Parameters of the laws, preceded by their number.
+        `name`: name in messages. `bodies`: indices of the bodies. `laws`: the law of the forces and the law of their
+        slopes. `numbers`: parameters of the laws, preceded by their number.
         """
         begin, first = len(self.law_parameters), len(self.laws)
         self.pairs.append(rows.InteractionRow(*bodies, first))
@@ -297,16 +289,9 @@ class Lowering:
     def state(self, name: str, unit: str, initial: float, law: int = -1, *, by_method: bool = False) -> int:
         """Add a first-order state, and return its index.
 
-        Parameters
-        ----------
-        name, unit
-            Name, such as ``element.state``, and unit.
-        initial
-            Initial value.
-        law
-            Index of the law of its rate, see `expression`; -1 for a state that is constant during each step.
-        by_method
-            Whether the method of the run sets its values.
+        `name`, `unit`: name, such as ``element.state``, and unit. `initial`: initial value. `law`: index of the law of
+        its rate, see `expression`; -1 for a state that is constant during each step. `by_method`: whether the method of
+        the run sets its values.
         """
         index = len(self.law_parameters) + 1
         self.law_parameters += [1.0, initial]

@@ -61,16 +61,9 @@ class ForceElement:
 class ActingForce:
     """A compiled force element with a law along a pathway.
 
-    Attributes
-    ----------
-    kind, name
-        Word for the kind of element, such as ``force``, and name of the element.
-    force
-        The element.
-    place
-        Index among all force elements, along the second axis of `mbdkit.plugin.Observed.forces`.
-    state
-        Index of its first state among the first-order states.
+    `kind`, `name`: word for the kind of element, such as ``force``, and name of the element. `force`: the element.
+    `place`: index among all force elements, along the second axis of `mbdkit.plugin.Observed.forces`. `state`: index of
+    its first state among the first-order states.
     """
 
     kind: str
@@ -138,63 +131,36 @@ class Redundancy:
 class CompiledMechanism:
     """A mechanism in the form used by the kernels. It is immutable and can be shared by any number of runs.
 
-    Attributes
-    ----------
-    topology
-        Flat arrays for the kernels.
-    bodies, joints
-        Names, in the order of the mechanism.
-    joint_bodies
-        (J,) names of the first and the second body of each joint.
-    rows
-        Constraint rows in the order of the mechanism's joints, redundant ones included.
-    joint_pairs
-        (J,) numbers of the pairs of rows of each joint.
-    joint_units
-        (J,) unit of the coordinate of each joint, m for a travel and rad for an angle.
-    forces
-        Force elements and loads, in the order of the mechanism.
-    acting
-        All force elements with laws along pathways, except friction. Kernels number those of further kinds after the
-        force elements and loads.
-    friction
-        Indices of the joints with friction.
-    first_friction
-        Index of the first friction force among all force elements.
-    extensions
-        What further kinds of elements need in runs, by their key in the model; see `mbdkit.plugin.ElementKind`.
-    beams
-        Name and number of elements of each beam.
-    markers
-        Name and body of each marker.
-    drivers
-        Names of the joints that are drivers.
-    coordinates
-        Number of coordinates: 3 for each body, 2 for each point mass, whose angle is not counted.
-    length
-        Characteristic length [m]; see `mbdkit.engine.compile_mechanism.characteristic_length`.
-    motions
-        Each motion as given in the model: a number, an expression or a table.
-    laws
-        Name of the element and compiled law, in the order of ``topology.laws``: for each force element with a law, this
-        law and those of the rates of its states; and laws of forces between two bodies and of expressions of the state.
-        Linear springs have no law.
-    order, below
-        Order of elimination of the pairs, and the resulting fill, as returned by `sparse_order`.
-    well_scaled
-        Whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
-    redundancy
-        Constraints that are excluded because the other constraints imply them.
-    states
-        First-order states of elements and of the mechanism, and values that are constant during a step: those that
-        the method sets, and outputs and states of sampled controllers.
-    controllers
-        Sampled controllers.
-    members
-        Names and bodies of the elements, for each kind that has no attribute above; an element may have several
-        entries.
-    treatments
-        Treatments of elements in a run.
+    - `topology`: flat arrays for the kernels.
+    - `bodies`, `joints`: names, in the order of the mechanism.
+    - `joint_bodies`: (J,) names of the first and the second body of each joint.
+    - `rows`: constraint rows in the order of the mechanism's joints, redundant ones included.
+    - `joint_pairs`: (J,) numbers of the pairs of rows of each joint.
+    - `joint_units`: (J,) unit of the coordinate of each joint, m for a travel and rad for an angle.
+    - `forces`: force elements and loads, in the order of the mechanism.
+    - `acting`: all force elements with laws along pathways, except friction. Kernels number those of further kinds
+      after the force elements and loads.
+    - `friction`: indices of the joints with friction.
+    - `first_friction`: index of the first friction force among all force elements.
+    - `extensions`: what further kinds of elements need in runs, by their key in the model; see
+      `mbdkit.plugin.ElementKind`.
+    - `beams`: name and number of elements of each beam.
+    - `markers`: name and body of each marker.
+    - `drivers`: names of the joints that are drivers.
+    - `coordinates`: number of coordinates: 3 for each body, 2 for each point mass, whose angle is not counted.
+    - `length`: characteristic length [m]; see `mbdkit.engine.compile_mechanism.characteristic_length`.
+    - `motions`: each motion as given in the model: a number, an expression or a table.
+    - `laws`: name of the element and compiled law, in the order of ``topology.laws``: for each force element with a
+      law, this law and those of the rates of its states; and laws of forces between two bodies and of expressions of
+      the state. Linear springs have no law.
+    - `order`, `below`: order of elimination of the pairs, and the resulting fill, as returned by `sparse_order`.
+    - `well_scaled`: whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
+    - `redundancy`: constraints that are excluded because the other constraints imply them.
+    - `states`: first-order states of elements and of the mechanism, and values that are constant during a step: those
+      that the method sets, and outputs and states of sampled controllers.
+    - `members`: names and bodies of the elements, for each kind that has no attribute above; an element may have
+      several entries.
+    - `treatments`: treatments of elements in a run.
     """
 
     topology: Topology

@@ -56,32 +56,14 @@ def workspace_at_start(
 ) -> tuple[Workspace, AssembledState]:
     """Compile a mechanism, assemble its initial state and determine its independent constraint rows.
 
-    Parameters
-    ----------
-    mechanism
-        The validated mechanism.
-    t0, end
-        Start and end of the run [s]; `end` defaults to `t0`. If there are drivers, redundancy is analysed at the start
-        and at times of the run.
-    formulation, stabilization
-        Formulation of the equations of motion, and their stabilization.
-    starts
-        Cache of compiled mechanisms, if given.
-
-    Returns
-    -------
-    Workspace
-        The compiled mechanism at its initial state, with its own working arrays.
-    AssembledState
-        The initial state, and the changes made by assembly.
-
-    Raises
-    ------
-    SpecError
-        If, at the start, the constraints cannot be satisfied, a driver, load or moving center is not finite, the table
-        of a moving center does not cover the angle, the two ends of a spring coincide, an element does not allow the
-        positions, redundant joints are inconsistent or make the friction of a joint undetermined, the position is
-        singular, or numbers are too large or too small for double precision.
+    `mechanism`: the validated mechanism. `t0`, `end`: start and end of the run [s]; `end` defaults to `t0`. If there
+    are drivers, redundancy is analysed at the start and at times of the run. `formulation`, `stabilization`:
+    formulation of the equations of motion, and their stabilization. `starts`: cache of compiled mechanisms, if given.
+    Returns the compiled mechanism at its initial state, with its own working arrays, and the initial state with the
+    changes made by assembly. Raises SpecError if, at the start, the constraints cannot be satisfied, a driver, load or
+    moving center is not finite, the table of a moving center does not cover the angle, the two ends of a spring
+    coincide, an element does not allow the positions, redundant joints are inconsistent or make the friction of a joint
+    undetermined, the position is singular, or numbers are too large or too small for double precision.
     """
     start = (starts or Starts()).at_start(mechanism, t0, end)
     workspace = Workspace(start.mechanism, t0, start.q0, start.v0, formulation=formulation, stabilization=stabilization)

@@ -45,18 +45,11 @@ _COMPILED: dict[tuple[ForceLaw | NativeLaw, tuple[str, ...]], CompiledLaw] = {}
 class CompiledLaw:
     """A force law that kernels can call.
 
-    Parameters
-    ----------
-    address
-        Address of the C function.
-    program
-        Address that the function gets as first argument; 0 if it needs none.
-    claims
-        The properties `HAS_POTENTIAL` and `PASSIVE`, as bits.
-    keeper
-        Object that keeps the program and the machine code in memory.
-    law, parameters
-        The law, and the names and example values of its parameters.
+    - `address`: address of the C function.
+    - `program`: address that the function gets as first argument; 0 if it needs none.
+    - `claims`: the properties `HAS_POTENTIAL` and `PASSIVE`, as bits.
+    - `keeper`: object that keeps the program and the machine code in memory.
+    - `law`, `parameters`: the law, and the names and example values of its parameters.
     """
 
     address: int
@@ -71,18 +64,12 @@ class CompiledLaw:
 class NativeLaw:
     """A law that consists of machine code and integers of its own, which the code finds at the address of its program.
 
-    Parameters
-    ----------
-    function
-        The code, declared by `mbdkit.kernels.law_function`.
-    program
-        The integers.
-    parameters
-        Function from an element to the numbers that the code finds behind their count, in this order; needed by the
-        `force_law` of a kind of elements.
-    potential, passive
-        Whether the fourth result is a potential, and whether all power that is not stored is dissipated, as in
-        `FunctionLaw`.
+    - `function`: the code, declared by `mbdkit.kernels.law_function`.
+    - `program`: the integers.
+    - `parameters`: function from an element to the numbers that the code finds behind their count, in this order;
+      needed by the `force_law` of a kind of elements.
+    - `potential`, `passive`: whether the fourth result is a potential, and whether all power that is not stored is
+      dissipated, as in `FunctionLaw`.
     """
 
     function: LawFunction
@@ -109,19 +96,8 @@ def _integers(program: tuple[int, ...]) -> np.ndarray:
 def bind_law(law: ForceLaw | NativeLaw, options: object, name: str) -> tuple[CompiledLaw, list[float]]:
     """Return a law that kernels can call, and the parameters of one element: first their number, then their values.
 
-    Parameters
-    ----------
-    law
-        The law.
-    options
-        Instance of the law's options.
-    name
-        Name of the law in error messages.
-
-    Raises
-    ------
-    PluginError
-        If the law cannot be compiled, does not return derivatives, or fails to compute its parameters.
+    `options`: instance of the law's options. `name`: name of the law in error messages. Raises PluginError if the law
+    cannot be compiled, does not return derivatives, or fails to compute its parameters.
     """
     names, values = law_parameters(cast("ForceLaw", law), options, name)
     if (law, names) not in _COMPILED:

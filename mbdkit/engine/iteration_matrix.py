@@ -148,24 +148,9 @@ class IterationMatrix:
     def solve(self, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve the system, with one step of refinement; counts as one Newton iteration.
 
-        Parameters
-        ----------
-        force
-            (n,) upper right-hand side, in the order of the coordinates.
-        rows
-            (m,) lower right-hand side, in the order of the constraints.
-
-        Returns
-        -------
-        x : (n,) array
-            Change of the coordinates.
-        mu : (m,) array
-            Change of the multipliers.
-
-        Raises
-        ------
-        StepError
-            If the right-hand side is not finite, or if the matrix is so close to singular that a residual remains.
+        `force`: (n,) upper right-hand side, in the order of the coordinates. `rows`: (m,) lower right-hand side, in the
+        order of the constraints. Returns the changes of the coordinates and of the multipliers. Raises StepError if
+        the right-hand side is not finite, or if the matrix is so close to singular that a residual remains.
         """
         storage = self._storage
         put(storage.force, force)
@@ -204,16 +189,8 @@ class IterationMatrixWithStates:
         [ A                                                    damping force_z      ]   A: the matrix without states
         [ -damping rates_v - stiffness rates_q,  0             mass - damping rates_z ]
 
-    Parameters
-    ----------
-    matrix
-        The factorized matrix A.
-    states
-        Derivatives that involve the states.
-    coefficients
-        (6,) coefficients; see `coefficients_of`.
-    m
-        Number of multipliers.
+    `matrix`: the factorized matrix A. `states`: derivatives that involve the states. `coefficients`: (6,) coefficients;
+    see `coefficients_of`. `m`: number of multipliers.
     """
 
     def __init__(self, matrix: IterationMatrix, states: StateTangents, coefficients: np.ndarray, m: int):
@@ -232,22 +209,9 @@ class IterationMatrixWithStates:
     def solve(self, force: np.ndarray, rows: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, ...]:
         """Solve the system; counts as one Newton iteration.
 
-        Parameters
-        ----------
-        force, rows
-            (n,) and (m,) right-hand sides; see `IterationMatrix.solve`.
-        rates
-            (Z,) right-hand side of the rows of the states.
-
-        Returns
-        -------
-        x, mu, r
-            (n,) change of the coordinates, (m,) of the multipliers and (Z,) of the states.
-
-        Raises
-        ------
-        StepError
-            See `IterationMatrix.solve`.
+        `force`, `rows`: (n,) and (m,) right-hand sides; see `IterationMatrix.solve`. `rates`: (Z,) right-hand side of
+        the rows of the states. Returns (n,) change of the coordinates, (m,) of the multipliers and (Z,) of the states.
+        Raises StepError: see `IterationMatrix.solve`.
         """
         x, mu = self._matrix.solve(force, rows)
         r = product(self._inverse, rates + product(self._lower, x))

@@ -31,20 +31,10 @@ ROOM = 4
 class SparseFactors:
     """LU factors of a real or complex sparse matrix.
 
-    Parameters
-    ----------
-    row, column, value
-        (nnz,) row, column and value of each entry; values of the same entry are added.
-    order
-        (n,) order in which the columns are eliminated.
-    threshold
-        Entries of the diagonal are preferred as pivots if they have at least this share of the largest entry of their
-        column; with 0, always unless they are zero.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is singular, or an entry is not a number.
+    `row`, `column`, `value`: (nnz,) row, column and value of each entry; values of the same entry are added. `order`:
+    (n,) order in which the columns are eliminated. `threshold`: entries of the diagonal are preferred as pivots if they
+    have at least this share of the largest entry of their column; with 0, always unless they are zero. Raises
+    numpy.linalg.LinAlgError if the matrix is singular, or an entry is not a number.
     """
 
     def __init__(self, row: np.ndarray, column: np.ndarray, value: np.ndarray, order: np.ndarray, threshold: float):

@@ -91,28 +91,14 @@ class StateObserver:
 
         If the elimination with the current pivots fails at a state, that state is tried again with new pivots.
 
-        Parameters
-        ----------
-        times
-            (T,) times [s].
-        q, v
-            (T, 3 (B + 1)) positions and velocities, ground last; C-contiguous.
-        out
-            Receives the values of T states.
-        given
-            Accelerations and constraint forces of the states, if they do not follow from the mechanism alone.
-        z
-            (T, Z) first-order states; may be left out if the mechanism has none.
+        - `times`: (T,) times [s].
+        - `q`, `v`: (T, 3 (B + 1)) positions and velocities, ground last; C-contiguous.
+        - `out`: receives the values of T states.
+        - `given`: accelerations and constraint forces of the states, if they do not follow from the mechanism alone.
+        - `z`: (T, Z) first-order states; may be left out if the mechanism has none.
 
-        Raises
-        ------
-        mbdkit.base.errors.SpecError
-            If the mechanism has first-order states and they are not given.
-
-        Returns
-        -------
-        SingularState or None
-            The state that could not be evaluated. In `out`, the rows of this state and all later ones are not valid.
+        Raises mbdkit.base.errors.SpecError if the mechanism has first-order states and they are not given. Returns the
+        state that could not be evaluated. In `out`, the rows of this state and all later ones are not valid.
         """
         if z is None:
             self.workspace.mechanism.refuse_states("the evaluation of positions and velocities alone")

@@ -49,18 +49,9 @@ from mbdkit.mechanism.mechanism import Mechanism
 class Workspace:
     """A compiled mechanism with the arrays and the solver of one run.
 
-    Parameters
-    ----------
-    mechanism
-        The compiled mechanism.
-    t0
-        Start time [s].
-    q0, v0
-        (3 (B + 1),) consistent start: positions and velocities, ground last.
-    formulation
-        Name of the formulation of the stepped equations.
-    stabilization
-        Stabilization against drift of the constraints.
+    `t0`: start time [s]. `q0`, `v0`: (3 (B + 1),) consistent start: positions and velocities, ground last.
+    `formulation`: name of the formulation of the stepped equations. `stabilization`: stabilization against drift of the
+    constraints.
     """
 
     mechanism: CompiledMechanism

@@ -66,18 +66,12 @@ MOST_AHEAD, MOST_SINGLE = 256, 16
 class Watched:
     """An event to detect.
 
-    Parameters
-    ----------
-    name
-        Name of the event.
-    when
-        Expression whose zero crossings are detected.
-    direction
-        Direction of the crossings that count.
-    action
-        Whether the run continues (``note``) or ends (``stop``) at a crossing.
-    changes
-        New values of first-order states set by a crossing, by name, as expressions of the state before the crossing.
+    - `name`: name of the event.
+    - `when`: expression whose zero crossings are detected.
+    - `direction`: direction of the crossings that count.
+    - `action`: whether the run continues (``note``) or ends (``stop``) at a crossing.
+    - `changes`: new values of first-order states set by a crossing, by name, as expressions of the state before the
+      crossing.
     """
 
     name: str

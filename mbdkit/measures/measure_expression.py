@@ -44,19 +44,12 @@ AT_END_OF_RUN = "{} at the end of the run"
 class MeasureExpression:
     """An expression whose value is one number per run.
 
-    Attributes
-    ----------
-    text
-        The expression as written by the user.
-    program
-        Postfix instructions as in `mbdkit.events.event_expression.RunExpression`, and reductions over time.
-    quantities
-        Quantities in the expression, except time.
-    unit
-        Unit of the value.
-    functionals
-        Integrals and extrema that are computed during the run. A reduction in the program refers to its functional by
-        the index, from 1; the index is 0 if the quantity is known at the recorded times only.
+    - `text`: the expression as written by the user.
+    - `program`: postfix instructions as in `mbdkit.events.event_expression.RunExpression`, and reductions over time.
+    - `quantities`: quantities in the expression, except time.
+    - `unit`: unit of the value.
+    - `functionals`: integrals and extrema that are computed during the run. A reduction in the program refers to its
+      functional by the index, from 1; the index is 0 if the quantity is known at the recorded times only.
     """
 
     text: str

@@ -73,19 +73,13 @@ def from_functional(name: str, value: float | tuple[float, ...], duration: float
 class Functional:
     """An integral over time, an extremum, or a value at a given time, which a measure needs.
 
-    Attributes
-    ----------
-    text
-        Key of the functional: the integrand as an expression, or ``max(...)``, ``min(...)`` or ``at(...)`` of an
-        expression.
-    reduction
-        ``integral``, ``max``, ``min`` or ``at``.
-    program, quantities
-        The quantity over time; see `mbdkit.measures.measure_expression.MeasureExpression`.
-    inner
-        Inner functionals, as in ``x - mean(x)``, to which reductions of the program refer by their index, from 1.
-    when
-        For ``at``, the time of the value, which may depend on inner functionals and on the times of events.
+    - `text`: key of the functional: the integrand as an expression, or ``max(...)``, ``min(...)`` or ``at(...)`` of an
+      expression.
+    - `reduction`: ``integral``, ``max``, ``min`` or ``at``.
+    - `program`, `quantities`: the quantity over time; see `mbdkit.measures.measure_expression.MeasureExpression`.
+    - `inner`: inner functionals, as in ``x - mean(x)``, to which reductions of the program refer by their index, from
+      1.
+    - `when`: for ``at``, the time of the value, which may depend on inner functionals and on the times of events.
     """
 
     text: str

@@ -94,19 +94,12 @@ class Quadrature:
 class MotionPart:
     """The motion of a run over some consecutive steps, between two discontinuities of its motions and loads.
 
-    Parameters
-    ----------
-    observer
-        Evaluates states.
-    names
-        Names of the elements.
-    ends
-        The ends of these steps, with further ends on both sides if available (N,). If first-order states are
-        interpolated, their columns follow those of the positions, and their rates follow the velocities.
-    steps
-        The steps, as indices of their starts in `ends`.
-    sides
-        First and last time at which motions and loads are evaluated [s].
+    - `observer`: evaluates states.
+    - `names`: names of the elements.
+    - `ends`: the ends of these steps, with further ends on both sides if available (N,). If first-order states are
+      interpolated, their columns follow those of the positions, and their rates follow the velocities.
+    - `steps`: the steps, as indices of their starts in `ends`.
+    - `sides`: first and last time at which motions and loads are evaluated [s].
     """
 
     def __init__(
@@ -179,16 +172,9 @@ class Sampled:
     """Samples of a functional over some steps of a part of the motion, and the points at which an operation changes its
     form.
 
-    Parameters
-    ----------
-    part, functional, known, duration
-        See `sampled`.
-    steps
-        (S,) indices of the steps.
-    values
-        (S, P) samples at the shares `_PLACES` of each step; (2, S, P) for a vector.
-    roots
-        (R, 3) step, share of the step, and index of the operation that changes its form there, in order of time.
+    `part`, `functional`, `known`, `duration`: see `sampled`. `steps`: (S,) indices of the steps. `values`: (S, P)
+    samples at the shares `_PLACES` of each step; (2, S, P) for a vector. `roots`: (R, 3) step, share of the step, and
+    index of the operation that changes its form there, in order of time.
     """
 
     part: MotionPart

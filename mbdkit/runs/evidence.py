@@ -61,24 +61,15 @@ def evidence_of_run(
 ) -> Evidence:
     """Return the evidence of a run that has ended.
 
-    Parameters
-    ----------
-    spec
-        Spec of the run, which may accept findings.
-    recorder
-        The recorder, after all rows have been written.
-    steps
-        Quantities observed over all steps, including steps that are not recorded; None if the method could not start.
-    ending
-        Status and reason.
-    misalignment_max
-        (J,) largest misalignment of each joint over all steps [m].
-    size
-        Size of the mechanism [m].
-    found
-        Findings about the spec and the run.
-    doubts
-        Further sentences that cast doubt on the result.
+    - `spec`: spec of the run, which may accept findings.
+    - `recorder`: the recorder, after all rows have been written.
+    - `steps`: quantities observed over all steps, including steps that are not recorded; None if the method could not
+      start.
+    - `ending`: status and reason.
+    - `misalignment_max`: (J,) largest misalignment of each joint over all steps [m].
+    - `size`: size of the mechanism [m].
+    - `found`: findings about the spec and the run.
+    - `doubts`: further sentences that cast doubt on the result.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
     energies, topology = recorder.energies, recorder.mechanism.topology

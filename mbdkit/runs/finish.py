@@ -97,28 +97,18 @@ def finish_states(
 ) -> Run:
     """Write a motion that is known as a whole, such as a measured or an optimized one, and return the run.
 
-    Parameters
-    ----------
-    spec
-        Spec of the run.
-    states
-        The states at the recorded times, with accelerations and reactions.
-    ending
-        How the computation has ended. Counters that `Ending.stats` lacks are 0.
-    provenance
-        Attributes of ``/provenance``; see `mbdkit.plugin.runs.model_provenance`.
-    path, overwrite
-        Final name of the archive, None for an archive in memory, and whether an existing file may be replaced.
-    names
-        Names of elements; by default, those of the mechanism.
-    rows
-        Values of arrays that are not computed from states, by path; those of groups without elements are left out.
-    optional
-        Paths of the optional arrays; by default, those of `rows` and of the elements of the mechanism.
-    sizes
-        (T - 1,) steps between the rows [s]; by default 0, for a motion that was not integrated.
-    measured
-        See `finish`.
+    - `spec`: spec of the run.
+    - `states`: the states at the recorded times, with accelerations and reactions.
+    - `ending`: how the computation has ended. Counters that `Ending.stats` lacks are 0.
+    - `provenance`: attributes of ``/provenance``; see `mbdkit.plugin.runs.model_provenance`.
+    - `path`, `overwrite`: final name of the archive, None for an archive in memory, and whether an existing file may be
+      replaced.
+    - `names`: names of elements; by default, those of the mechanism.
+    - `rows`: values of arrays that are not computed from states, by path; those of groups without elements are left
+      out.
+    - `optional`: paths of the optional arrays; by default, those of `rows` and of the elements of the mechanism.
+    - `sizes`: (T - 1,) steps between the rows [s]; by default 0, for a motion that was not integrated.
+    - `measured`: see `finish`.
     """
     mechanism, given, time = states.mechanism, rows or {}, states.time
     names = names or archive_names(mechanism)

@@ -117,16 +117,9 @@ def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Func
 class RunIntegrals:
     """Integrals over time, extrema, and values at given times of quantities of one run.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does not use.
-    functionals
-        The integrals, extrema and values to compute.
-    timetable
-        The times of the run.
-    suits_stiff
-        Whether the method is intended for stiff mechanisms.
+    `workspace`: the mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does
+    not use. `functionals`: the integrals, extrema and values to compute. `timetable`: the times of the run.
+    `suits_stiff`: whether the method is intended for stiff mechanisms.
     """
 
     def __init__(

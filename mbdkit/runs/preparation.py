@@ -46,22 +46,9 @@ def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str]
 def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, AssembledState]:
     """Compile the mechanism of a spec and make its initial state consistent.
 
-    Parameters
-    ----------
-    starts
-        Cache of compiled mechanisms for further runs, if given.
-
-    Returns
-    -------
-    Workspace
-        Workspace for the integration.
-    AssembledState
-        Consistent initial state, and its change by assembly.
-
-    Raises
-    ------
-    SpecError
-        If the joints cannot be assembled, the initial accelerations are not unique, or a measure is not valid.
+    `starts`: cache of compiled mechanisms for further runs, if given. Returns workspace for the integration, and
+    consistent initial state, and its change by assembly. Raises SpecError if the joints cannot be assembled, the
+    initial accelerations are not unique, or a measure is not valid.
     """
     mechanism = spec.mechanism()
     check_measures(spec)

@@ -55,32 +55,17 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
 
     The spec is read from the checkpoint. The results are bitwise identical to those of an uninterrupted run.
 
-    Parameters
-    ----------
-    part
-        The unfinished archive of a killed run, ``FILE.h5.part``, which has its checkpoint,
-        ``FILE.h5.part.checkpoint``, beside it; or the archive of an interrupted run, ``FILE.h5``, with
-        ``FILE.h5.checkpoint``.
-    overwrite
-        Whether an existing ``FILE.h5`` may be replaced, as the archive of an interrupted run is at the end.
-    progress
-        See `mbdkit.run`. If this function raises an exception, the file and its checkpoint are kept.
-    files
-        Whether files that the spec names may be read, such as a model of another program; they must have the SHA-256
-        that the checkpoint lists.
+    - `part`: the unfinished archive of a killed run, ``FILE.h5.part``, which has its checkpoint,
+      ``FILE.h5.part.checkpoint``, beside it; or the archive of an interrupted run, ``FILE.h5``, with
+      ``FILE.h5.checkpoint``.
+    - `overwrite`: whether an existing ``FILE.h5`` may be replaced, as the archive of an interrupted run is at the end.
+    - `progress`: see `mbdkit.run`. If this function raises an exception, the file and its checkpoint are kept.
+    - `files`: whether files that the spec names may be read, such as a model of another program; they must have the
+      SHA-256 that the checkpoint lists.
 
-    Returns
-    -------
-    Run
-        The results, in ``FILE.h5``.
-
-    Raises
-    ------
-    SpecError
-        If the run cannot be continued: a file is damaged, there is no checkpoint, or another version of mbdkit or of a
-        plugin wrote it. The files remain as they are.
-    ResourceError
-        If the run is still in progress, or a file cannot be read, written or renamed.
+    Returns the results, in ``FILE.h5``. Raises SpecError if the run cannot be continued: a file is damaged, there is no
+    checkpoint, or another version of mbdkit or of a plugin wrote it. The files remain as they are. Raises ResourceError
+    if the run is still in progress, or a file cannot be read, written or renamed.
     """
     with progress_bar(Path(part).stem, quiet=progress is not None or not in_notebook()) as bar:
         result = continue_run(Path(part), overwrite=overwrite, progress=progress or bar, files=files)

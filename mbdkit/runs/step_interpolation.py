@@ -43,19 +43,13 @@ MOST_KEPT = 2**22
 class StepEnds:
     """States at the ends of all steps of a run, or of a part of it between two discontinuities of motions.
 
-    Parameters
-    ----------
-    time
-        (N,) times [s].
-    q, v, a
-        (N, 3 (B + 1)) positions, velocities and accelerations. If `a` is None, accelerations are not used, because in
-        stiff mechanisms they amplify the errors of positions. All three arrays may have an additional last axis of
-        derivatives.
-    held
-        (N, Z) forces that the method sets, which have no rates; None without them.
-    is_linear
-        Whether all states are linear over each step, as in time-stepping methods, whose steps contain impacts:
-        polynomials of a higher degree would overshoot there.
+    - `time`: (N,) times [s].
+    - `q`, `v`, `a`: (N, 3 (B + 1)) positions, velocities and accelerations. If `a` is None, accelerations are not used,
+      because in stiff mechanisms they amplify the errors of positions. All three arrays may have an additional last
+      axis of derivatives.
+    - `held`: (N, Z) forces that the method sets, which have no rates; None without them.
+    - `is_linear`: whether all states are linear over each step, as in time-stepping methods, whose steps contain
+      impacts: polynomials of a higher degree would overshoot there.
     """
 
     time: np.ndarray

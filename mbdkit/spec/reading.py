@@ -34,18 +34,11 @@ from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
 class Document:
     """Plain data and its origin.
 
-    Parameters
-    ----------
-    file
-        Name of the file that the data were read from; empty for data from Python.
-    lines
-        Function that returns the line numbers of key paths; called only if there is an error to locate.
-    overridden
-        Key paths set on the command line, with the text of each assignment.
-    keywords
-        Top-level sections replaced by Python keyword arguments.
-    folder
-        Folder to which file names in the data are relative; by default, the current folder.
+    - `file`: name of the file that the data were read from; empty for data from Python.
+    - `lines`: function that returns the line numbers of key paths; called only if there is an error to locate.
+    - `overridden`: key paths set on the command line, with the text of each assignment.
+    - `keywords`: top-level sections replaced by Python keyword arguments.
+    - `folder`: folder to which file names in the data are relative; by default, the current folder.
     """
 
     data: dict[str, Any]

@@ -49,19 +49,13 @@ _FORMS = 'an expression such as "max(abs(joints.B.force))", {value: EXPRESSION, 
 class DefinedMeasure:
     """A measure that a run spec or a study spec defines.
 
-    Parameters
-    ----------
-    name
-        Name of the measure and of its column.
-    place
-        Key path of the definition in the spec.
-    expression, unit
-        Expression of a run, and the unit of its value; if the unit is empty, it follows from the expression.
-    item, options
-        Measure of a plugin and its options, instead of an expression.
-    of_base
-        Whether the measure is defined in the base of a study instead of the study itself. It is then computed only for
-        the runs whose spec contains it, because other families may have other bases.
+    - `name`: name of the measure and of its column.
+    - `place`: key path of the definition in the spec.
+    - `expression`, `unit`: expression of a run, and the unit of its value; if the unit is empty, it follows from the
+      expression.
+    - `item`, `options`: measure of a plugin and its options, instead of an expression.
+    - `of_base`: whether the measure is defined in the base of a study instead of the study itself. It is then computed
+      only for the runs whose spec contains it, because other families may have other bases.
     """
 
     name: str

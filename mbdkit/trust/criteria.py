@@ -146,39 +146,24 @@ largest forces of elements of a plugin's kind.
 class Evidence:
     """The numbers from which a run is judged, up to its last recorded row.
 
-    Parameters
-    ----------
-    status, status_reason
-        Status of the run and its reason, as in the archive.
-    end
-        Time of the last recorded row [s].
-    size
-        Size of the mechanism [m].
-    misalignment, joint
-        Largest misalignment of a joint over all steps [m], and the name of that joint.
-    angle_misalignment, angle_joint
-        Largest misalignment of an angle in the recorded rows [rad], and the name of the joint.
-    kinetic
-        Largest kinetic energy [J].
-    energy
-        Largest absolute value of any energy: kinetic, potential, work or dissipated [J]. It determines the round-off
-        of the energy balance.
-    balance
-        Largest absolute energy balance [J].
-    energy_jump, energy_jump_time
-        Largest change of the energy balance in one step [J], without the changes that stabilization makes, and the
-        time of this change [s].
-    branch
-        Sharp turns near singular positions.
-    warnings
-        Warnings about the spec or the run that cast doubt on the result, as sentences.
-    faults
-        Findings that make the run bad, as sentences.
-    accepted
-        Findings that the spec accepts, as sentences. They are among the reasons, but do not lower the level.
-    finer
-        What makes the error of the integration smaller: ``smaller steps`` or, with controlled steps, ``smaller
-        tolerances``.
+    - `status`, `status_reason`: status of the run and its reason, as in the archive.
+    - `end`: time of the last recorded row [s].
+    - `size`: size of the mechanism [m].
+    - `misalignment`, `joint`: largest misalignment of a joint over all steps [m], and the name of that joint.
+    - `angle_misalignment`, `angle_joint`: largest misalignment of an angle in the recorded rows [rad], and the name of
+      the joint.
+    - `kinetic`: largest kinetic energy [J].
+    - `energy`: largest absolute value of any energy: kinetic, potential, work or dissipated [J]. It determines the
+      round-off of the energy balance.
+    - `balance`: largest absolute energy balance [J].
+    - `energy_jump`, `energy_jump_time`: largest change of the energy balance in one step [J], without the changes that
+      stabilization makes, and the time of this change [s].
+    - `branch`: sharp turns near singular positions.
+    - `warnings`: warnings about the spec or the run that cast doubt on the result, as sentences.
+    - `faults`: findings that make the run bad, as sentences.
+    - `accepted`: findings that the spec accepts, as sentences. They are among the reasons, but do not lower the level.
+    - `finer`: what makes the error of the integration smaller: ``smaller steps`` or, with controlled steps, ``smaller
+      tolerances``.
     """
 
     status: str = "complete"

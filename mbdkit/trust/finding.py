@@ -11,18 +11,11 @@ from typing import Literal
 class Finding:
     """What a criterion finds.
 
-    Parameters
-    ----------
-    criterion
-        Name of the criterion, which `accept` of a spec may list.
-    level
-        ``doubtful`` or ``bad`` lowers the verdict; None makes the finding a remark.
-    sentence
-        What was found, and what to do about it.
-    key
-        Key path in the spec that the finding is about; empty if there is none.
-    is_named
-        Whether the text of the finding begins with the name of the criterion.
+    - `criterion`: name of the criterion, which `accept` of a spec may list.
+    - `level`: ``doubtful`` or ``bad`` lowers the verdict; None makes the finding a remark.
+    - `sentence`: what was found, and what to do about it.
+    - `key`: key path in the spec that the finding is about; empty if there is none.
+    - `is_named`: whether the text of the finding begins with the name of the criterion.
     """
 
     criterion: str

@@ -69,23 +69,11 @@ CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
 class CompiledStepper:
     """Runs a compiled method over a timetable; implements `mbdkit.integrators.interface.Stepper`.
 
-    Parameters
-    ----------
-    method
-        The method.
-    workspace
-        The mechanism and its start, with formulation and stabilization.
-    timetable
-        Times of the run, and which states are recorded.
-    control
-        Step-size control; None: fixed steps.
-
-    Attributes
-    ----------
-    inserted
-        Stops that `stop_at` has added to those of the timetable [s].
-    can_take_back
-        Whether steps can be taken back by restoring the arrays of the run and of the method.
+    - `workspace`: the mechanism and its start, with formulation and stabilization.
+    - `timetable`: times of the run, and which states are recorded.
+    - `control`: step-size control; None: fixed steps.
+    - `inserted`: stops that `stop_at` has added to those of the timetable [s].
+    - `can_take_back`: whether steps can be taken back by restoring the arrays of the run and of the method.
     """
 
     can_take_back: ClassVar[bool] = True

@@ -152,23 +152,14 @@ class Candidate:
 class Choice:
     """The choice of method and tolerance or step.
 
-    Attributes
-    ----------
-    candidate, setting
-        The method, and its tolerance or step [s].
-    size
-        Size of the mechanism [m].
-    why
-        Reason, as sentences.
-    work
-        Work of all pilots, in evaluations.
-    limited
-        Reason why no smaller setting is possible; empty if one is possible.
-    pilots
-        The last pilots of the same method, from which the errors of the run are estimated. If there are none,
-        companions are used.
-    final
-        The recorded pilot that is accurate enough to serve as the run; None if there is none.
+    - `candidate`, `setting`: the method, and its tolerance or step [s].
+    - `size`: size of the mechanism [m].
+    - `why`: reason, as sentences.
+    - `work`: work of all pilots, in evaluations.
+    - `limited`: reason why no smaller setting is possible; empty if one is possible.
+    - `pilots`: the last pilots of the same method, from which the errors of the run are estimated. If there are none,
+      companions are used.
+    - `final`: the recorded pilot that is accurate enough to serve as the run; None if there is none.
     """
 
     candidate: Candidate
