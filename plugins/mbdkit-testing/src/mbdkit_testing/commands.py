@@ -39,7 +39,7 @@ def _diagnose(as_json: bool, further: Mapping[str, Any], lines: Iterable[str] = 
         show_json({**describe.diagnosis(installed), "machine_code": code_report(), **further})
     else:
         show("\n".join([describe.diagnosis_text(installed), code_text(), *lines]))
-    if not describe.is_sound(installed):
+    if installed.failures:
         raise typer.Exit(terminal.PLUGIN_FAILED)
 
 
