@@ -306,8 +306,7 @@ class GradientProblem(ABC, Generic[S]):
         """Return the problem of a source that `load` reads, and its parameters; see `mbdkit.gradient`."""
         source, wanted = read_names(source, names, parameters, sections)
         spec = load(source, (), **sections)
-        chosen = resolved(spec, wanted)
-        return cls(spec, definitions_of(spec, measures)), chosen
+        return cls(spec, definitions_of(spec, measures)), resolved(spec, wanted)
 
     @abstractmethod
     def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:

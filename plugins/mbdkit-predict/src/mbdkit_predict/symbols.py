@@ -143,8 +143,7 @@ def _power(x: ca.SX, y: ca.SX) -> ca.SX:
         exponent = abs(int(y))
         power = x**exponent if exponent else ca.SX(1.0)
         return power if float(y) >= 0.0 else _quotient(ca.SX(1.0), power)
-    zero = ca.if_else(ca.logic_and(x == 0.0, y > 0.0), 0.0, math.nan)
-    return _guarded(x, x > 0.0, lambda x: x**y, zero)
+    return _guarded(x, x > 0.0, lambda x: x**y, ca.if_else(ca.logic_and(x == 0.0, y > 0.0), 0.0, math.nan))
 
 
 _INVERTED = ("sin", "cos", "tan", "sinh", "cosh", "tanh")

@@ -83,8 +83,7 @@ class IntegratorUnderTest:
 
     def method(self, **changes: Any) -> Method:
         """Return a new method; `changes` are values of options that replace those of this integrator."""
-        options = validated(self.plugin.options, {**self.options, **changes})
-        return cast(Method, self.plugin.create(options))
+        return cast(Method, self.plugin.create(validated(self.plugin.options, {**self.options, **changes})))
 
     def spec(self, model: Mapping[str, Any], time: Mapping[str, Any], **sections: Any) -> RunSpec:
         """Return the spec of a run; ``options`` among the `sections` changes options of the integrator, and

@@ -147,8 +147,7 @@ class Convergence:
     @property
     def errors(self) -> np.ndarray:
         """Largest error of any position or velocity (K,)."""
-        largest: np.ndarray = np.maximum(self.position_errors, self.velocity_errors)
-        return largest
+        return np.asarray(np.maximum(self.position_errors, self.velocity_errors))
 
     @property
     def observed(self) -> ObservedOrder:

@@ -73,8 +73,7 @@ def pinned_leg(person: BodySegments, pose: LegPose, hip: Hip) -> LegParts:
     parts = _leg(person, pose, hip, thigh, shank)
     points = (xy(knee - person.thigh.centre), xy(-person.shank.centre))
     pin = Revolute(bodies=("thigh", "shank"), points=points)
-    joints = {"hip": parts.joints["hip"], "knee": pin, "ankle": parts.joints["ankle"]}
-    return parts._replace(joints=joints)
+    return parts._replace(joints={"hip": parts.joints["hip"], "knee": pin, "ankle": parts.joints["ankle"]})
 
 
 def four_bar_leg(

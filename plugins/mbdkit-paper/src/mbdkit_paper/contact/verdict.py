@@ -53,8 +53,7 @@ def _block(friction: float) -> Callable[[np.ndarray], np.ndarray]:
 
     def way(t: np.ndarray) -> np.ndarray:
         up = 2.0 * t - 0.5 * (pull + hold) * t**2
-        down = stop - 0.5 * max(pull - hold, 0.0) * (t - stop) ** 2
-        return np.where(t < stop, up, down)
+        return np.where(t < stop, up, stop - 0.5 * max(pull - hold, 0.0) * (t - stop) ** 2)
 
     return way
 

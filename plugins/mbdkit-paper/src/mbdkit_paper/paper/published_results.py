@@ -111,8 +111,7 @@ def end_point(run: Run) -> np.ndarray:
     model = run.spec["model"]
     length = model["length"] if "length" in model else model["lengths"][-1]
     rod = run[list(run.bodies)[-1]]
-    along = np.stack([np.cos(rod.angle), np.sin(rod.angle)], axis=1)
-    return np.asarray(rod.position + 0.5 * length * along)
+    return np.asarray(rod.position + 0.5 * length * np.stack([np.cos(rod.angle), np.sin(rod.angle)], axis=1))
 
 
 def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure, ...]]:

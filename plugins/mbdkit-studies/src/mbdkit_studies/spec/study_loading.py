@@ -203,8 +203,7 @@ def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
         return None
     assert isinstance(item.plugin, StudyPlugin)
     path = item.plugin.spec
-    text = path.read_text("utf-8")
-    document = read_text(text, f"{item.spec_name} (packaged study)", path.suffix)
+    document = read_text(path.read_text("utf-8"), f"{item.spec_name} (packaged study)", path.suffix)
     if item.plugin.has_verdict and "verdict" not in document.data:
         document.data["verdict"] = item.spec_name
     return document, path.parent
