@@ -174,12 +174,8 @@ def _path_figure(label: str, path: dict[str, np.ndarray], size: float) -> Figure
 
 def _drift_figure(model: str, histories: dict[str, dict[str, np.ndarray]]) -> Figure:
     lines = [
-        Line(f"{method}, {joint}", np.arange(len(history)), _positive(history), "line", method)
+        Line(f"{method}, {joint}", np.arange(len(history)), np.where(history > 0, history, np.nan), "line", method)
         for method, joints in histories.items()
         for joint, history in joints.items()
     ]
     return WORDS.figure("drift", lines, f"drift-{model}", model=model)
-
-
-def _positive(values: np.ndarray) -> np.ndarray:
-    return np.where(values > 0, values, np.nan)
