@@ -25,12 +25,12 @@ class Words:
     def __init__(self, module_file: str):
         self._texts: dict[str, Any] = yaml.safe_load(Path(module_file).with_name("words.yaml").read_text("utf-8"))
 
-    def claim(self, key: str, answer: Answer, name: str = "", **values: object) -> Claim:
+    def claim(self, key: str, answer: Answer, name: str = "", /, **values: object) -> Claim:
         """Return a claim with the texts of this key, and with another name if one is given."""
         texts = self._texts["claims"][key]
         chosen = (texts.get(part, "") for part in ("statement", "published", "computed", "sentence"))
-        told = [text.get(str(answer), text["else"]) if isinstance(text, dict) else text for text in chosen]
-        statement, published, computed, sentence = (text.format(**values) for text in told)
+        templates = [text if isinstance(text, str) else text.get(str(answer), text["else"]) for text in chosen]
+        statement, published, computed, sentence = (template.format(**values) for template in templates)
         return Claim(name or key, statement, published, computed, answer, sentence)
 
     def table(self, key: str, rows: Iterable[tuple[Cell, ...]], columns: Sequence[Column] = ()) -> Table:

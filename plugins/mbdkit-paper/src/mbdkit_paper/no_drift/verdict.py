@@ -117,5 +117,5 @@ def _holds(results: Sequence[HeldJoints], name: str, values: Sequence[float], wh
     computed += f"; unknown for {'; '.join(unknown)}" if unknown else ""
     exceptions = f" Exceptions: {'; '.join(beyond)}." if beyond else ""
     held = sum(answer is Answer.YES for answer in answers)
-    values = {"limit": HELD, "computed": computed, "what": what, "held": held, "count": len(answers)}
-    return WORDS.claim("drift", answer, name, claim=name, exceptions=exceptions, **values)
+    words = {"limit": HELD, "computed": computed, "what": what, "held": held, "count": len(answers)}
+    return WORDS.claim("drift", answer, name, claim=name, exceptions=exceptions, **words)

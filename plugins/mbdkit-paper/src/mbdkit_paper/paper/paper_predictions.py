@@ -126,8 +126,8 @@ def _knee_claim(
         )
     name = "knee-" + method.lower().replace(" ", "")
     free = _span(*spans[FREE, method])
-    values = {"wanted": wanted, "method": method, "at": at, "span": _span(low, high), "free": free}
-    return WORDS.claim("knee", answer, name, inside=at_paper, resolved=resolved, **values)
+    words = {"wanted": wanted, "method": method, "at": at, "span": _span(low, high), "free": free}
+    return WORDS.claim("knee", answer, name, inside=at_paper, resolved=resolved, **words)
 
 
 def _both_claim(spans: dict[tuple[str, str], tuple[float, float]]) -> Claim:
@@ -200,7 +200,7 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
             rows.append((method, step, int(number), float(values[k]), factor))
     beyond = sum(answer is Answer.YES for key, found in claimed.items() for answer in map(PER_JOINT.holds, found[1:]))
     answer = together(answers)
-    values = {
+    words = {
         "first": least_most(first),
         "later": least_most(later),
         "count": len(later),
@@ -213,5 +213,5 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
         for (method, step), (numbers, largest) in curves.items()
         if len(numbers)
     ]
-    claim = WORDS.claim("per-joint", answer, **values)
+    claim = WORDS.claim("per-joint", answer, **words)
     return claim, WORDS.table("joints-chain", rows), WORDS.figure("joints-chain", lines)
