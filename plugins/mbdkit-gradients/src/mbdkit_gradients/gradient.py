@@ -159,7 +159,7 @@ def gradient(
     *,
     parameters: Names | None = None,
     check: bool = True,
-    **sections: Any,
+    **sections: object,
 ) -> Gradient:
     """Run a spec, and return the exact derivatives of measures of the run with respect to parameters of its model.
 

@@ -336,7 +336,7 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
     return failed(cause, defect=worst)
 
 
-def _errors_of_tolerances(integrator: IntegratorUnderTest, problem: str, **sections: Any) -> Result:
+def _errors_of_tolerances(integrator: IntegratorUnderTest, problem: str, **sections: object) -> Result:
     """Compare the errors of runs with `TOLERANCES`."""
     if "rtol" not in integrator.plugin.options.model_fields:
         raise Skip("it has no option `rtol`")

@@ -8,11 +8,11 @@ from typing import Any
 Model = dict[str, Any]
 
 
-def _model(bodies: Model, forces: Model, **sections: Any) -> Model:
+def _model(bodies: Model, forces: Model, **sections: object) -> Model:
     return {"name": "mechanism", "bodies": bodies, "forces": forces, **sections}
 
 
-def _floating(bodies: Model, forces: Model, **sections: Any) -> Model:
+def _floating(bodies: Model, forces: Model, **sections: object) -> Model:
     """Return a model without gravity."""
     return _model(bodies, forces, gravity=[0.0, 0.0], **sections)
 

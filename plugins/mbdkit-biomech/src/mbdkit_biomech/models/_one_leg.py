@@ -213,7 +213,7 @@ class _Names:
     def __init__(self, own: set[str]):
         self._own = own
 
-    def of(self, value: Any) -> Any:
+    def of(self, value: object) -> Any:
         """Return a name or expression with the names of the second leg; other values are returned unchanged."""
         if not isinstance(value, str) or value in self._own:
             return value + SUFFIX if isinstance(value, str) else value

@@ -59,7 +59,7 @@ class Canvas:
         `color` is the name of a colour of the page's style, or a mixture of such colours by `shade`.
         """
         path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
-        style = Markup(' style="--own:{}"').format((color if "(" in color else f"var(--{color})")) if color else ""
+        style = Markup(' style="--own:{}"').format(color if "(" in color else f"var(--{color})") if color else ""
         self.parts.append(Markup('<path class="{}"{} d="{}"/>').format(look, style, path))
         corners = np.vstack([points, points[:1]]) if closed else points
         for start, end in pairwise(corners):
