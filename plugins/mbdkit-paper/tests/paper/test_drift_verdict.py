@@ -13,7 +13,7 @@ import pytest
 
 import mbdkit
 from mbdkit_paper.drift.combination import combinations
-from mbdkit_paper.drift.verdict import COLUMNS, order_meets
+from mbdkit_paper.drift.verdict import WORDS, order_meets
 from mbdkit_paper.drift.verdict import verdict as judge_drift
 from mbdkit_paper.wording import UNDECIDED
 from mbdkit_report import Answer, json_values, terminal_text
@@ -28,6 +28,8 @@ LONG = {
     "energy_oscillation": 1e-9, "energy_scale": 4.0, "reversibility_defect": 2e-14, "mechanism_size": 2.0,
     "duration": 100.0, "steps": 1e4, "rhs_evaluations": 4e4, "factorizations": 1e4, "wall_s": 0.1,
 }  # fmt: skip
+
+COLUMNS = WORDS.table("drift", ()).columns
 
 
 def point(family: str, method: str, status: str = "complete", reversal: str = "complete", **values: float) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -29,7 +29,7 @@ def doctor(as_json: AsJson = False, debug: Debug = False) -> None:
         raise typer.Exit(terminal.DIFFERS)
 
 
-def _diagnose(as_json: bool, further: Mapping[str, Any], lines: Iterable[str] = ()) -> None:
+def _diagnose(as_json: bool, further: Mapping[str, object], lines: Iterable[str] = ()) -> None:
     """Print the plugins and the machine code in use, and `further` values of the JSON or the `lines` of the text."""
     from mbdkit.engine.native.machine_code import code_report, code_text
     from mbdkit.registry.manager import checked, load_installed
@@ -39,7 +39,7 @@ def _diagnose(as_json: bool, further: Mapping[str, Any], lines: Iterable[str] = 
         show_json({**describe.diagnosis(installed), "machine_code": code_report(), **further})
     else:
         show("\n".join([describe.diagnosis_text(installed), code_text(), *lines]))
-    if not describe.is_sound(installed):
+    if installed.failures:
         raise typer.Exit(terminal.PLUGIN_FAILED)
 
 

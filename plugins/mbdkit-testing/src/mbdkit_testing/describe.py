@@ -120,11 +120,6 @@ def diagnosis_text(installed: Registry) -> str:
     return "\n".join(lines) if lines else "no plugins are installed, not even those of mbdkit; install it again"
 
 
-def is_sound(installed: Registry) -> bool:
-    """Return whether all plugins could be loaded."""
-    return not installed.failures
-
-
 def _shown(installed: Registry) -> list[Report]:
     """Return the reports without those on items of mbdkit that specs cannot name, such as its commands."""
     return [
