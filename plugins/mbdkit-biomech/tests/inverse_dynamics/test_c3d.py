@@ -41,25 +41,9 @@ def inverse(path: Path, **motion: Any) -> mbdkit.Run:
     return mbdkit.inverse(spec, actuators={"hip": {"joint": "hip"}})
 
 
-@pytest.mark.parametrize("unit", ["mm", "m"])
-def test_markers_come_back_in_their_unit(tmp_path: Path, unit: str) -> None:
-    run = inverse(write(tmp_path / "walk.c3d", ["HEEL", "TOE"], unit))
-    np.testing.assert_allclose(run.joints["hip"].angle, ANGLE, rtol=0, atol=1e-6)  # the file has 32 bits
-    np.testing.assert_allclose(run.time, 0.01 * np.arange(20), rtol=0, atol=1e-12)
-
-
 def test_more_markers_than_one_parameter_of_the_file_names(tmp_path: Path) -> None:
     run = inverse(write(tmp_path / "many.c3d", [*(f"M{k}" for k in range(299)), "TOE"]))
     np.testing.assert_allclose(run.joints["hip"].angle, ANGLE, rtol=0, atol=1e-6)
-
-
-def test_a_marker_that_no_camera_saw_is_a_gap(tmp_path: Path) -> None:
-    path = write(tmp_path / "walk.c3d", ["HEEL", "TOE"], gap=7)
-    with pytest.raises(SpecError, match=r"walk.c3d: row 8: column 'TOE.x': the value is missing"):
-        inverse(path)
-    run = inverse(path, gaps={"longest": 0.1})
-    np.testing.assert_allclose(run.joints["hip"].angle, ANGLE, rtol=0, atol=1e-4)
-    assert np.isnan(run.motion["tip.x"].raw[7])
 
 
 def test_wrong_names_and_wrong_files_are_refused(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import pytest
 from tests.inverse_dynamics.moved_linkages import TORQUES, moved
 
 import mbdkit
-from mbdkit.spec import load_spec
 
 
 @pytest.mark.parametrize("example", TORQUES)
@@ -25,37 +24,6 @@ def test_the_torques_of_a_forward_run_come_back(example: str, tmp_path: Path) ->
     force, found = (one.array("joints/reaction_force") for one in (run, inverse))
     assert np.max(np.abs(found - force)) < 1e-9 * np.max(np.abs(force))
     assert inverse.misalignment_max < 1e-14
-
-
-@pytest.mark.parametrize("example", TORQUES)
-def test_powers_balance_at_every_time(example: str, tmp_path: Path) -> None:
-    # rate of kinetic energy = power of actuators, gravity, force elements and drivers; joints do no work
-    _, spec = moved(example, tmp_path / "run.h5")
-    run = mbdkit.inverse(spec)
-    bodies = load_spec(example).mechanism()
-    gravity = np.array(bodies.gravity)
-    rate, supplied, size = np.zeros((3, len(run.time)))
-    for name, body in bodies.bodies.items():
-        one = run[name]
-        spin = (body.inertia or 0.0) * one.angular_velocity * one.angular_acceleration
-        rate += body.mass * np.sum(one.velocity * one.acceleration, axis=1) + spin
-        weight = body.mass * one.velocity @ gravity
-        supplied += weight
-        size += np.abs(weight) + np.abs(spin)
-    powers = [one.power for one in run.actuators.values()] + [one.power for one in run.forces.values()]
-    powers += [run.joints[name].driver_power for name in run.drivers]
-    supplied += np.sum(powers, axis=0)
-    size += np.sum(np.abs(powers), axis=0)
-    assert np.max(np.abs(rate - supplied)) < 1e-10 * np.max(size)
-
-
-def test_positions_alone_give_the_torque_of_a_knee(tmp_path: Path) -> None:
-    run, spec = moved("knee", tmp_path / "run.h5")
-    data = {"time": run.time, "shank": run["shank"].angle}
-    spec["motion"] = {"data": data, "columns": {"shank.angle": "shank"}, "smooth": "quintic"}
-    found = mbdkit.inverse(spec).actuators["on A"].value
-    known = run.forces["on A"].value
-    assert np.max(np.abs(found - known)[20:-20]) < 1e-5 * np.max(np.abs(known))
 
 
 def test_a_crank_that_turns_fully_needs_no_other_coordinates() -> None:

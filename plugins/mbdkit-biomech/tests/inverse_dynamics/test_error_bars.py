@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from tests.inverse_dynamics.noisy_pendulum import T, pendulum
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.archive import archive_check
 from mbdkit.spec import load_spec
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import _norm_bound
@@ -139,20 +137,6 @@ def test_every_smoothing_has_bars(smooth: dict[str, Any]) -> None:
     assert np.mean((np.abs(one.value - exact) <= one.value_error)[15:-15]) > 0.9
     assert np.median(one.value_error) < 1.0
     assert "0.8 and 1.25 times the cutoff" in (run.accuracy.method if run.accuracy else "")
-
-
-def test_bars_are_in_summary_workload_and_archive(tmp_path: Path) -> None:
-    spec = pendulum(smooth={"name": "butterworth", "cutoff": 6.0})
-    run = mbdkit.inverse(spec, archive=tmp_path / "a.h5")
-    assert "(95 %)" in run.summary()
-    row = int(np.argmax(np.abs(run.actuators["hip"].value)))
-    error = run.actuators["hip"].value_error[row]
-    found = workload(run)["hip"]
-    assert found.load.peak_error == error
-    assert f"+- {error:.2g} N m" in workload(run).text()
-    assert f"+- {error:.2g} N m at" in run.summary()
-    run.check()
-    assert archive_check.check(tmp_path / "a.h5") == []
 
 
 @pytest.mark.parametrize("motion", [{"errors": "none", "smooth": {"name": "butterworth", "cutoff": 6.0}}, {}])

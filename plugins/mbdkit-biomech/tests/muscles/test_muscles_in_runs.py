@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from tests.muscles.arm import DAMPING, FIBER, FORCE, PENNATION, SPEED, WIDTH, active, arm, by_velocity, passive
 
@@ -183,20 +183,6 @@ def test_fibres_start_in_the_equilibrium_of_opensim(
     assert muscle.fiber_length[0] == pytest.approx(fiber, abs=3e-12)
     assert muscle.force[0] == pytest.approx(tension, rel=1e-8)
     assert abs(muscle.fiber_rate[0]) < 1e-11
-
-
-def test_an_isometric_contraction_has_the_closed_form_of_its_activation() -> None:
-    """A falling activation far from the excitation decays by a separable equation, integrated here by quadrature."""
-    run = mbdkit.run(slide("0", excitation=0.2, activation={"initial": 0.9}), integrator=PRECISE, time={"end": 0.02})
-    muscle = run.muscles["m"]
-    time, _ = quad(lambda a: 1 / activation_rate(0.2, a), 0.9, muscle.activation[-1], epsabs=1e-13, epsrel=1e-13)
-    assert time == pytest.approx(0.02, abs=1e-11)
-    fiber = np.hypot(0.12, WIDTH)
-    force = (
-        FORCE * (muscle.activation * active(fiber / FIBER) * by_velocity(0.0) + passive(fiber / FIBER)) * 0.12 / fiber
-    )
-    np.testing.assert_allclose(muscle.force, force, rtol=1e-13)
-    np.testing.assert_array_equal(muscle.excitation, 0.2)
 
 
 def test_an_isokinetic_contraction_has_the_closed_form_of_the_curves() -> None:

@@ -56,14 +56,6 @@ def test_sources_have_the_shares_of_closed_forms():
         assert "sources of error" in run.summary()
 
 
-def test_halving_the_named_deviation_shrinks_the_bar_as_its_share_says():
-    first = mbdkit.inverse(held(STATED))
-    share = first.contributions("elbow", at=0.5).shares["pressure point of hand"]
-    second = mbdkit.inverse(held(STATED | {"pressure": STATED["pressure"] / 2}))
-    ratio = second.accuracy.reaction_error[5, 0] / first.accuracy.reaction_error[5, 0]
-    assert ratio == pytest.approx(np.sqrt(1 - 0.75 * share), rel=0.05)
-
-
 def test_bars_cover_exact_samples_where_recruitment_has_corners():
     # The smallest activation exceeds the optimal one in half of the samples; the bars come from other samples, in which
     # all but recruitment is linear.

@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from tests.inverse_dynamics.c3d_files import Convention, c3d_bytes
 from tests.inverse_dynamics.force_plates import plate
-from tests.persons.walkers import FUNCTIONAL, data_of, loaded, marker_file, person_spec, recorded, skeleton_of
+from tests.persons.walkers import FUNCTIONAL, data_of, loaded, person_spec, recorded, skeleton_of
 
 import mbdkit
-from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
-from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.joint_centers import IN_STEP, LANDMARKS, REGRESSION
 from mbdkit_biomech.persons.landmarks import Side, landmark
-from mbdkit_biomech.persons.motion_plane import plane_of
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, poses_of
-from tests.benchmarks.person_markers import CLUSTERS, SHANK, THIGH, Walker, columns_of, in_laboratory, table_text
+from tests.benchmarks.person_markers import SHANK, THIGH, Walker, columns_of, in_laboratory, table_text
 
 HEADING = 2.0
 
@@ -200,21 +197,6 @@ def test_masses_lengths_and_muscles_are_those_of_the_person() -> None:
     point = scaled.path[0].point
     assert point is not None
     assert float(point[1]) - 0.3612 * thigh == pytest.approx(below[0] * factors[0])  # the same place below the hip
-
-
-def test_a_calibration_trial_in_which_the_joint_bends_serves_for_a_motion_in_which_it_does_not() -> None:
-    walker, random = Walker.of_example(2), np.random.default_rng(5)
-    bent = walker.markers(random)
-    body = walker.angles["trunk"] - walker.angles["trunk"]
-    stiff = Walker(walker.time, dict.fromkeys(walker.angles, body), walker.hip, walker.loads)
-    files = [marker_file(one, own, HEADING) for one, own in ((stiff, stiff.markers(random)), (walker, bent))]
-    alone, calibrated = Segments.of(CLUSTERS, legs_of(2), files[0], None), Segments.of(CLUSTERS, legs_of(2), *files)
-    plane = plane_of(None, alone.motion.poses, walker.time)
-    with pytest.raises(SpecError, match=r"centers.knee: is functional, but the two segments turn together"):
-        alone.centers(FUNCTIONAL, plane)
-    center = calibrated.centers(FUNCTIONAL, plane)["knee"]
-    assert center.turn > np.radians(50)
-    assert max(center.deviation) < 0.02
 
 
 def test_the_packaged_example_finds_the_centres_of_the_person_who_made_its_table() -> None:

@@ -10,7 +10,6 @@ from tests.gradients.bouncing_ball import GAUSS, MEASURES, PAD, expected
 from tests.gradients.bouncing_ball import ball as ball_on_pad
 
 import mbdkit
-from tests.benchmarks.contact_cases import biped
 
 ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9, "atol": 1e-11}
 LINEAR = {"law": "linear", "stiffness": "k", "dissipation": "c"}
@@ -97,25 +96,6 @@ def test_gradients_of_a_box_that_slides_tips_and_sticks() -> None:
         "time": {"end": 0.3},
     }
     _compare(spec, ["final(bodies.box.x)", "final(bodies.box.angle)"])
-
-
-def test_gradients_of_a_biped_whose_foot_strikes_the_ground() -> None:
-    model = biped().model
-    contacts = {
-        name: contact | {"friction": "mu", "compliance": {"stiffness": "k", "dissipation": 1.0}}
-        for name, contact in model["contacts"].items()
-    }
-    forces = {
-        name: force | ({"stiffness": "ankle"} if "ankle" in name else {}) for name, force in model["forces"].items()
-    }
-    spec = {
-        "mbdkit": 1,
-        "parameters": {"mu": 0.8, "k": 2e6, "ankle": 150.0},
-        "model": model | {"contacts": contacts, "forces": forces},
-        "integrator": ADAPTIVE,
-        "time": {"end": 0.15},
-    }
-    _compare(spec, ["final(bodies.torso.x)", "final(bodies.torso.y)"])
 
 
 def _compare(spec: dict[str, Any], measures: list[str]) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 from tests.rigid.outlines import Outline, overlap
 from tests.rigid.scenes import FLOOR, G, run
 
@@ -191,51 +190,6 @@ class Fall:
         model = {"bodies": {"b": body | {"angular_velocity": rate}}, "contacts": {"c": contact}}
         return run(model, self.end, method=self.method, **more)
 
-    def bounce(self) -> tuple[list[float], np.ndarray]:
-        """Return the times of impacts without friction and the last position, by own geometry: flights are parabolas,
-        and an impact at a point reverses the normal velocity there, times the coefficient of restitution.
-        """
-        x, y, angle, vx, rate = self.start
-        ground, body = self.outlines
-        t, place, velocity, times = 0.0, np.array([x, y, angle]), np.array([vx, 0.0, rate]), list[float]()
-
-        def at(dt: np.ndarray) -> np.ndarray:
-            return place + dt[:, None] * velocity + 0.5 * dt[:, None] ** 2 * np.array([0.0, -G, 0.0])
-
-        def depth(dt: np.ndarray) -> np.ndarray:
-            return overlap(ground, np.zeros((len(dt), 3)), body, at(dt))
-
-        while True:
-            flight = np.linspace(0.0, self.end - t, 20001)[1:]
-            inside = np.flatnonzero(depth(flight) > 1e-13)
-            if not len(inside):
-                return times, at(np.array([self.end - t]))[0]
-            k = int(inside[0])
-            dt = brentq(lambda dt: float(depth(np.array([dt]))[0]), flight[k - 1], flight[k], xtol=1e-15)
-            t += dt
-            place, velocity = at(np.array([dt]))[0], velocity + np.array([0.0, -G * dt, 0.0])
-            point, normal = self._touch(body.moved(place[None])[0])
-            arm = point - place[:2]
-            row = np.array([*normal, arm[0] * normal[1] - arm[1] * normal[0]])
-            mass = np.array([1.0, 1.0, 0.01])
-            velocity -= (1.0 + self.restitution) * (row @ velocity) / (row @ (row / mass)) * row / mass
-            times.append(t)
-
-    def _touch(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where a body touches the ground, and the normal that points to the body."""
-        ground = GROUNDS[self.ground].points
-        touches = []
-        for sign, points, lines in ((1.0, corners, ground), (1.0, ground[1:-1], np.append(corners, corners[:1], 0))):
-            for a, b in pairwise(lines):
-                along = (b - a) / np.linalg.norm(b - a)
-                normal = np.array([-along[1], along[0]])
-                touches += [
-                    (abs((p - a) @ normal), p, sign * normal)
-                    for p in points
-                    if 0.0 <= (p - a) @ along <= np.linalg.norm(b - a)
-                ]
-        return min(touches, key=lambda touch: touch[0])[1:]
-
 
 FALLS = {
     "ledge": Fall(
@@ -271,16 +225,6 @@ def test_an_impact_of_a_corner_that_comes_near_within_a_step_is_located(fall: Fa
     place = np.column_stack([found["b"].position, found["b"].angle])
     assert found.status == "complete"
     assert np.max(overlap(fall.outlines[0], np.zeros_like(place), fall.outlines[1], place)) < TOLERANCE
-
-
-@pytest.mark.parametrize("name", ["ledge", "ledge and radau-iia"])
-def test_impacts_without_friction_are_those_of_parabolas_and_the_law_of_impact(name: str) -> None:
-    fall = FALLS[name]
-    times, place = fall.bounce()
-    found = fall.run()
-    assert len(times) >= 3
-    assert found.impacts.time == pytest.approx(times, abs=1e-8)
-    assert [*found["b"].position[-1], found["b"].angle[-1]] == pytest.approx(place, abs=1e-6)
 
 
 @pytest.mark.parametrize("check", [False, True])

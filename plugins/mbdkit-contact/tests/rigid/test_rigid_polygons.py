@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from tests.rigid.scenes import G, block, outline, run
 
 import mbdkit
-from mbdkit.base.errors import SpecError
 
 TABLE = {"polygon": [[-1.0, -0.5], [0.0, -0.5], [0.0, 0.0], [-1.0, 0.0]]}
 """A table whose corner is the origin."""
@@ -127,43 +126,6 @@ def test_a_box_slides_off_a_table_and_tips_around_its_corner(
         assert hands_over == ["table.0", corner]  # the box's rear corner, then the corner of the table
 
 
-@pytest.mark.parametrize("table", [TABLE, EDGE_OF_GROUND])
-@pytest.mark.parametrize(("treatment", "step", "error"), TREATMENTS)
-def test_a_disc_rolls_off_a_table_and_slips_on_its_corner(
-    treatment: str, step: float, error: float, table: dict[str, Any]
-) -> None:
-    # expected: rolling about the corner until friction reaches its limit, slipping until the corner no longer pushes,
-    # both by DOP853, then free flight
-    r, speed, mu, share, end = 0.1, 0.3, 0.4, 0.5, 0.6
-    begin = 0.05 / speed
-
-    def rolls(t: float, y: np.ndarray) -> list[float]:
-        return [y[1], G * np.sin(y[0]) / (r * (1.0 + share)), y[1]]
-
-    def sticks(t: float, y: np.ndarray) -> float:
-        return float(mu * (G * np.cos(y[0]) - r * y[1] ** 2) - G * np.sin(y[0]) * share / (1.0 + share))
-
-    def slips(t: float, y: np.ndarray) -> list[float]:
-        friction = mu * (G * np.cos(y[0]) - r * y[1] ** 2)
-        return [y[1], (G * np.sin(y[0]) - friction) / r, y[3], friction / (share * r)]
-
-    def push(t: float, y: np.ndarray) -> float:
-        return float(G * np.cos(y[0]) - r * y[1] ** 2)
-
-    at, (lean, rate, turned) = solved(rolls, [0.0, speed / r, 0.05 / r], (begin, end), sticks)
-    leaves, (lean, rate, turned, turn) = solved(slips, [lean, rate, turned, rate], (at, end), push)
-    assert begin < at < leaves < end
-    along = np.array([np.cos(lean), -np.sin(lean)])
-    place, velocity = r * np.array([np.sin(lean), np.cos(lean)]), r * rate * along
-    expected = flown(end - leaves, np.append(place, -turned), np.append(velocity, -turn))
-    body = {
-        "inertia": share * r * r, "position": [-0.05, r], "velocity": [speed, 0.0], "angular_velocity": -speed / r,
-    }  # fmt: skip
-    with run(on_table(body, {"circle": {"radius": r}}, mu, table), end, step, treatment) as found:
-        assert end_of(found) == pytest.approx(expected, abs=error)
-        assert min(np.min(row.gap) for row in found.contacts.values()) > -1e-9
-
-
 def test_polygons_as_ground_give_the_closed_forms_of_lines() -> None:
     # expected: see the tests of the same bodies on lines
     sliding = block(0.3)
@@ -196,12 +158,6 @@ def test_a_pile_of_boxes_stands(treatment: str) -> None:
             assert found[body].position[-1] == pytest.approx(bodies[body]["position"], abs=1e-12)
             rows = [row for name, row in found.contacts.items() if name.startswith(f"c{i}.")]
             assert sum(row.normal_force[-1] for row in rows) == pytest.approx((3 - i) * G, rel=1e-9)
-
-
-def test_polygons_that_overlap_at_the_start_are_refused() -> None:
-    body = {"inertia": 0.01, "position": [-0.5, 0.09]}
-    with pytest.raises(SpecError, match=r"the shapes of 'table.0' overlap by 0\.01 m at the start"):
-        run(on_table(body, outline(0.1, 0.1), 0.0), 0.1, 0.01)
 
 
 def test_edges_that_a_circle_does_not_touch_have_no_overlap() -> None:

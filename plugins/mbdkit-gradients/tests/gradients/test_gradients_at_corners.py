@@ -99,19 +99,6 @@ def test_measures_of_the_continuous_motion_through_corners_and_their_gradients(g
     assert_passed(found)
 
 
-def test_the_blow_of_a_limit_stop_has_a_gradient_that_agrees_with_differences() -> None:
-    found = mbdkit.gradient(
-        "limit-stop",
-        ["final(bodies.shank.angle)", "final(bodies.shank.angular_velocity)"],
-        ["model.forces.stop.stiffness", "model.bodies.shank.mass"],
-        integrator=GAUSS,
-        time={"end": 0.5, "step": 0.005},  # the stop is reached after 0.43 s
-        output={"every": 1},
-    )
-    assert_passed(found)
-    assert np.max(found.check.error / np.abs(found.check.derivative)) < 1e-4
-
-
 def test_controlled_steps_across_corners_are_doubted() -> None:
     adaptive = {"name": "dopri5", "adaptive": True, "rtol": 1e-6, "atol": 1e-6, "max_step": 0.01}
     spec = {**ball(0.9, 0.01, adaptive), "time": {"end": 0.9}}

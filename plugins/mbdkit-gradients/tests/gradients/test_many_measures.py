@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 import mbdkit
 from mbdkit_gradients.evaluated_states import StateEvaluator
 
-COUNT = 120
 KINDS = {
     "at": "at(bodies.rod{rod}.angle, {share!r})",
     "integral": "integral((bodies.rod{rod}.angle + {share!r})**2)",
@@ -58,17 +56,3 @@ def test_many_measures_share_their_states(
     assert cost(together) < 0.4 * cost(calls)
     np.testing.assert_array_equal(found.value, [one.value[0] for one in separate])
     np.testing.assert_array_equal(found.jacobian, [one.jacobian[0] for one in separate])
-
-
-@pytest.mark.benchmark
-@pytest.mark.parametrize("check", [False, True])
-@pytest.mark.parametrize("kind", ["at", "integral", "final"])
-def test_120_measures_take_at_most_three_times_as_long_as_one(kind: str, check: bool) -> None:
-    def duration(wanted: list[str]) -> float:
-        begin = time.process_time()
-        mbdkit.gradient(spec(), wanted, PARAMETERS, check=check)
-        return time.process_time() - begin
-
-    one, many = measures(kind, 1), measures(kind, COUNT)
-    duration(one)
-    assert min(duration(many) for _ in range(3)) < 3 * min(duration(one) for _ in range(3))

@@ -16,7 +16,7 @@ from mbdkit_paper.drift.combination import combinations
 from mbdkit_paper.drift.verdict import COLUMNS, order_meets
 from mbdkit_paper.drift.verdict import verdict as judge_drift
 from mbdkit_paper.wording import UNDECIDED
-from mbdkit_report import Answer, json_values, terminal_text
+from mbdkit_report import Answer
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.first_party import PARTS
@@ -186,16 +186,6 @@ def test_projection_that_costs_the_order_or_gains_nothing_is_told() -> None:
 )
 def test_an_order_meets_another_within_a_fifth(found: float | str, answer: Answer) -> None:
     assert order_meets(found, 5.0) is answer
-
-
-def test_the_table_goes_to_the_terminal_and_into_json() -> None:
-    verdict = judge_drift(projected())
-    text = terminal_text(verdict)
-    assert "rod        Gauss 2, projected " in text
-    assert "yes    Gauss is not reversible with ordinary projection" in text
-    values = json.loads(json.dumps(json_values(verdict), allow_nan=False))
-    assert [table["name"] for table in values["tables"]] == ["drift"]
-    assert len(values["tables"][0]["rows"]) == 3
 
 
 def test_a_study_of_other_families_is_no_study_of_drift() -> None:

@@ -14,7 +14,6 @@ from mbdkit.archive.headlines import largest_loads
 from mbdkit_report import band_over_time, run_report
 from mbdkit_report.figures.curves import band_along_path
 from mbdkit_report.pages.report_page import chart_data
-from mbdkit_report.plot.save_plot import figure
 
 CHAOTIC = {"name": "double-pendulum", "angles": [1.2, 0.3]}
 REGULAR = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
@@ -104,28 +103,3 @@ def test_tables_say_until_when_errors_are_known(lost: mbdkit.Run) -> None:
     assert peak == pytest.approx(joint.peak_known)
     assert isinstance(error, float)
     assert error >= joint.error
-
-
-def test_the_report_leads_with_the_largest_force_and_its_error(lost: mbdkit.Run) -> None:
-    claims = run_report(lost).verdict.claims
-    assert [claim.name for claim in claims[:2]] == ["trust", "accuracy"]
-    assert claims[1].sentence.startswith("Largest force in J1 ")
-
-
-def test_reasons_of_the_verdict_stay_together_in_the_summary(lost: mbdkit.Run) -> None:
-    # the next line stood between the first reason and the second one, which then seemed to belong to it
-    assert len(lost.verdict_reasons) >= 2
-    labels = [line[:13].strip() for line in lost.summary().splitlines()]
-    reasons = len(lost.verdict_reasons)
-    assert labels[: reasons + 1] == ["verdict", *[""] * (reasons - 1), "answer"]
-    assert "known to" in lost._repr_html_()
-
-
-def test_the_plots_of_a_checked_run_tell_the_error(lost: mbdkit.Run) -> None:
-    axes = figure(lost, "reactions").axes[0]
-    assert len(axes.patches) == 2
-    assert " ± " in axes.get_title(loc="left") or "error unknown" in axes.get_title(loc="left")
-    axes = figure(lost, "trajectory").axes[0]
-    legend = axes.get_legend()
-    assert legend is not None
-    assert "error unknown" in [text.get_text() for text in legend.get_texts()]

@@ -142,15 +142,6 @@ def test_a_weld_is_marked_at_its_point():
     assert outline(mechanism, 0) == [[0.0, 0.0], [2.0, 0.0]]
 
 
-@pytest.mark.parametrize("name", ["single-pendulum", "double-pendulum", "four-bar-knee"])
-def test_models_are_drawn_from_the_spec_alone(name):
-    built = built_mechanism({"model": {"name": name}})
-    assert built.mechanism is not None
-    drawing = draw_mechanism(built.mechanism)
-    assert list(drawing.bodies) == list(built.mechanism.bodies)
-    assert all(len(points) >= 2 for points in drawing.outlines)
-
-
 @pytest.mark.parametrize("model", [{"name": "acme:thing"}, {"name": "double-pendulum", "odd": 1}, {}])
 def test_a_model_that_cannot_be_built_is_drawn_as_centres_of_mass(model):
     built = built_mechanism({"model": model})

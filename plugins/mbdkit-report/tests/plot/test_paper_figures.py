@@ -119,13 +119,6 @@ def test_the_command_draws_one_component_of_one_joint_of_two_runs(
     assert {"B", "a", "b", "joint force, x component [N]", "time [s]"} <= set(words)
 
 
-def test_one_run_without_a_size_keeps_its_heading(two: tuple[str, str], mbdkit: Callable[..., Any]) -> None:
-    assert mbdkit("plot", "a.h5", "--kind", "reactions", "--joint", "B", "-o", "fig.svg").exit_code == 0
-    words = words_of(Path("fig.svg"))
-    assert {"a", "n-pendulum · gauss, 2 stages · step 0.02 s · complete", "B"} <= set(words)
-    assert "A" not in words
-
-
 @pytest.mark.parametrize("kind", plot_kinds())
 def test_the_default_file_is_named_after_the_first_run(
     two: tuple[str, str], mbdkit: Callable[..., Any], kind: str

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 import mbdkit
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit_report.plot import reactions_plot
 
 MASS, HALF, RATE, STIFFNESS = 2.0, 0.5, 3.0, 40.0
 
@@ -215,15 +214,6 @@ def test_of_many_joints_those_with_the_largest_values_are_drawn_and_all_lines_ar
     assert list(both) == ["J4, x", "J4, y", "J8, x", "J8, y", "J12, x", "J12, y"]
 
 
-def test_names_are_taken_literally(make_run: Any, axes: Axes) -> None:
-    run = make_run(joints=["_a$x^$", r"$\b$"])
-    run.plot.reactions(axes)
-    legend = axes.get_legend()
-    assert legend is not None
-    assert [text.get_text().strip() for text in legend.get_texts()] == ["_a$x^$", r"$\b$"]
-    axes.figure.canvas.draw()
-
-
 def test_wrong_names_and_empty_plots_are_explained(driven: mbdkit.Run, axes: Axes) -> None:
     with pytest.raises(MbdkitError, match=r"no joint 'pni' \(did you mean 'pin'\?\)"):
         driven.plot.reactions(axes, joints=["pni"])
@@ -247,27 +237,6 @@ def test_estimated_errors_are_bands_around_components_too() -> None:
         corners = band.get_path().vertices[: 2 * len(values), 1]
         np.testing.assert_allclose(corners[: len(values)], values - error)
         np.testing.assert_allclose(corners[len(values) :], (values + error)[::-1])
-
-
-def test_of_long_runs_both_extremes_are_drawn(make_run: Any, axes: Axes) -> None:
-    def swing(data: dict[str, np.ndarray]) -> None:
-        data["joints/reaction_force"][:] = 1.0
-        data["joints/reaction_force"][40_001, 0, 0] = -70.0
-        data["joints/reaction_force"][40_002, 0, 0] = 50.0
-
-    drawn = lines(make_run(rows=100_000, change=swing).plot.reactions(axes, joints="J1", components="x"))["J1"]
-    assert len(drawn) < 5_000
-    assert (drawn.min(), drawn.max()) == (-70.0, 50.0)
-
-
-def test_a_motor_without_a_force_is_drawn_among_the_torques_only(driven: mbdkit.Run) -> None:
-    axes = Figure().subplots(2)
-    for panel, one in zip(reactions_plot.panels(driven), axes, strict=True):
-        panel.draw(one)
-    force, torque = ([text.get_text() for text in one.get_legend().get_texts()] for one in axes)
-    assert "motor" in torque
-    assert "motor" not in force
-    assert "pin" in force
 
 
 def test_runs_are_compared_by_what_differs(driven: mbdkit.Run) -> None:

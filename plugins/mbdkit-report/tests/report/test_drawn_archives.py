@@ -80,11 +80,3 @@ def test_an_archive_that_lacks_the_mechanism_of_a_plugin_is_drawn_as_points_and_
         assert draw_run(run).pins == ()
         with pytest.raises(mbdkit.ArchiveError, match="only points of bodies"):
             assert run.mechanism
-
-
-def test_an_archive_with_expressions_is_drawn_and_run_again(tmp_path: Path) -> None:
-    with mbdkit.run("quick-return", archive=tmp_path / "a.h5", time={"end": 0.1, "step": 0.01}) as run:
-        drawn = draw_run(run)
-        assert len(drawn.sliders) == 3
-        again = load_spec(dict(run.spec))
-        assert again.sha256() == load_spec("quick-return", time={"end": 0.1, "step": 0.01}).sha256()

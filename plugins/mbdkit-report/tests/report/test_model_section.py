@@ -96,31 +96,6 @@ def test_a_motor_is_drawn_at_its_own_joint_where_ends_of_other_bars_meet():
     assert math.dist(axle, [float(number) for number in turn]) == pytest.approx(15.0, abs=0.2)  # px, its radius
 
 
-def test_a_table_of_a_motor_is_told_by_its_first_and_last_point():
-    spec = {
-        "mbdkit": 1,
-        "model": {
-            "name": "mechanism",
-            "bodies": {"arm": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}},
-            "joints": {
-                "pin": {"type": "revolute", "bodies": ["ground", "arm"], "at": [0, 0]},
-                "motor": {
-                    "type": "driver", "bodies": ["ground", "arm"], "coordinate": "angle",
-                    "motion": {"table": [[0, 1, 2], [0, 0.25, 1.5]], "ends": "clamped"},
-                },
-            },
-            "markers": {"tip": {"body": "arm", "point": [0.5, 1e-17]}},
-        },
-        "integrator": {"name": "gauss"},
-        "time": {"end": 0.1, "step": 0.05},
-    }  # fmt: skip
-    with mbdkit.run(spec) as run:
-        tables = {table.name: table for table in run_report(run).sections[0].tables}
-    told = tables["model-joints"].rows[1][-1]
-    assert told == "angle from 0 rad at 0 s to 1.5 rad at 2 s, table of 3 points (cubic)"
-    assert tables["markers"].rows[0][2:4] == (0.5, 0.0)  # a rounding error is no coordinate
-
-
 def test_the_tables_say_what_the_spec_says():
     m = driven_wheel()
     m.marker("rim", "wheel", point=(5.551e-17, 0.5))  # as a difference of global coordinates leaves
@@ -158,13 +133,3 @@ def test_without_its_mechanism_a_run_shows_what_its_archive_holds(make_run):
     assert [table.name for table in section.tables] == ["bodies"]
     assert [len(row) for row in section.tables[0].rows] == [4, 4]
     assert {"rod1", "rod2"} <= set(texts(section.drawing.wide))
-
-
-def test_the_table_of_joints_tells_how_a_center_moves():
-    m = mbdkit.Mechanism()
-    wheel = m.body("wheel", mass=1.0, inertia=0.1)
-    heights = {"table": [[-1.0, 0.0, 1.0], [0.01, 0.0, 0.01]]}
-    m.revolute("rolls", m.ground, wheel, at=(0.0, 0.0), center={"x": "-0.3*angle", "y": heights})
-    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.05}) as run:
-        tables = {table.name: table for table in run_report(run).sections[0].tables}
-    assert "center x = -0.3*angle m, center y = table of 3 points (cubic) m" in tables["model-joints"].rows[0]

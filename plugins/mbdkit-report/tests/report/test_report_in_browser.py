@@ -10,15 +10,11 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
-from mbdkit.spec import example_names, load_spec
+from mbdkit.spec import load_spec
 from mbdkit.spec.yaml_reader import read_yaml
-from mbdkit_report import Illustration, NamedPose, render, report, run_report
-from mbdkit_report.figures.mechanism_drawing import mechanism_svg, names_shown
-from mbdkit_report.figures.palette import PALETTE
+from mbdkit_report import render, report, run_report
 from mbdkit_report.figures.player_data import film_data
-from mbdkit_report.pages.templating import inline
 from mbdkit_report.plot.caption import caption
-from mbdkit_report.plot.energy_plot import COLORS
 from tests.browser import opened, until
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
@@ -39,14 +35,6 @@ def position(page):
     return int(page.locator("#scrub").input_value())
 
 
-def test_answers_come_first(shared_page):
-    tab = shared_page.page
-    headings = tab.locator("main h2").all_inner_texts()
-    assert headings[:3] == ["Motion", "Largest forces and torques", "Verdict"]
-    assert tab.locator("header dt").all_inner_texts()[0] == "verdict"
-    assert "The run completed" in tab.locator("p.verdict").inner_text()
-
-
 def test_the_animation_moves_and_can_be_stopped(page):
     tab = page.page
     tab.locator("#stage").scroll_into_view_if_needed()
@@ -60,45 +48,6 @@ def test_the_animation_moves_and_can_be_stopped(page):
     tab.wait_for_timeout(300)
     assert position(tab) == stopped
     assert tab.evaluate("document.getElementById('stage').toDataURL()") == picture
-
-
-def alarmed(page):
-    """Count the pixels of the colour in which gaps are drawn."""
-    return page.evaluate(
-        """() => {
-            const canvas = document.getElementById("stage");
-            const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-            let count = 0;
-            for (let k = 0; k < data.length; k += 4)
-                if (Math.hypot(data[k] - 0xb0, data[k + 1], data[k + 2] - 0x20) < 30) count++;
-            return count;
-        }"""
-    )
-
-
-def test_the_slider_magnifies_the_gaps(page):
-    tab = page.page
-    tab.get_by_role("button", name="Pause").click()
-    tab.locator("#scrub").evaluate("e => { e.value = e.max; e.dispatchEvent(new Event('input')); }")
-    slider = tab.get_by_label("Magnify the gaps in the joints")
-    assert slider.get_attribute("aria-valuetext") == "not magnified"
-    assert alarmed(tab) == 0
-    counts = []
-    for share in (0.8, 0.9, 1.0):
-        slider.evaluate(f"e => {{ e.value = e.max * {share}; e.dispatchEvent(new Event('input')); }}")
-        counts.append(alarmed(tab))
-    assert 0 < counts[0] < counts[1] < counts[2]
-    assert "times" in slider.get_attribute("aria-valuetext")
-    # At its end the slider draws the largest gap over an eighth of the picture, whatever it is in metres.
-    drawn = tab.evaluate(
-        """() => {
-            const [film] = JSON.parse(document.getElementById("films").textContent);
-            const [left, right, bottom, top] = film.view;
-            const factor = 10 ** document.getElementById("magnify").valueAsNumber;
-            return factor * film.gaps.largest / Math.max(right - left, top - bottom);
-        }"""
-    )
-    assert drawn == pytest.approx(0.12, rel=0.03)  # the slider has steps of a hundredth of a decade
 
 
 def test_the_gap_of_a_joint_is_drawn_between_its_bodies_ends(shared_page):
@@ -173,18 +122,6 @@ def test_the_button_of_a_curve_hides_it_and_brings_it_back(shared_page):
     assert figure.locator(".scatterlayer .trace").count() == 2
 
 
-def test_the_times_of_events_are_marked_in_figures(browser, tmp_path):
-    events = {"low": {"when": "rod1.angle + pi/2"}}
-    with mbdkit.run("pendulum", time={"end": 2.0, "step": 0.01}, events=events, archive=tmp_path / "run.h5"):
-        pass
-    tab = browser.new_page()
-    tab.goto(report(tmp_path / "run.h5").as_uri())
-    shapes = "chart => chart._fullLayout.shapes.map(shape => shape.x0)"
-    assert tab.locator('[data-figure="energy"]').evaluate(shapes) == pytest.approx([0.48333371, 1.45000114], abs=1e-6)
-    assert tab.locator('[data-figure="energy"] .annotation-text').all_text_contents() == ["low"]
-    tab.close()
-
-
 def test_the_player_of_inverse_dynamics_shows_and_hides_forces(browser, tmp_path):
     m = mbdkit.Mechanism()
     rod = m.body("rod", mass=2.0, inertia=0.2, position=(0.0, -0.5))
@@ -203,21 +140,6 @@ def test_the_player_of_inverse_dynamics_shows_and_hides_forces(browser, tmp_path
     tab.get_by_role("checkbox", name="Forces").check()
     assert tab.evaluate(picture) == shown
     tab.context.close()
-
-
-def test_the_mouse_zooms_a_figure(shared_page):
-    tab = shared_page.page
-    chart = tab.locator('[data-figure="misalignment"]')
-    chart.scroll_into_view_if_needed()
-    box = chart.locator(".nsewdrag").first.bounding_box()
-    width = "e => e._fullLayout.xaxis.range[1] - e._fullLayout.xaxis.range[0]"
-    whole = chart.evaluate(width)
-    tab.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.2 * box["height"])
-    tab.mouse.down()
-    tab.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.8 * box["height"], steps=5)
-    tab.mouse.up()
-    tab.wait_for_timeout(200)
-    assert chart.evaluate(width) == pytest.approx(0.3 * whole, rel=0.05)
 
 
 def test_headings_are_in_order_and_everything_that_is_seen_has_a_name(browser, any_path):
@@ -371,57 +293,3 @@ def test_the_spec_can_be_saved_and_copied(page):
     tab.get_by_role("button", name="Copy: Spec").click()
     until(tab, "[...document.querySelectorAll('.tools button')].some(button => button.textContent === 'Copied')")
     assert tab.evaluate("navigator.clipboard.readText()") == saved
-
-
-def test_a_body_has_one_colour_in_drawing_player_and_chart(browser, tmp_path):
-    archive = tmp_path / "arm.h5"
-    mbdkit.run("gravity-balanced-arm", time={"end": 0.2, "step": 0.02}, archive=archive).close()
-    watched = opened(browser, report(archive))
-    tab = watched.page
-    legend = tab.evaluate(
-        "Object.fromEntries([...document.querySelectorAll('#legend li')].map(li => "
-        "[li.textContent, li.firstChild.style.background]))"
-    )
-    patches = tab.evaluate("[...document.querySelectorAll('.wide .patch')].map(p => p.style.getPropertyValue('--own'))")
-    assert patches == list(legend.values())
-    figures = tab.evaluate("JSON.parse(document.getElementById('figure-data').textContent).figures")
-    components = {line["label"]: line["color"] for line in figures["components-1"]["lines"]}
-    assert f"var(--{components['x of upper']})" == legend["upper"]
-    energy = {line["label"]: line["color"] for line in figures["energy"]["lines"]}
-    assert {name: PALETTE.index(COLORS[name]) for name in ("kinetic", "potential", "work")} == {
-        name: int(energy[name][1:]) for name in ("kinetic", "potential", "work")
-    }
-    tab.context.close()
-
-
-def test_names_in_drawings_of_examples_do_not_overlap(browser, tmp_path):
-    drawings = []
-    for name in sorted(example_names("run")):
-        mechanism = load_spec(name).mechanism()
-        pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
-        shown = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0]))
-        drawings += [f'<div class="wide" title="{name}">{mechanism_svg(shown, Illustration.WIDE)}</div>'] * names_shown(
-            shown
-        )
-    path = tmp_path / "drawings.html"
-    style = f"<style>:root {{ {inline('light.css')} }} {inline('style.css')}{inline('drawing.css')}</style>"
-    path.write_text(f'<!DOCTYPE html>{style}<figure class="drawing">{"".join(drawings)}</figure>', encoding="utf-8")
-    watched = opened(browser, path)
-    found = watched.page.evaluate(
-        """() => [...document.querySelectorAll("div.wide")].flatMap(drawing => {
-            const frame = drawing.querySelector("svg").getBoundingClientRect();
-            const names = [...drawing.querySelectorAll("text")].map(
-                text => [text.textContent, text.getBoundingClientRect()]);
-            const inside = ([, a]) => a.left >= frame.left && a.right <= frame.right
-                && a.top >= frame.top - 1 && a.bottom <= frame.bottom + 1;
-            const meet = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
-                && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 3;
-            return [
-                ...names.filter(name => !inside(name)).map(([text]) => `${drawing.title}: ${text} outside`),
-                ...names.flatMap(([text, a], k) => names.slice(0, k).filter(([, b]) => meet(a, b))
-                    .map(([other]) => `${drawing.title}: ${text} on ${other}`)),
-            ];
-        })"""
-    )
-    assert found == []
-    watched.page.context.close()

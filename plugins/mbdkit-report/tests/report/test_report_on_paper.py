@@ -57,30 +57,6 @@ def test_the_printed_report_has_every_figure(browser, page_path, tmp_path):
     watched.page.context.close()
 
 
-def printing(browser, path):
-    """Open a report as it is printed on A4."""
-    tab = opened(browser, path, width=703).page
-    tab.emulate_media(media="print")
-    tab.evaluate("window.dispatchEvent(new Event('beforeprint'))")
-    tab.wait_for_timeout(300)
-    return tab
-
-
-def test_charts_stand_two_in_a_row_on_paper(browser, page_path):
-    tab = printing(browser, page_path)
-    corners = tab.evaluate(
-        """() => [...document.querySelector("#figures ~ .figures").children].map(figure => {
-            const { left, top } = figure.getBoundingClientRect();
-            return [left, top];
-        })"""
-    )
-    for (left, top), (right, level) in zip(corners[::2], corners[1::2], strict=False):
-        assert left < 20  # px
-        assert right > 330
-        assert level == top
-    tab.context.close()
-
-
 def test_the_motion_is_printed_as_frames_side_by_side_and_then_shown_as_before(browser, page_path):
     tab = opened(browser, page_path, width=703).page
     tab.get_by_role("button", name="Pause").click()

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 import mbdkit
 from mbdkit_statics.mechanics_summary import equilibrium_text
@@ -47,27 +46,6 @@ def test_a_body_without_forces_is_in_neutral_balance() -> None:
     found = mbdkit.equilibrium(m)
     assert found.stability == "neutral"
     np.testing.assert_array_equal(found["puck"], [1.0, 2.0, 0.5])
-
-
-def test_rods_between_two_supports_hang_as_minimisation_finds_them() -> None:
-    # expected: SciPy minimises the height of the rods over their tilts, under the two conditions that close the chain
-    n, length, span = 12, 0.25, 2.0
-    found = mbdkit.equilibrium(hung_between(span, n, length))
-
-    def height(tilt: np.ndarray) -> float:
-        rise = length * np.sin(tilt)
-        return float(np.sum(np.cumsum(rise) - rise / 2))
-
-    def gap(tilt: np.ndarray) -> np.ndarray:
-        return np.array([np.sum(length * np.cos(tilt)) - span, np.sum(length * np.sin(tilt))])
-
-    lowest = minimize(
-        height, np.linspace(-0.9, 0.9, n), constraints={"type": "eq", "fun": gap}, method="SLSQP",
-        options={"ftol": 1e-15, "maxiter": 500},
-    )  # fmt: skip
-    assert lowest.success
-    np.testing.assert_allclose(found.position[:, 2], lowest.x, rtol=0, atol=1e-6)
-    assert found.stability == "stable"
 
 
 def test_rods_between_two_supports_obey_the_statics_of_each_rod() -> None:

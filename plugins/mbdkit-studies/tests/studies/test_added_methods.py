@@ -8,7 +8,6 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_report.figures.palette import line_styles
 from mbdkit_studies.compute.added_methods import with_methods
 from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.report.study_figures import study_figures
@@ -151,23 +150,6 @@ def test_the_command_refuses_before_anything_runs(mbdkit, in_tmp_path):
     result = mbdkit("study", "convergence", "--with", "rk4")
     assert (result.exit_code, result.stderr) == (2, "error: --with rk4: is already in this study, as 'RK4'\n")
     assert not list(in_tmp_path.iterdir())
-
-
-def test_the_report_begins_with_the_verdict_and_emphasizes_added_methods(
-    both: tuple[mbdkit.Study, mbdkit.Study],
-) -> None:
-    page = study_report(both[1])
-    assert [title for _, title in page.contents][:2] == ["Verdict", "Motion"]
-    html = page.html()
-    places = [html.index(text) for text in ("added: dopri5", "<summary>Remarks on", 'id="verdict"', 'id="table-added"',
-                                            'id="motion"')]  # fmt: skip
-    assert places == sorted(places)
-    lines = [(line.group or line.label, line) for figure in page.verdict.figures for line in figure.lines]
-    assert {name for name, line in lines if line.is_emphasized} == {*both[1].spec.added}
-    for figure in page.verdict.figures:
-        colors = [color for color, _ in line_styles(figure)]
-        own = {color for color, line in zip(colors, figure.lines, strict=True) if line.is_emphasized}
-        assert own.isdisjoint(color for color, line in zip(colors, figure.lines, strict=True) if not line.is_emphasized)
 
 
 OWN: dict[str, Any] = METHODS | {

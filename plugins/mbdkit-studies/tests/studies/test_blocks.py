@@ -5,12 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import fcntl
-import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +13,7 @@ import h5py
 import netCDF4
 import numpy as np
 import pytest
-from tests.studies.stored_studies import BASE, GRID, METHODS, index_hash
+from tests.studies.stored_studies import BASE, GRID, index_hash
 
 import mbdkit
 from mbdkit.archive.archive_check import check
@@ -80,15 +75,6 @@ def test_a_stored_run_can_be_saved_as_an_archive(grid: mbdkit.Study, tmp_path: P
         run.save(tmp_path / "run.h5")
         assert run.to_xarray()["energy"]["total"].shape == (31,)
     assert check(tmp_path / "run.h5") == []
-
-
-def test_the_index_has_the_measures_of_a_study_with_files(grid: mbdkit.Study, tmp_path: Path) -> None:
-    files = mbdkit.study(GRID | {"axes": [{"integrator": METHODS[:2]}]}, store="files", out=tmp_path / "files")
-    in_files, in_blocks = files.to_frame(), grid.to_frame().iloc[[0, 3]]
-    for name in files.points[0].values:
-        if not name.endswith("_s"):
-            assert in_files[name].tolist() == pytest.approx(in_blocks[name].tolist(), nan_ok=True, rel=0, abs=0), name
-    assert in_files["data_sha256"].tolist() == in_blocks["data_sha256"].tolist()
 
 
 def test_other_programs_read_blocks(grid: mbdkit.Study) -> None:
@@ -262,13 +248,6 @@ def test_a_falsified_index_is_found_when_a_run_is_computed_again(tmp_path: Path)
         study.remake(dataclasses.replace(study.points[2], row=row))
 
 
-def test_shards_of_blocks_make_the_whole(grid: mbdkit.Study, tmp_path: Path) -> None:
-    parts = [mbdkit.study(GRID, out=tmp_path / "s", shard=Shard(number, 2)) for number in (1, 2)]
-    assert [part.computed for part in parts] == [8, 7]
-    assert parts[0].status == "partial"
-    assert index_hash(tmp_path / "s") == index_hash(grid.folder)
-
-
 def test_a_block_is_a_function_of_its_folder(grid: mbdkit.Study, tmp_path: Path) -> None:
     out = tmp_path / "s"
     mbdkit.study(GRID, out=out, shard=Shard(100, 100))  # computes nothing: there are four blocks
@@ -335,32 +314,6 @@ def test_a_run_that_kills_its_process_twice_fails_without_the_others(
     assert not list((tmp_path / "s" / "runs").glob(".block*"))
 
 
-def test_a_study_killed_in_the_middle_goes_on_to_the_index_of_an_undisturbed_one(tmp_path: Path) -> None:
-    spec = tmp_path / "s.json"
-    axes = [{"model.angles.0": {"linspace": [0.0, 1.0, 8]}}, {"model.angles.1": {"linspace": [0.0, 1.0, 5]}}]
-    spec.write_text(json.dumps({"mbdkit_study": 1, "base": BASE, "store": "hashes", "block": 5, "axes": axes}))
-    out = tmp_path / "killed"
-    command = [sys.executable, "-m", "mbdkit", "study", str(spec), "-o", str(out), "--workers", "1", "--quiet"]
-    call = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        while len(list(out.glob("runs/block-*.h5"))) < 3:
-            assert call.poll() is None
-            time.sleep(0.005)
-    finally:
-        call.send_signal(signal.SIGKILL)
-        call.wait()
-    kept = {path.name: path.stat().st_mtime_ns for path in out.glob("runs/block-*.h5")}
-    assert 3 <= len(kept) < 8
-    time.sleep(0.5)  # the worker ends by itself when its parent is gone
-    study = mbdkit.study(spec, out=out)
-    assert study.computed <= 40 - 5 * len(kept)
-    now = {path.name: path.stat().st_mtime_ns for path in out.glob("runs/block-*.h5")}
-    assert {name: now[name] for name in kept} == kept
-    mbdkit.study(spec, out=tmp_path / "undisturbed")
-    assert index_hash(out) == index_hash(tmp_path / "undisturbed")
-    assert not [name for name in os.listdir(out / "runs") if not name.startswith("block-") or name.endswith(".part")]
-
-
 def test_a_large_study_becomes_blocks_unless_it_asks_for_files(tmp_path: Path) -> None:
     many = {"mbdkit_study": 1, "base": BASE, "axes": [{"model.angles.0": {"linspace": [0.0, 1.0, 501]}}]}
     last = Shard(1000, 1000)
@@ -410,14 +363,6 @@ def test_a_study_begins_only_if_the_checked_specs_are_valid(tmp_path: Path) -> N
     assert [point.number for point in done.failures] == [4]
     assert done.failures[0].reason.startswith("wrong-input: ")
     assert done.run(done.failures[0]) is None
-
-
-def test_a_member_with_wrong_values_fails_alone(tmp_path: Path) -> None:
-    study = mbdkit.ensemble(BASE, {"time.step": [np.nan, np.nan, 0.01, 0.02]}, out=tmp_path / "s")
-    assert study.to_frame()["status"].tolist() == ["failed", "failed", "complete", "complete"]
-    assert "wrong-input" in study.points[1].reason
-    with pytest.raises(MbdkitError, match="run 2 has no results"):
-        study.remake(1)
 
 
 def test_an_ensemble_goes_on_from_its_folder_alone(tmp_path: Path) -> None:
@@ -482,20 +427,6 @@ def test_rows_are_selected_by_conditions(grid: mbdkit.Study) -> None:
 def test_conditions_of_strangers_are_refused(grid: mbdkit.Study, condition: str) -> None:
     with pytest.raises(SpecError):
         grid.select(condition)
-
-
-def test_hundred_thousand_rows_are_selected_in_a_second() -> None:
-    from mbdkit_studies.statistics.selection import select_rows
-
-    rng = np.random.default_rng(1)
-    columns = {f"c{number}": rng.random(100_000) for number in range(30)}
-    columns["time.step"] = rng.random(100_000)
-    columns["integrator"] = np.array(["gauss", "rk4"], object)[rng.integers(0, 2, 100_000)]
-    started = time.perf_counter()
-    rows = select_rows("c1 < 0.5 and integrator == 'gauss' and time.step >= 0.25", columns)
-    assert time.perf_counter() - started < 1.0
-    expected = (columns["c1"] < 0.5) & (columns["integrator"] == "gauss") & (columns["time.step"] >= 0.25)
-    np.testing.assert_array_equal(rows, expected)
 
 
 def test_the_table_of_runs_is_exported(grid: mbdkit.Study, tmp_path: Path) -> None:

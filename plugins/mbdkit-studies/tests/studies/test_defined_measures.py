@@ -56,12 +56,6 @@ def test_units_stand_in_the_index_the_frame_and_the_dataset(fallen: mbdkit.Study
     assert [(name, column.units) for name, column in fallen.measures.items()] == [("depth", "mm"), ("a_speed", "m/s")]
 
 
-def test_a_second_call_computes_nothing_and_keeps_the_measures(fallen: mbdkit.Study) -> None:
-    again = mbdkit.study(FALL, out=fallen.folder)
-    assert again.computed == 0
-    assert list(again.to_frame()["depth"]) == pytest.approx([500.0, 2000.0])
-
-
 def test_a_list_takes_only_what_it_contains(tmp_path: Path) -> None:
     chosen = mbdkit.study(FALL | {"measures": ["duration", {"depth": "-final(ball.y)"}]}, out=tmp_path / "s")
     values = chosen.points[0].values
@@ -189,12 +183,6 @@ def test_options_of_a_measure_are_checked_before_the_first_run(site: Path, tmp_p
     assert done.returncode == 2
     assert "measures.a.boddy: unknown key (did you mean 'body'?)" in done.stderr
     assert not (tmp_path / "s").exists()
-
-
-def test_a_measure_of_a_plugin_is_verified(site: Path, tmp_path: Path) -> None:
-    done = python("-m", "mbdkit", "plugins", "verify", "drop", "--set", "body=crank", path=(site,), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr + done.stdout
-    assert "measure.value" in done.stdout
 
 
 def test_what_is_not_a_number_is_the_fault_of_the_plugin(fallen: mbdkit.Study) -> None:

@@ -81,21 +81,6 @@ def test_two_workers_give_the_same_data_as_one(finished, small, tmp_path):
     assert hashes[0] == hashes[1]
 
 
-def test_a_study_can_be_run_again_from_its_own_study_yaml(finished, copied):
-    assert mbdkit.study(copied / "study.yaml", out=copied).computed == 0
-
-
-def test_a_deleted_run_is_computed_again_alone(copied, small):
-    before, index = written(copied), index_hash(copied)
-    gone = next(iter(before))
-    (copied / "runs" / gone).unlink()
-    study = mbdkit.study(small, out=copied)
-    assert study.computed == 1
-    after = written(copied)
-    assert {name for name in before if after[name] != before[name]} == {gone}
-    assert index_hash(copied) == index
-
-
 def truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1000])
 

@@ -348,15 +348,6 @@ def test_a_run_whose_iteration_fails_is_left_to_the_driver_of_single_runs(method
         assert_same_bits(results, lane, method, workspaces[lane], planned[lane])
 
 
-def test_lanes_may_be_idle() -> None:
-    planned = tables(WIDTH - 1)
-    workspaces = workspaces_of("chain", planned)
-    results = advanced("rk4", workspaces, planned)
-    assert len(results.lost) == WIDTH - 1
-    for lane, (workspace, table) in enumerate(zip(workspaces, planned, strict=True)):
-        assert_same_bits(results, lane, "rk4", workspace, table)
-
-
 @pytest.mark.parametrize("method", ["rk4", *IMPLICIT])
 def test_a_stepper_of_lanes_remembers_nothing_of_earlier_runs(method: str) -> None:
     planned = tables(WIDTH)

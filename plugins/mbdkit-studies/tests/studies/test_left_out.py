@@ -79,15 +79,6 @@ def test_with_the_plugin_what_was_left_out_is_computed_and_nothing_else(done: mb
     assert study_report(study).html()
 
 
-def test_runs_are_made_there_and_back_once(done: mbdkit.Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = shutil.copytree(done.folder, tmp_path / "study")
-    before = [point.values["reversibility_defect"] for point in done.points]
-    assert [point.row.second_run for point in done.points] == ["complete", "complete", "", ""]
-    monkeypatch.setattr("mbdkit_studies.compute.run_files.Task", None)  # nothing is to be done
-    again = mbdkit.study(STUDY, out=folder)
-    np.testing.assert_equal([point.values["reversibility_defect"] for point in again.points], before)
-
-
 def test_a_lost_index_costs_the_reversals_alone(done: mbdkit.Study, tmp_path: Path) -> None:
     folder = shutil.copytree(done.folder, tmp_path / "study")
     (folder / "index.h5").unlink()
@@ -98,11 +89,6 @@ def test_a_lost_index_costs_the_reversals_alone(done: mbdkit.Study, tmp_path: Pa
         with h5py.File(which / "index.h5") as file:
             hashes.append(file.attrs["data_sha256"])
     assert hashes[0] == hashes[1]
-
-
-def test_without_being_asked_no_run_is_made_there_and_back(finished: mbdkit.Study) -> None:
-    assert "reversibility_defect" not in finished.points[0].values
-    assert finished.points[0].row.second_run == ""
 
 
 def test_errors_of_velocities_and_multipliers_are_those_of_the_rows(finished: mbdkit.Study) -> None:

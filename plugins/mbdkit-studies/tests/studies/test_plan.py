@@ -31,12 +31,6 @@ def test_a_study_may_have_more_axes_than_numpy_has_dimensions(small):
     assert planned[1].axes["parameters.p69"] == 69.0
 
 
-def test_the_keys_of_one_axis_go_together(small):
-    small["axes"] = [{"integrator": [{"name": "rk4"}, {"name": "gauss", "stages": 2}], "time.step": [0.01, 0.1]}]
-    found = [(point.spec.integrator.name, point.spec.time.step) for point in points(small)]
-    assert found == [("rk4", 0.01), ("gauss", 0.1)]
-
-
 def test_a_point_is_the_run_that_its_spec_would_be_by_itself(small):
     run = {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 0.5, "step": 0.01}}
     alone = load_spec({"mbdkit": 1, "model": {"name": "double-pendulum"}, **run})

@@ -187,17 +187,6 @@ def test_a_terminal_sees_how_many_are_done_and_how_many_failed(monkeypatch, caps
     assert "2 failed" in captured.err
 
 
-def test_a_terminal_sees_how_many_runs_a_design_has_made(monkeypatch, capsys):
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    with progress_bars.tally_bar("design") as advance:
-        advance(3, 0, "stage 1 of 2")
-        advance(12, 2, "stage 1 of 2")
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "stage 1 of 2, 12 runs, 2 failed" in captured.err
-
-
 @pytest.mark.parametrize(
     ("bar", "counts"), [(progress_bars.count_bar, (4, 8, 1)), (progress_bars.tally_bar, (4, 1, "4 stages"))]
 )

@@ -41,7 +41,6 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
     "a wrong coefficient": ("integrator", corpus.offer_method(corpus.WrongCoefficient, **RK4), "order.four-bar"),
     "a wrong stage time": ("integrator", corpus.offer_method(corpus.WrongStageTime, **RK4), "order.forced-pendulum"),
     "a loose Newton": ("integrator", corpus.loose_gauss(1e-4), "newton.tolerance"),
-    "a default that is too loose": ("integrator", corpus.loose_by_default(), "newton.tolerance"),
     "a Newton that is left out at fine steps": (
         "integrator",
         corpus.offer_method(corpus.LazyNewton, **MIDPOINT),
@@ -52,27 +51,7 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
         corpus.offer_method(corpus.LooseNewton, **MIDPOINT),
         "geometry.reversibility-pendulum",
     ),
-    "a wrong Jacobian, used once": (
-        "integrator",
-        corpus.offer_method(corpus.WrongJacobian, **MIDPOINT),
-        "geometry.symplectic-form",
-    ),
-    "a claim of symmetry": (
-        "integrator",
-        corpus.offer_method(corpus.RungeKutta, **RK4, symmetric=True),
-        "geometry.reversibility-pendulum",
-    ),
     "a tableau's claim of symmetry": ("integrator", corpus.trapezoid(symmetric=True), "tableau.symmetry"),
-    "a claim of symplecticity": (
-        "integrator",
-        corpus.offer_method(corpus.RungeKutta, **RK4, symplectic=True),
-        "geometry.symplectic-form",
-    ),
-    "a claim of invariants": (
-        "integrator",
-        corpus.offer_method(corpus.RungeKutta, **RK4, quadratic_invariants=True),
-        "geometry.quadratic-invariants",
-    ),
     "a claim of invariants by a method that keeps one of them": (
         "integrator",
         corpus.offer_method(corpus.SymplecticEuler, **EULER, quadratic_invariants=True),
@@ -82,11 +61,6 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
         "integrator",
         corpus.offer_method(corpus.RungeKutta, **RK4 | {"order": 5}),
         "order.forced-pendulum",
-    ),
-    "a claim to hold the joints": (
-        "integrator",
-        corpus.offer_method(corpus.RungeKutta, **RK4, formulations=("index-3",)),
-        "drift.position",
     ),
     "a lying counter": ("integrator", corpus.offer_method(corpus.LyingCounter, **RK4), "honesty.counters"),
     "tangents that it does not own up to": (
@@ -111,15 +85,6 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
     "a solver that obeys no tolerance": ("integrator", corpus.offer_solver(), "tolerance.forced-pendulum"),
     "a driver with a corner": ("model", corpus.offer_model(motion="0.5*abs(t - 0.4)"), "model.drivers"),
     "a model that is another each time": ("model", corpus.offer_model(random=True), "model.repeatable"),
-    "a wrong derivative in the length": ("force-law", corpus.offer_law(corpus.wrong_slope), "derivatives.length"),
-    "a wrong derivative in the rate": ("force-law", corpus.offer_law(corpus.wrong_rate), "derivatives.rate"),
-    "a potential of the wrong sign": ("force-law", corpus.offer_law(corpus.wrong_potential), "law.potential"),
-    "a damper that pushes": ("force-law", corpus.offer_law(corpus.pushes), "law.passivity"),
-    "a law that is no number": (
-        "force-law",
-        corpus.offer_law(corpus.no_number, potential=False, passive=False),
-        "law.finite",
-    ),
 }
 
 

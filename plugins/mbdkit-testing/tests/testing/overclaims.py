@@ -84,17 +84,6 @@ class Damped(Midpoint):
         return state.moved(h * (state.v + c * a), h * a)
 
 
-class ScaledMultipliers(RungeKutta):
-    """It returns multipliers that are a tenth too large."""
-
-    carries_multipliers = True
-
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        new = super().step(equations, t, state, h)
-        _, multipliers = equations.accelerations(t + h, new.q, new.v)
-        return StepState(new.q, new.v, multipliers=1.1 * multipliers)
-
-
 class FixedCoefficients(RungeKutta):
     """Adams and Bashforth of order 4, whose coefficients stay those of equal steps when a step is shorter."""
 
@@ -166,16 +155,13 @@ def gauss(**claims: Any) -> Any:
     return corpus.offer(lambda options: mbdkit.ImplicitRungeKutta(tableau), **corpus.GAUSS_3, **claims)
 
 
-def pair(*, dense: float = 1.0, error: Any = 1.0, order: int = 5, dense_order: float | None = None) -> Any:
-    """Return the pair of Dormand and Prince of order 5, with factors of the weights of dense output and error, and with
-    another order of the error.
-    """
+def pair(factors: np.ndarray) -> Any:
+    """Return the pair of Dormand and Prince of order 5, with factors of the weights of its error."""
     ours = dopri5.pair()
-    wrong = mbdkit.EmbeddedPair(error * ours.error, order, ours.a, ours.c, dense * ours.dense)
+    wrong = mbdkit.EmbeddedPair(factors * ours.error, 5, ours.a, ours.c, ours.dense)
     return corpus.offer(
-        lambda options: mbdkit.ExplicitRungeKutta(dopri5.tableau(), wrong),
-        dense_output=True, order=5, stages=7, dense_order=dense_order,
-    )  # fmt: skip
+        lambda options: mbdkit.ExplicitRungeKutta(dopri5.tableau(), wrong), dense_output=True, order=5, stages=7
+    )
 
 
 def solver(name: str, **claims: Any) -> Any:
@@ -221,11 +207,6 @@ WRONG = {
         "drift.position",
         "joint-coordinates enforces them, but the constraints do not hold",
     ),
-    "conserved energy by an accurate method": (
-        _method(RungeKutta, **RK4, conserves=("energy",)),
-        "geometry.conserved-energy",
-        "it claims to conserve energy, but in large steps it changes",
-    ),
     "conserved energy by a symplectic method": (
         _method(Midpoint, **MIDPOINT, conserves=("energy",)),
         "geometry.conserved-energy",
@@ -236,20 +217,10 @@ WRONG = {
         "geometry.conserved-linear-momentum",
         "it claims to conserve linear-momentum, but in large steps it changes",
     ),
-    "conserved angular momentum": (
-        _method(RungeKutta, **RK4, conserves=("angular-momentum",)),
-        "geometry.conserved-angular-momentum",
-        "it claims to conserve angular-momentum, but in large steps it changes",
-    ),
     "conserved angular momentum of bodies with joints that drift": (
         _method(Midpoint, **MIDPOINT, conserves=("angular-momentum",)),
         "geometry.conserved-angular-momentum",
         "it claims to conserve angular-momentum, but in large steps it changes",
-    ),
-    "A-stability of an explicit method": (
-        _method(RungeKutta, **RK4, a_stable=True),
-        "stability.a-stable",
-        "it claims to be A-stable, but at a frequency times step of",
     ),
     "A-stability of a formula of order 3": (
         _method(BDF3, order=3, a_stable=True),
@@ -266,11 +237,6 @@ WRONG = {
         "stability.a-stable",
         "it claims to be A-stable, but takes more steps where oscillators are stiffer",
     ),
-    "L-stability of a conservative method": (
-        _method(Midpoint, **MIDPOINT, **STABLE),
-        "stability.l-stable",
-        "it claims to be L-stable, but 4 steps leave",
-    ),
     "L-stability of a damping method": (
         _method(Damped, order=1, needs=("tangents",), **STABLE),
         "stability.l-stable",
@@ -280,11 +246,6 @@ WRONG = {
         gauss(**STABLE),
         "tableau.stability",
         "it claims to be L-stable, but its stability function does not vanish",
-    ),
-    "multipliers on another scale": (
-        _method(ScaledMultipliers, **RK4, multiplier_order=4),
-        "order.multipliers",
-        "it claims order of multipliers 4, but its errors follow no power of the step",
     ),
     "coefficients that ignore a shorter step": (
         _method(FixedCoefficients, **RK4),
@@ -321,30 +282,10 @@ WRONG = {
         "order.dense-output",
         "it claims an order of dense output, but the plugin says that it has none",
     ),
-    "an order of dense output that is too high": (
-        pair(dense_order=5),
-        "order.dense-output",
-        "it claims dense output of order 5, but its dense output has the order 3.",
-    ),
-    "dense output with weights that are too large": (
-        pair(dense=1.3),
-        "order.dense-output",
-        "its dense output has the order",
-    ),
     "an error estimate that does not vanish in a steady motion": (
-        pair(error=np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.1])),
+        pair(np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.1])),
         "tolerance.error-estimate",
         "its error estimate should be of order 5, but has order 0.",
-    ),
-    "an error estimate that is a hundredth of the right one": (
-        pair(error=0.01),
-        "tolerance.error-estimate",
-        "times its estimate",
-    ),
-    "an order of the error estimate that is too high": (
-        pair(order=6),
-        "tolerance.error-estimate",
-        "its error estimate should be of order 6, but has order 4.9",
     ),
     "a memory that can be stored": (
         _method(Unstorable, **RK4),

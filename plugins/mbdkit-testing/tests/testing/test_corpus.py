@@ -37,12 +37,10 @@ SUBTLE_METHODS = {
     subtle.Growing: "state.free-fall",
     subtle.EndShort: "state.free-fall",
     subtle.EndAlmostShort: "state.last-step",
-    subtle.NoEnd: "state.free-fall",
     subtle.Single: "order.finest",
     subtle.Wrapped: "state.free-fall",
     subtle.Clipped: "state.free-fall",
     subtle.OwnClock: "contract.start-time",
-    subtle.EarlyTimeOnly: "contract.start-time",
 }
 WRONG |= {one.__name__: ("force-law", corpus.offer_law(one), name) for one, name in SUBTLE_LAWS.items()}
 WRONG |= {
@@ -153,12 +151,6 @@ def test_an_under_claim_is_a_warning_and_no_failure() -> None:
     assert found.figures["measured"] == pytest.approx(4.0, abs=0.2)  # the order of the classical method
 
 
-def test_a_wrong_stage_time_does_not_show_where_nothing_depends_on_time() -> None:
-    # what makes this one treacherous: there it is the classical method
-    wrong = outcome("integrator", corpus.offer_method(corpus.WrongStageTime, **RK4), "geometry.energy")
-    assert wrong.figures == outcome(*RIGHT["runge-kutta"], "geometry.energy").figures
-
-
 def test_a_start_of_order_1_does_not_count_against_a_multistep_method() -> None:
     multistep = wrong_steps.fixed(wrong_steps.Bashforth, order=2, dense_order=2)
     dense = outcome("integrator", multistep, "order.dense-output")
@@ -173,12 +165,6 @@ def test_a_check_of_single_steps_says_why_none_could_be_taken() -> None:
     _, wrong, _ = WRONG["steps that are never accepted"]
     cause = outcome("integrator", wrong, "tolerance.error-estimate").cause
     assert cause.startswith("no single step from the start could be taken: its own control rejects them")
-
-
-def test_an_estimate_that_is_zero_for_linear_equations_does_not_show_in_nonlinear_problems() -> None:
-    _, wrong, _ = WRONG["an error estimate that is zero for linear equations"]
-    for check in ("tolerance.forced-pendulum", "tolerance.four-bar", "tolerance.error-estimate"):
-        assert outcome("integrator", wrong, check).outcome == "pass"
 
 
 def test_a_tableau_with_a_wrong_coefficient_cannot_even_be_built() -> None:

@@ -192,13 +192,6 @@ class NeverAccepted(Pair):
         return Step(new, None, dense, accepted=False, next_step=0.99 * h)
 
 
-class Insatiable(RungeKutta):
-    """It takes the step that it wants instead of the one that it is asked for."""
-
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        return super().step(equations, t, state, 0.02)
-
-
 class KeepsMemory(Pair):
     """It uses its last slope after a discontinuity too."""
 
@@ -211,33 +204,6 @@ class KeepsMemoryAfterEvents(Pair):
 
     def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: str) -> Any:
         return state.memory if why == "event" else None
-
-
-class Incomplete:
-    """A memory whose stored data lack the slope."""
-
-    def __init__(self, k: Any = None) -> None:
-        self.k = k
-
-    def stored(self) -> Any:
-        return {}
-
-    def restored(self, data: Any) -> Incomplete:
-        return Incomplete()
-
-
-class IncompleteMemory(Pair):
-    """It stores a part of its memory only: the slope, computed with an old matrix, cannot be computed again."""
-
-    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: str) -> Any:
-        return Incomplete()
-
-    def first(self, equations: EquationsOfMotion, t: float, y: Vector, memory: Any) -> Vector:
-        now = slope(equations, t, y)
-        return now if memory.k is None else now + 1e-9 * (memory.k - now)
-
-    def memory(self, h: float, k: Vector) -> Any:
-        return Incomplete(1.001 * k)
 
 
 class FirstOrderStates(Pair):
@@ -423,14 +389,10 @@ WRONG = {
     "steps that are never accepted": (
         adaptive(NeverAccepted), "tolerance.own-control", "it accepts none of 200 attempts",
     ),
-    "steps of its own choice": (
-        corpus.offer_method(Insatiable, **RK4), "state.free-fall", "the motion of a free body in free fall is wrong",
-    ),
     "memory that is kept": (fixed(KeepsMemory), "restart.discontinuities", f"after a load has jumped, {MEMORY}"),
     "memory that is kept after events": (
         adaptive(KeepsMemoryAfterEvents), "restart.discontinuities", f"after an event, {MEMORY}",
     ),
-    "a memory that is stored in part": (fixed(IncompleteMemory), "restart.state", NEEDED),
     "first-order states of order 1": (
         fixed(FirstOrderStates, dense_order=None), "order.states", "it claims order 3, but the observed one is",
     ),
