@@ -375,7 +375,7 @@ REDUCED = {
 """Some of the faults of `python -m tests.benchmarks.data_faults`, by number of the data set."""
 
 
-@pytest.mark.parametrize("number", REDUCED)
+@pytest.mark.parametrize("number", [pytest.param(n, marks=[pytest.mark.slow] * (n > 5)) for n in REDUCED])
 def test_faults_of_random_data_sets_are_refused_or_flagged(number: int) -> None:
     assert set(REDUCED[number]) <= set(FAULTS)
     found = outcomes(number, REDUCED[number])

@@ -31,6 +31,7 @@ def test_errors_of_a_point_of_a_segment_have_the_covariance_of_fitzpatrick() -> 
     assert np.max(artefact.correlation[1:], initial=0.0) < 0.1  # independent in each frame
 
 
+@pytest.mark.slow
 def test_centres_and_lengths_lie_within_their_stated_covariances() -> None:
     walker, random = Walker.of_example(2), np.random.default_rng(3)
     truth = {name: in_laboratory(points, HEADING) for name, points in walker.joints.items()}

@@ -61,21 +61,6 @@ def test_ground_reactions_are_what_the_motion_needs(treatment: str) -> None:
     assert x * fy - y * fx == pytest.approx(moments, abs=1e-9 * np.max(np.abs(moments)))
 
 
-@pytest.mark.parametrize("treatment", ["compliant", "event-driven"])
-def test_the_moment_about_the_center_of_pressure_is_zero_on_steps(treatment: str) -> None:
-    # expected: Euler's law for a box that leans on the edges of two steps and slides down
-    steps = {"polyline": [[-1.0, 0.0], [0.0, 0.0], [0.0, -0.1], [0.2, -0.1], [0.2, -0.2], [2.0, -0.2]]}
-    tilt = float(np.arctan(-0.5))
-    middle = np.array([0.1, -0.05]) + 0.1 * np.array([-np.sin(tilt), np.cos(tilt)])
-    drop = {"position": middle.tolist(), "angle": tilt}
-    found = run(treatment, drop, 0.1, 0.002, floor=steps)
-    foot, box = found.ground_reactions["box"], found["box"]
-    (x, y), (fx, fy) = (foot.center_of_pressure - box.position)[1:].T, foot.force[1:].T
-    moments = INERTIA * box.angular_acceleration[1:]
-    assert x * fy - y * fx == pytest.approx(moments, abs=1e-8 * MASS * G)
-    assert sum(row.normal_force[10] > 0.0 for row in found.contacts.values()) == 2
-
-
 def test_the_center_of_pressure_of_a_rolling_wheel_is_ahead_by_the_arm_of_its_resistance() -> None:
     arm = 0.01
     contact = {

@@ -7,7 +7,6 @@ import pytest
 
 import mbdkit
 from mbdkit_biomech.inverse_dynamics.results import measure_samples
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_design.derivatives import derivatives, differences
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator
@@ -44,21 +43,6 @@ def test_noise_cancels_in_the_gain_of_a_spring_and_leaves_what_the_spring_change
     assert trust.errors["mean"] == pytest.approx(bound, rel=0.5)
     assert trust.gain_errors["mean"] < 1e-6
     assert trust.gain_errors["square"] == pytest.approx(2 * (4.0 * 0.5) * bound, rel=0.5)
-
-
-def test_the_packaged_spring_unloads_the_knee_with_any_exponent():
-    # the gain is that of two independent computations, without the design
-    spring = (
-        "model.forces.spring={type: torsion-spring, bodies: [thigh, shank], stiffness: 18.6863, free_angle: 0.0109345}"
-    )
-    for exponent in (2, 3):
-        settings = ["motion.errors=none", f"recruitment.exponent={exponent}"]
-        peaks = []
-        for one in ([], [spring]):
-            with mbdkit.inverse(load_inverse_spec("walking-muscles", [*settings, *one])) as run:
-                peaks.append((run.measures["knee_force"], run.measures["hip_force"]))
-        assert peaks[1][0] < 0.95 * peaks[0][0]
-        assert peaks[1][1] < 1.02 * peaks[0][1]
 
 
 def test_goals_and_limits_of_the_packaged_design_have_exact_derivatives():

@@ -5,12 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 import mbdkit
-from mbdkit_design.commands import validate_design
-from mbdkit_design.design_loading import load_design_spec
-from mbdkit_design.design_report import design_report
 from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.report.study_report import study_report
 from mbdkit_studies.report.study_summary import plan_summary, summary
@@ -50,26 +45,3 @@ def test_studies_show_the_units_of_parameters(tmp_path: Path) -> None:
     axes = {figure.x.label: figure.x.unit for figure in page.verdict.figures if figure.y.label == "peak"}
     assert axes == {key.removeprefix("parameters."): unit for key, unit in UNITS.items()}
     assert "axis       parameters.soft [N/m]: 2 values: 1.0, 2.0" in plan_summary(plan_study(load_study_spec(given)))
-
-
-def test_designs_show_the_units_of_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    given = {
-        "mbdkit_design": 1,
-        "base": _base(),
-        "variables": {"soft": {"bounds": [100.0, 200.0]}, "parameters.mass": {"bounds": ["1 kg", "3000 g"]}},
-        "minimize": "max(abs(forces.spring.value))",
-        "subject_to": {"speed": {"value": "max(abs(bodies.block.vx))", "max": 0.5}},
-        "optimizer": {"name": "slsqp", "max_iterations": 2},  # units are shown wherever the search ends
-    }
-    design = mbdkit.design(given, out=tmp_path / "design")
-    rows = [line.split() for line in design.summary().splitlines()]
-    assert {row[0]: row[-1] for row in rows if len(row) in (4, 5) and not row[0].endswith(":")} == {
-        "START": "UNIT",
-        "soft": "N/m", "parameters.mass": "kg", "goal": "N", "speed": "m/s"}  # fmt: skip
-    assert "above its limit of 0.5 m/s" in design.summary()
-    with design_report(tmp_path / "design") as page:
-        tiles = dict(page.headline)
-        assert (tiles["soft"][-4:], tiles["mass"][-3:]) == (" N/m", " kg")
-        assert [page.verdict.figure(f"cut-{index}").x.unit for index in (1, 2)] == ["N/m", "kg"]
-    validate_design(load_design_spec(given)._document, "design", [])  # type: ignore[arg-type]
-    assert "variables    soft [N/m], parameters.mass [kg]" in capsys.readouterr().out

@@ -91,6 +91,9 @@ def test_a_small_derivative_with_the_wrong_sign_fails_the_check() -> None:
     run = mbdkit.run(LINKS, measures={"end": MEASURES["end"]}, gradients=["k"], **sections)
     assert run.gradients["end"]["errors"]["k"] == pytest.approx(found.error[0, 0], rel=1e-6)
     assert "end by k: 1e-07 +- 2.1e-07" in run.summary()
+    assert not run.gradients["end"]["check"]["agrees"]
+    assert run.verdict in ("doubtful", "bad")
+    assert any("The check of the gradients failed for end" in reason for reason in run.verdict_reasons)
     section = gradient_section(run)
     assert section is not None
     assert section.tables[0].rows == (("end", "m", "k", "1e-07 \u00b1 2.1e-07"),)

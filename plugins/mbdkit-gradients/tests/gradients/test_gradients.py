@@ -171,34 +171,6 @@ def test_differences_of_another_method_that_scatter_are_no_error() -> None:
         assert found.entry_error[0, 0] == pytest.approx(expected, rel=1e-3, abs=1e-12)
 
 
-def test_a_run_whose_gradients_fail_their_check_is_doubtful() -> None:
-    # the steps are longer than the time between two discontinuities of the law
-    pad = {"type": "law", "law": "one-sided", "stiffness": 4e3, "acts": "compression",
-           "pathway": {"type": "coordinate", "bodies": ["ground", "ball"], "coordinate": "y"}}  # fmt: skip
-    spec = {
-        "mbdkit": 1,
-        "parameters": {"height": 0.1},
-        "model": {
-            "name": "mechanism",
-            "bodies": {"ball": {"mass": 1.0, "position": [0, "height"]}},
-            "forces": {"pad": pad},
-        },
-        "integrator": {"name": "rk4"},
-        "time": {"end": 1.0, "step": 0.05},
-        "measures": {"last": "final(ball.y)"},
-        "gradients": ["height"],
-    }
-    run = mbdkit.run(spec)
-    found = mbdkit.gradient(spec, "last", "height")
-    assert found.check is not None
-    assert not found.check.is_passed
-    assert not run.gradients["last"]["check"]["agrees"]
-    assert "is inaccurate" in found.doubts[0] or "fails its check" in found.doubts[0]
-    assert run.verdict in ("doubtful", "bad")
-    assert any("The check of the gradients failed for last" in reason for reason in run.verdict_reasons)
-    assert found.doubts[0] in run.summary()
-
-
 @pytest.mark.parametrize(
     ("measure", "end", "remark"),
     [

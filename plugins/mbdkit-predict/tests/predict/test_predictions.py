@@ -40,18 +40,23 @@ def test_the_error_bar_of_exact_optima_covers_and_is_sharp(name: str) -> None:
         assert np.abs(run.energy.balance).max() < 1e-4
 
 
-def test_starts_find_the_local_optima_of_a_swing_up() -> None:
+def test_the_swing_up_of_a_cart_pole_has_its_optimum() -> None:
     run = mbdkit.predict("cart-pole")
     error = abs(run.objective - swing_up(5, 80))
     assert error <= run.objective_error <= max(10.0 * error, 1.0001e-8 * run.objective)
     assert run["pole"].angle[-1] == pytest.approx(np.pi / 2, abs=1e-8)
     assert np.max(run.joints["pin"].misalignment) < 1e-8
+
+
+@pytest.mark.slow
+def test_starts_find_the_local_optima_of_a_swing_up() -> None:
     run = mbdkit.predict("cart-pole", starts=5, tolerance=1e-2)
     assert abs(run.objective - 57.944781) <= run.objective_error < 0.6
     assert "starts        of 5, " in run.summary()
     assert sum(abs(value - 58.93) < 0.01 for value in run.starts) >= 1
 
 
+@pytest.mark.slow
 def test_gauss_methods_have_their_order_on_nonlinear_joints() -> None:
     # on meshes of equal intervals, errors of order 4 fall by 16; without projection, no motion is found
     exact, spec = (
@@ -350,6 +355,7 @@ def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_exci
     assert 0.1 < np.abs(run.muscles["biceps"].fiber_rate[1:]).max() / (10 * 0.132) < 1.0
 
 
+@pytest.mark.slow
 def test_finer_meshes_of_a_squat_with_active_limits_confirm_its_spring() -> None:
     run = mbdkit.predict("assisted-squat")
     assert (run.status, run.verdict) == ("complete", "good")

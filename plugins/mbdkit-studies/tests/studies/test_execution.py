@@ -177,50 +177,30 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
 
 
 @pytest.mark.usefixtures("processes")
-def test_the_death_of_a_worker_is_the_failure_of_its_run_alone_and_the_run_is_tried_again(
-    finished, small, tmp_path, monkeypatch
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call_and_in_later_ones(
+    count, finished, small, tmp_path, monkeypatch
 ):
-    victim = finished.points[1].run_id
-    give = pool._Worker.give
+    victim, give, deaths = finished.points[1].run_id, pool._Worker.give, []
 
     def deadly(worker, task):
-        if task.key == victim:
-            worker.process.kill()
-            worker.process.wait()
-        give(worker, task)
-
-    monkeypatch.setattr(pool._Worker, "give", deadly)
-    study = mbdkit.study(small, out=tmp_path / "out")
-    assert [point.status for point in study.points] == ["complete", "failed", "complete", "complete"]
-    reason = "worker-died: two processes that computed it died; the second one was killed by SIGKILL."
-    assert study.points[1].reason == reason
-    assert study.unfinished == (reason,)
-    assert not list((tmp_path / "out" / "runs").glob("*.part"))
-    monkeypatch.undo()
-    again = mbdkit.study(small, out=tmp_path / "out")
-    assert again.computed == 1
-    assert index_hash(tmp_path / "out") == index_hash(finished.folder)
-
-
-@pytest.mark.usefixtures("processes")
-def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call(finished, small, tmp_path, monkeypatch):
-    victim = finished.points[1].run_id
-    give = pool._Worker.give
-    deaths = []
-
-    def deadly(worker, task):
-        if task.key == victim and not deaths:
+        if task.key == victim and len(deaths) < count:
             deaths.append(worker)
             worker.process.kill()
             worker.process.wait()
         give(worker, task)
 
     monkeypatch.setattr(pool._Worker, "give", deadly)
-    study = mbdkit.study(small, out=tmp_path / "out", workers=2)
-    assert len(deaths) == 1
+    study = mbdkit.study(small, out=tmp_path / "out", workers=count)
+    reason = "worker-died: two processes that computed it died; the second one was killed by SIGKILL."
+    assert study.unfinished == (reason,) * (count - 1)
+    assert len(deaths) == count
     assert deaths[0].process.stdout.closed
-    assert study.computed == 5
-    assert study.unfinished == ()
+    assert not list((tmp_path / "out" / "runs").glob("*.part"))
+    if count == 2:
+        assert [point.status for point in study.points] == ["complete", "failed", "complete", "complete"]
+        assert study.points[1].reason == reason
+        assert mbdkit.study(small, out=tmp_path / "out").computed == 1
     assert index_hash(tmp_path / "out") == index_hash(finished.folder)
 
 

@@ -198,9 +198,9 @@ COVER = [
     (kind, method)
     for number, kind in enumerate(KINDS)
     for place, method in enumerate(METHODS)
-    if (number + place) % 2 == 0
+    if (number + place) % 4 == 0
 ]
-"""Every kind with four methods, two of them implicit, and every method with four kinds."""
+"""Every kind with two methods, one of them implicit, and every method with two kinds."""
 
 
 @pytest.mark.parametrize(("kind", "method"), COVER)
@@ -215,7 +215,7 @@ def test_every_lane_has_the_bits_of_the_single_run(kind: str, method: str) -> No
         assert_same_bits(results, lane, method, workspace, table)
 
 
-@pytest.mark.parametrize("kind", ["chain", "slides", "springs"])
+@pytest.mark.parametrize("kind", ["chain", "slides"])
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_lanes_iterate_as_often_as_their_single_runs(kind: str, method: str) -> None:
     # different mechanisms take different numbers of iterations, and evaluate their tangents again at different times
@@ -240,9 +240,9 @@ COVER_CONTROLLED = [
     (kind, method)
     for number, kind in enumerate(KINDS)
     for place, method in enumerate(CONTROLLED)
-    if CONTROLLED[method].traits.is_explicit or (number + place) % 3 == 1
+    if (number + place) % 3 == 1
 ]
-"""Every kind with every explicit method and with one implicit method."""
+"""Every kind with one explicit and one implicit method."""
 
 
 def controlled(method: str, workspaces: list[Workspace], planned: list[Timetable]) -> LaneResults:

@@ -310,10 +310,3 @@ def test_validate_takes_a_study(mbdkit, in_tmp_path):
         ]
     assert os.listdir() == ["sweep.yaml"]
     assert mbdkit("validate", "no-drift").exit_code == 0
-
-
-def test_validate_names_what_is_wrong_with_a_study(mbdkit, in_tmp_path):
-    (in_tmp_path / "sweep.yaml").write_text(SWEEP + "measures: {far: max(abs(rod2.position))}\n")
-    result = mbdkit("validate", "sweep.yaml")
-    assert result.exit_code == 2
-    assert "sweep.yaml:9: measures.far: there is no body" in result.stderr

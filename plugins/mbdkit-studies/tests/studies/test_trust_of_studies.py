@@ -6,7 +6,6 @@ import h5py
 import pytest
 
 import mbdkit
-from mbdkit_studies.report.study_report import study_report
 
 RUN = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 2.0, "step": 0.05}}
 STUDY = {
@@ -31,11 +30,3 @@ def test_the_table_of_a_study_has_the_verdict_of_each_run(study: mbdkit.Study) -
     assert [point.verdict for point in study.points] == ["unknown", "bad"]
     with h5py.File(study.folder / "index.h5") as file:
         assert list(file["runs/verdict"].asstr()[:]) == ["unknown", "bad"]
-
-
-def test_the_report_of_a_study_shows_the_verdicts(study: mbdkit.Study) -> None:
-    page = study_report(study)
-    table = page.verdict.table("runs")
-    place = [column.label for column in table.columns].index("verdict")
-    assert [row[place] for row in table.rows] == ["unknown", "bad"]
-    assert page.settings.endswith("2 complete \u00b7 1 bad")

@@ -204,12 +204,6 @@ def test_a_mistake_in_the_file_of_the_base_is_placed_there(refusal, in_tmp_path)
     assert message.startswith("base.yaml:4: model.lenghts: unknown key (did you mean 'lengths'?)")
 
 
-def test_run_says_that_a_study_is_a_study(refusal, in_tmp_path):
-    (in_tmp_path / "spec.yaml").write_text(STUDY)
-    message = refusal("run", "spec.yaml")
-    assert message.startswith("spec.yaml:1: mbdkit_study: this is a study spec, which `mbdkit study` runs")
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

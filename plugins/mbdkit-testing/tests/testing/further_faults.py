@@ -1,4 +1,4 @@
-"""Forty further plugins that are each wrong in one way, of all kinds, and right ones that are unusual."""
+"""Further plugins that are each wrong in one way, of all kinds, and right ones that are unusual."""
 
 from __future__ import annotations
 
@@ -46,7 +46,10 @@ class ImplicitEuler(StepMethod):
     carries_multipliers = True
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        a, lam = self.guess(equations, t, state)
+        if state.multipliers is None:
+            a, lam = equations.accelerations(t, state.q, state.v)
+        else:
+            (a,), lam = state.memory, state.multipliers  # the memory is None only where the multipliers are None, too
         before = np.inf
         for _ in range(40):
             v = state.v + h * a
@@ -59,15 +62,6 @@ class ImplicitEuler(StepMethod):
                 v = state.v + h * a
                 return StepState(state.q + h * v, v, multipliers=lam, memory=(a,))
             before = change
-        return self.not_converged(state)
-
-    def guess(self, equations: EquationsOfMotion, t: float, state: StepState) -> tuple[Vector, Vector]:
-        if state.multipliers is None:
-            return equations.accelerations(t, state.q, state.v)
-        (a,) = state.memory  # None only where the multipliers are None, too
-        return a, state.multipliers
-
-    def not_converged(self, state: StepState) -> StepState:
         raise StepError("newton-failed", "the iteration does not converge")
 
 

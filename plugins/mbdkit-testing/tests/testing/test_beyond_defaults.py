@@ -42,7 +42,7 @@ SPRINGS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SPRINGS)
+@pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.slow] * (x == "not passed on")) for x in SPRINGS])
 def test_options_that_do_not_change_the_force_are_found(name: str) -> None:
     installed, outcome, message = SPRINGS[name]
     found = one("law.option-effects", "force-law", installed)

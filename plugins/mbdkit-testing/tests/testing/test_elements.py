@@ -99,7 +99,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     forget()
 
 
-@pytest.mark.parametrize("name", ["mbdkit:muscle", "mbdkit:contact", "wrong-right"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("mbdkit:muscle", marks=pytest.mark.slow), "mbdkit:contact", "wrong-right"]
+)
 def test_muscles_contacts_and_the_template_are_verified(name: str, site: Path) -> None:
     report = mbdkit.testing.check_element(name)
     assert report.verified, report.text()

@@ -30,17 +30,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "mechanism": DRIVEN_PENDULUM,
 }
 FULL = [("gauss", {"stages": 3}), ("rk4", {}), ("scipy-dop853", {})]
-
-
-OTHERS = [
-    *(("gauss", {"stages": s}) for s in (1, 3, 4, 5, 6)),
-    *(("radau-iia", {"stages": s}) for s in (2, 3, 5)),
-    ("gauss", {"stage_solver": "fixed-point"}),
-    *((name, {}) for name in ("rk4", "rk-gill", "dopri5", "rattle", "scipy-dop853", "scipy-radau", "scipy-lsoda")),
-    *((name, {}) for name in ("moreau-jean", "nonsmooth-generalized-alpha")),
-]
-"""Members of families of which others are verified as well."""
-EVERY = [pytest.param(*x, marks=[pytest.mark.slow] if x in OTHERS else []) for x in VARIANTS]
+FIRST = [("gauss", {"stages": 2}), ("dop853", {}), ("lobatto-pair", {})]
+"""An implicit method, an adaptive one, and one with another formulation; the others of mbdkit are slow tests."""
+EVERY = [pytest.param(*x, marks=[] if x in FIRST else [pytest.mark.slow]) for x in VARIANTS]
 
 
 @pytest.mark.parametrize(("name", "options"), EVERY, ids=lambda x: str(x))
@@ -78,7 +70,7 @@ LAWS = [item.name for item in registry().only("mbdkit").of_kind("force-law")]
 @pytest.mark.parametrize(
     ("name", "by_example"),
     [
-        pytest.param(name, by_example, marks=[pytest.mark.slow] * (not by_example or name == "one-sided"))
+        pytest.param(name, by_example, marks=[pytest.mark.slow] * (not by_example or name != "gas-spring"))
         for name in LAWS
         for by_example in (True, False)
     ],
