@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import json
 import re
-from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.report.page_elements import Elements
 
 import mbdkit
 from mbdkit.base.errors import SpecError
@@ -18,20 +18,6 @@ from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_report.pages.run_verdict import run_verdict
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
-
-
-class Elements(HTMLParser):
-    """What a page is made of: tags, ids, and every attribute that names an address."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.ids, self.links = [], [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.ids += [value for name, value in attrs if name == "id"]
-        self.links += [value for name, value in attrs if name in ("src", "href", "action", "srcset")]
 
 
 def test_a_page_is_whole_and_names_no_address_outside_of_itself(make_run):
