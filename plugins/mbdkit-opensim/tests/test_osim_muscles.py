@@ -63,9 +63,7 @@ WRAP = '<PathWrap name="w"><wrap_object>{}</wrap_object><method>hybrid</method><
 MILLARD = "Millard2012EquilibriumMuscle"
 MUSCLES = [
     muscle(
-        MILLARD,
-        "hamstrings",
-        [point("a", "ground", (-0.06, 0.93, 0.07)), point("b", "shank", (-0.03, -0.05, 0.02))],
+        MILLARD, "hamstrings", [point("a", "ground", (-0.06, 0.93, 0.07)), point("b", "shank", (-0.03, -0.05, 0.02))],
     ),
     muscle(
         "Thelen2003Muscle",
@@ -79,24 +77,18 @@ MUSCLES = [
     ),
     muscle("DeGrooteFregly2016Muscle", "vasti", [point("a", "thigh", (0.03, -0.2, 0.03)), moving("b", "shank")]),
     muscle(
-        MILLARD,
-        "wrapped",
-        [point("a", "thigh", (0.03, -0.1, 0.0)), point("b", "shank", (0.03, -0.1, -0.06))],
+        MILLARD, "wrapped", [point("a", "thigh", (0.03, -0.1, 0.0)), point("b", "shank", (0.03, -0.1, -0.06))],
         wraps=WRAP.format("condyle"),
     ),
     muscle(
-        MILLARD,
-        "over_ball",
-        [point("a", "thigh", (0.03, -0.1, 0.0)), point("b", "shank", (0.03, -0.1, 0.0))],
+        MILLARD, "over_ball", [point("a", "thigh", (0.03, -0.1, 0.0)), point("b", "shank", (0.03, -0.1, 0.0))],
         wraps=WRAP.format("ball"),
     ),
     muscle(
-        MILLARD,
-        "idle",
-        [point("a", "thigh", (0, 0, 0)), point("b", "shank", (0, 0, 0))],
+        MILLARD, "idle", [point("a", "thigh", (0, 0, 0)), point("b", "shank", (0, 0, 0))],
         "<appliesForce>false</appliesForce>",
     ),
-]
+]  # fmt: skip
 READ = ("hamstrings", "gastroc", "vasti", "wrapped")
 
 

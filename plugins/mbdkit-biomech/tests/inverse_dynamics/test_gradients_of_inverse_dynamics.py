@@ -111,9 +111,7 @@ FOUR_BAR: dict[str, Any] = {
         },
     },
     "motion": {
-        "data": {"time": TIME, "A": 0.3 + 0.8 * np.sin(3.0 * TIME)},
-        "columns": {"A.angle": "A"},
-        "smooth": "none",
+        "data": {"time": TIME, "A": 0.3 + 0.8 * np.sin(3.0 * TIME)}, "columns": {"A.angle": "A"}, "smooth": "none",
     },
 }  # fmt: skip
 

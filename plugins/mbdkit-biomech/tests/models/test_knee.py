@@ -19,15 +19,10 @@ SUPPORTED: dict[str, Any] = SEATED | {
     "rod_mass": 0.08,
     "damping": 0.4,
     "springs": {
-        "front": {
-            "points": [[0.05, 0.2], [0.04, -0.15]],
-            "stiffness": 300.0,
-            "damping": 8.0,
-            "free_length": 0.3,
-        },
+        "front": {"points": [[0.05, 0.2], [0.04, -0.15]], "stiffness": 300.0, "damping": 8.0, "free_length": 0.3},
         "back": {"points": [[-0.06, 0.15], [-0.05, -0.1]], "stiffness": 150.0, "free_length": 0.2},
     },
-}
+}  # fmt: skip
 END = 1.5
 models = pytest.mark.parametrize("model", [SEATED, SUPPORTED], ids=["bare", "supported"])
 

@@ -44,26 +44,20 @@ REFUSED = {
     "two lines": ({"shapes": [FLOOR, FLOOR]}, "model.contacts.k.shapes", "two lines"),
     "two points": ({"shapes": [{"point": [0, 0]}, {"point": [0, 0]}]}, "model.contacts.k.shapes", "two points"),
     "too large": (
-        {"shapes": [{"hole": {"radius": 0.1}}, BALL]},
-        f"{K}.shapes",
-        "less than the radius of the hole, 0.1",
+        {"shapes": [{"hole": {"radius": 0.1}}, BALL]}, f"{K}.shapes", "less than the radius of the hole, 0.1",
     ),
     "no hole for lines": ({"shapes": [FLOOR, {"hole": {"radius": 0.1}}]}, "model.contacts.k.shapes", "not a line"),
     "radius of a hole": ({"shapes": [{"hole": {"radius": -1}}, BALL]}, "model.contacts.k.shapes[0].hole.radius", "0"),
     "clockwise": ({"shapes": [FLOOR, {"polygon": CLOCKWISE}]}, f"{K}.shapes[1].polygon", "counter-clockwise"),
     "concave": ({"shapes": [FLOOR, {"polygon": CONCAVE}]}, f"{K}.shapes[1].polygon", "convex"),
     "corners that coincide": (
-        {"shapes": [FLOOR, {"polygon": SAME}]},
-        f"{K}.shapes[1].polygon",
-        "no three are on a line",
+        {"shapes": [FLOOR, {"polygon": SAME}]}, f"{K}.shapes[1].polygon", "no three are on a line",
     ),
     "overlap": ({"shapes": [FLOOR, {"circle": {"radius": 0.7}}]}, "model.contacts.k.shapes", "overlap by 0.2 m"),
     "no compliance": ({"compliance": None}, "model.contacts.k.compliance", "is missing"),
     "flores": ({"compliance": {"law": "flores", "stiffness": 1.0}}, f"{K}.compliance.impact_speed", "needs"),
     "no shape": (
-        {"shapes": [FLOOR, {}]},
-        "model.contacts.k.shapes[1]",
-        "one of line, polyline, point, circle, hole and polygon",
+        {"shapes": [FLOOR, {}]}, "model.contacts.k.shapes[1]", "one of line, polyline, point, circle, hole and polygon",
     ),
     "one point": ({"shapes": [{"polyline": [[0, 0]]}, BALL]}, f"{K}.shapes[0].polyline", "at least two points"),
     "repeated point": ({"shapes": [{"polyline": SAME[:3]}, BALL]}, f"{K}.shapes[0].polyline[2]", "repeats"),
@@ -71,7 +65,7 @@ REFUSED = {
     "turns back": ({"shapes": [{"polyline": [[0, 0], [0, 2], [0, 1]]}, BALL]}, f"{K}.shapes[0].polyline[1]", "back"),
     "polyline and line": ({"shapes": [FLOOR, {"polyline": [[0, 0], [1, 0]]}]}, f"{K}.shapes", "two lines"),
     "among": ({"bodies": None, "among": ["b", "c"]}, "model.contacts.k.shapes", "mapping"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", REFUSED)

@@ -80,17 +80,12 @@ EXACT = {
     "least effort by gauss": (block(collocation={"method": "gauss", "points": 2, "intervals": 5}), 12.0),
     # 12 / T^3 + w T with T^4 = 36 / w
     "effort and time": (
-        block(
-            duration={"bounds": [0.5, 20]}, minimize='integral(controls["forces.push.value[0]"]**2) + 0.1*final(t)'
-        ),
+        block(duration={"bounds": [0.5, 20]}, minimize='integral(controls["forces.push.value[0]"]**2) + 0.1*final(t)'),
         0.4 / 3.0 * 360.0**0.25,
     ),
     # bang-bang: 2 sqrt(m s / F)
     "least time": (
-        block(
-            2.0, controls={PUSH: {"bounds": [-50, 50]}}, duration={"bounds": [0.05, 5]}, minimize="final(t)"
-        ),
-        0.4,
+        block(2.0, controls={PUSH: {"bounds": [-50, 50]}}, duration={"bounds": [0.05, 5]}, minimize="final(t)"), 0.4,
     ),
     # D. E. Kirk, Optimal Control Theory (1970), example 5.1-1, in closed form
     "drag": (

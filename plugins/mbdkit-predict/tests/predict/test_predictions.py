@@ -137,11 +137,7 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"controls": {"forces.pull.value": {"bounds": [0, 1]}}}, "model.forces.pull.value", "no 'pull' here"),
         ({"collocation": {"points": 4}}, "collocation.points", "radau has 2, 3 or 5 points, not 4"),
         ({"base": "blok"}, "base", "examples: belt, bouncing-ball"),
-        (
-            {"durration": 1.0},
-            "durration",
-            "(did you mean 'duration'?); known here: base, overrides, title",
-        ),
+        ({"durration": 1.0}, "durration", "(did you mean 'duration'?); known here: base, overrides, title"),
         ({"phases": [{"duration": 1.0}]}, "duration", "each of the `phases` has its own"),
         ({"duration": None}, "duration", "is missing"),
         ({"compare": {"gravity": 0}}, "compare", "only parameters and model are compared"),
@@ -158,7 +154,7 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"final": {"block.x": [2, 1]}}, 'final."block.x"', "the lower bound 2 is above the upper bound 1"),
         ({"minimize": "integral(controls['forces.push.value[0]']"}, "minimize", "is written controls['forces.push"),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: str) -> None:
     with pytest.raises(SpecError) as caught:
         mbdkit.predict(block(**changed))

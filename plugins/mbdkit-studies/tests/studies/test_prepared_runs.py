@@ -23,9 +23,7 @@ DOUBLE = {
 CASES: list[tuple[Any, dict[str, Any], str, float]] = [
     (DOUBLE, {}, "model.angles.0", 1.2),
     (
-        DOUBLE,
-        {"measures": {"peak": "max(abs(joints.J1.force))", "mean": "mean(energy.kinetic)"}},
-        "model.masses.1",
+        DOUBLE, {"measures": {"peak": "max(abs(joints.J1.force))", "mean": "mean(energy.kinetic)"}}, "model.masses.1",
         3.0,
     ),
     (DOUBLE, {"formulation": "index-3", "integrator": {"name": "radau-iia"}}, "model.lengths.0", 2.0),
@@ -37,7 +35,7 @@ CASES: list[tuple[Any, dict[str, Any], str, float]] = [
     ("jump", {"time": {"end": 0.02, "step": 0.005}}, "duration", 0.2),  # rigid contacts, events, named parameters
     ("delayed-balance", {"time": {"end": 0.1, "step": 0.002}}, "lean", 0.02),  # a sampled controller
     ("limit-stop", {"time": {"end": 0.5}}, "model.bodies.thigh.angle", 0.2),  # a method of SciPy
-]
+]  # fmt: skip
 
 
 def alone(spec: RunSpec, key: str, value: float) -> mbdkit.Run:

@@ -35,12 +35,10 @@ THROW: dict[str, Any] = {
     "mbdkit_study": 1,
     "base": base(0.4, ball=BODY | {"velocity": [0.0, 0.0]}),
     "sample": {
-        "n": 16,
-        "seed": 3,
-        "variables": {SPEED: {"uniform": [1, 3]}, MASS: {"lognorm": {"s": 0.2, "scale": 2.0}}},
+        "n": 16, "seed": 3, "variables": {SPEED: {"uniform": [1, 3]}, MASS: {"lognorm": {"s": 0.2, "scale": 2.0}}},
     },
     "measures": {"distance": "final(ball.x)", "work": "max(energy.kinetic)"},
-}
+}  # fmt: skip
 
 
 @pytest.fixture

@@ -42,50 +42,37 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
     "a wrong stage time": ("integrator", corpus.offer_method(corpus.WrongStageTime, **RK4), "order.forced-pendulum"),
     "a loose Newton": ("integrator", corpus.loose_gauss(1e-4), "newton.tolerance"),
     "a Newton that is left out at fine steps": (
-        "integrator",
-        corpus.offer_method(corpus.LazyNewton, **MIDPOINT),
-        "order.finest",
+        "integrator", corpus.offer_method(corpus.LazyNewton, **MIDPOINT), "order.finest",
     ),
     "a Newton that ends while bodies move": (
-        "integrator",
-        corpus.offer_method(corpus.LooseNewton, **MIDPOINT),
-        "geometry.reversibility-pendulum",
+        "integrator", corpus.offer_method(corpus.LooseNewton, **MIDPOINT), "geometry.reversibility-pendulum",
     ),
     "a tableau's claim of symmetry": ("integrator", corpus.trapezoid(symmetric=True), "tableau.symmetry"),
     "a claim of invariants by a method that keeps one of them": (
-        "integrator",
-        corpus.offer_method(corpus.SymplecticEuler, **EULER, quadratic_invariants=True),
+        "integrator", corpus.offer_method(corpus.SymplecticEuler, **EULER, quadratic_invariants=True),
         "geometry.quadratic-invariants",
     ),
     "an over-claim of order": (
-        "integrator",
-        corpus.offer_method(corpus.RungeKutta, **RK4 | {"order": 5}),
-        "order.forced-pendulum",
+        "integrator", corpus.offer_method(corpus.RungeKutta, **RK4 | {"order": 5}), "order.forced-pendulum",
     ),
     "a lying counter": ("integrator", corpus.offer_method(corpus.LyingCounter, **RK4), "honesty.counters"),
     "tangents that it does not own up to": (
-        "integrator",
-        corpus.offer_method(corpus.Midpoint, **MIDPOINT | {"needs": ()}),
-        "honesty.needs",
+        "integrator", corpus.offer_method(corpus.Midpoint, **MIDPOINT | {"needs": ()}), "honesty.needs",
     ),
     "hidden stabilization": ("integrator", corpus.offer_method(corpus.Stabilized, **RK4), "honesty.projections"),
     "a changed input": ("integrator", corpus.offer_method(corpus.ChangesItsInput, **RK4), "contract.inputs"),
     "a buffer": ("integrator", corpus.offer_method(corpus.ReturnsItsBuffer, **RK4), "contract.inputs"),
     "a swallowed NaN": ("integrator", corpus.offer_method(corpus.SwallowsNaN, **RK4), "failure.not-a-number"),
     "a memory outside the state": (
-        "integrator",
-        corpus.offer_method(corpus.Forgetful, order=2, needs=("accelerations",)),
-        "restart.state",
+        "integrator", corpus.offer_method(corpus.Forgetful, order=2, needs=("accelerations",)), "restart.state",
     ),
     "a memory that a look inside a step changes": (
-        "integrator",
-        corpus.offer_method(corpus.Alternating, order=1, needs=("accelerations",)),
-        "restart.stretches",
+        "integrator", corpus.offer_method(corpus.Alternating, order=1, needs=("accelerations",)), "restart.stretches",
     ),
     "a solver that obeys no tolerance": ("integrator", corpus.offer_solver(), "tolerance.forced-pendulum"),
     "a driver with a corner": ("model", corpus.offer_model(motion="0.5*abs(t - 0.4)"), "model.drivers"),
     "a model that is another each time": ("model", corpus.offer_model(random=True), "model.repeatable"),
-}
+}  # fmt: skip
 
 
 def outcome(kind: Any, installed: Registry, name: str) -> Result:

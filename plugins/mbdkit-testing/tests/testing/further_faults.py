@@ -425,8 +425,7 @@ METHODS: dict[str, tuple[Any, str, str]] = {
         _method(ExplicitEuler, **INDEX_2), "drift.formulations", "on index-2 the constraints should hold at velocity",
     ),
     "ggl, but index-3 is integrated": (
-        _method(ImplicitEuler, **INDEX_3 | {"formulations": ("ggl",)}),
-        "drift.formulations",
+        _method(ImplicitEuler, **INDEX_3 | {"formulations": ("ggl",)}), "drift.formulations",
         "on ggl the constraints should hold at velocity level",
     ),
     "constraints without the motion of drivers": (
@@ -448,9 +447,7 @@ METHODS: dict[str, tuple[Any, str, str]] = {
     "times in single precision": (_method(SingleTime, **RK4), "contract.start-time", "ends in another state"),
     "multipliers of bodies without joints": (_method(NeedsJoints, **RK4), "state.free-fall", "IndexError"),
     "a symplectic trapezoidal rule": (_method(Trapezoid, **IMPLICIT, symplectic=True), "geometry.symplectic-form", ""),
-    "theta = 0.501": (
-        _method(AlmostTrapezoid, **IMPLICIT, symmetric=True), "geometry.reversibility-pendulum", "",
-    ),
+    "theta = 0.501": (_method(AlmostTrapezoid, **IMPLICIT, symmetric=True), "geometry.reversibility-pendulum", ""),
     "theta = 0.49": (_method(Explicitish, order=1, needs=("tangents",), a_stable=True), "stability.a-stable", ""),
     "an error estimate without velocities": (adaptive(PositionsOnly, dense_order=3), "tolerance.error-estimate", ""),
     "forces of old states": (fixed(FrozenStates, dense_order=None), "order.states", "the observed one is"),
@@ -471,9 +468,7 @@ OTHERS: dict[str, tuple[Any, Any, str, str]] = {
     "a torque that is no number": ("model", model(gone), "energy.run", "did not complete"),
     "half a potential": ("force-law", corpus.offer_law(half_potential), "law.potential", ""),
     "no number at zero": ("force-law", corpus.offer_law(saturating, passive=False), "law.finite", ""),
-    "a state that ends in infinity": (
-        "force-law", law_with_state(sympy.Symbol("grip") ** 2 + 900), "law.states", "",
-    ),
+    "a state that ends in infinity": ("force-law", law_with_state(sympy.Symbol("grip") ** 2 + 900), "law.states", ""),
     "a text": ("measure", measure(as_text), "measure.value", "an object of type str"),
     "another number each time": ("measure", measure(random_measure), "measure.value", "and then"),
     "an error for every run": ("measure", measure(crashing), "measure.value", "IndexError"),

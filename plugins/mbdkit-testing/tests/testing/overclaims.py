@@ -198,109 +198,82 @@ RIGHT = {
 
 WRONG = {
     "index-3, but only index-1 is integrated": (
-        _method(RungeKutta, **RK4, formulations=("index-1", "index-3")),
-        "drift.formulations",
+        _method(RungeKutta, **RK4, formulations=("index-1", "index-3")), "drift.formulations",
         "on index-3 the constraints should hold at position level",
     ),
     "joint coordinates, but the joints drift": (
-        _method(RungeKutta, **RK4, formulations=("joint-coordinates",)),
-        "drift.position",
+        _method(RungeKutta, **RK4, formulations=("joint-coordinates",)), "drift.position",
         "joint-coordinates enforces them, but the constraints do not hold",
     ),
     "conserved energy by a symplectic method": (
-        _method(Midpoint, **MIDPOINT, conserves=("energy",)),
-        "geometry.conserved-energy",
+        _method(Midpoint, **MIDPOINT, conserves=("energy",)), "geometry.conserved-energy",
         "it claims to conserve energy, but in large steps it changes",
     ),
     "conserved linear momentum": (
-        _method(OneByOne, order=1, conserves=("linear-momentum",)),
-        "geometry.conserved-linear-momentum",
+        _method(OneByOne, order=1, conserves=("linear-momentum",)), "geometry.conserved-linear-momentum",
         "it claims to conserve linear-momentum, but in large steps it changes",
     ),
     "conserved angular momentum of bodies with joints that drift": (
-        _method(Midpoint, **MIDPOINT, conserves=("angular-momentum",)),
-        "geometry.conserved-angular-momentum",
+        _method(Midpoint, **MIDPOINT, conserves=("angular-momentum",)), "geometry.conserved-angular-momentum",
         "it claims to conserve angular-momentum, but in large steps it changes",
     ),
     "A-stability of a formula of order 3": (
-        _method(BDF3, order=3, a_stable=True),
-        "stability.a-stable",
-        "and a damping ratio of 0 oscillations grow",
+        _method(BDF3, order=3, a_stable=True), "stability.a-stable", "and a damping ratio of 0 oscillations grow",
     ),
     "A-stability of an explicit tableau": (
-        heun(a_stable=True),
-        "tableau.stability",
-        "it claims to be A-stable, but its stability function exceeds 1",
+        heun(a_stable=True), "tableau.stability", "it claims to be A-stable, but its stability function exceeds 1",
     ),
     "A-stability of an explicit method with adaptive steps": (
-        solver("RK45", a_stable=True),
-        "stability.a-stable",
+        solver("RK45", a_stable=True), "stability.a-stable",
         "it claims to be A-stable, but takes more steps where oscillators are stiffer",
     ),
     "L-stability of a damping method": (
-        _method(Damped, order=1, needs=("tangents",), **STABLE),
-        "stability.l-stable",
+        _method(Damped, order=1, needs=("tangents",), **STABLE), "stability.l-stable",
         "it claims to be L-stable, but 4 steps leave",
     ),
     "L-stability of a tableau": (
-        gauss(**STABLE),
-        "tableau.stability",
-        "it claims to be L-stable, but its stability function does not vanish",
+        gauss(**STABLE), "tableau.stability", "it claims to be L-stable, but its stability function does not vanish",
     ),
     "coefficients that ignore a shorter step": (
-        _method(FixedCoefficients, **RK4),
-        "state.free-fall",
+        _method(FixedCoefficients, **RK4), "state.free-fall",
         "the motion of a free body in free fall is wrong at the end of a last step of",
     ),
     "order 2 with velocities of the middle of a step": (
-        _method(OldVelocities, order=2, needs=("accelerations",)),
-        "order.forced-pendulum",
+        _method(OldVelocities, order=2, needs=("accelerations",)), "order.forced-pendulum",
         "it claims order 2, but the observed one is 1.",
     ),
     "states that it does not integrate": (
-        _method(RungeKutta, **RK4, states=True),
-        "contract.states",
-        "its first-order states do not converge",
+        _method(RungeKutta, **RK4, states=True), "contract.states", "its first-order states do not converge",
     ),
     "variable order of a method of order 5": (
-        solver("RK45", variable_order=True),
-        "tolerance.variable-order",
+        solver("RK45", variable_order=True), "tolerance.variable-order",
         "it claims variable order, but its number of steps follows one power of the tolerance",
     ),
     "an option that the method ignores": (
-        corpus.offer(lambda options: RungeKutta(), DampingOptions, **RK4),
-        "contract.option-effects",
+        corpus.offer(lambda options: RungeKutta(), DampingOptions, **RK4), "contract.option-effects",
         "its option damping has no effect",
     ),
     "an order of dense output of the cubic of the framework": (
-        _method(RungeKutta, **RK4, dense_output=True, dense_order=4),
-        "order.dense-output",
+        _method(RungeKutta, **RK4, dense_output=True, dense_order=4), "order.dense-output",
         "it claims dense output of order 4, but its dense output has the order 2.",
     ),
     "dense output that the plugin has not": (
-        _method(RungeKutta, **RK4, dense_order=3),
-        "order.dense-output",
+        _method(RungeKutta, **RK4, dense_order=3), "order.dense-output",
         "it claims an order of dense output, but the plugin says that it has none",
     ),
     "an error estimate that does not vanish in a steady motion": (
-        pair(np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.1])),
-        "tolerance.error-estimate",
+        pair(np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.1])), "tolerance.error-estimate",
         "its error estimate should be of order 5, but has order 0.",
     ),
     "a memory that can be stored": (
-        _method(Unstorable, **RK4),
-        "restart.state",
-        "it claims to be restartable, but its state cannot be stored",
+        _method(Unstorable, **RK4), "restart.state", "it claims to be restartable, but its state cannot be stored",
     ),
     "projection, which makes it forget its memory": (
-        _method(RoundedMemory, **AB2),
-        "order.projection",
-        "it claims order 2, but the observed one is 1.0",
+        _method(RoundedMemory, **AB2), "order.projection", "it claims order 2, but the observed one is 1.0",
     ),
     "a memory that loses digits": (
-        _method(RoundedMemory, **AB2),
-        "restart.state",
+        _method(RoundedMemory, **AB2), "restart.state",
         "its state does not contain everything that the next step needs",
     ),
-}
+}  # fmt: skip
 """By what is claimed: the method, the check that refuses it, and the beginning or a part of the cause."""

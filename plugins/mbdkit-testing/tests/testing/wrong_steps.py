@@ -346,23 +346,18 @@ WRONG = {
         adaptive(Offset, dense_order=3), "order.dense-output", "its dense output differs from the state at the start",
     ),
     "dense output of lower order in a multistep method": (
-        fixed(BashforthLine, order=2, dense_order=2),
-        "order.dense-output",
-        "in the step after 12 others",
+        fixed(BashforthLine, order=2, dense_order=2), "order.dense-output", "in the step after 12 others",
     ),
     "a multistep method that starts with order 1": (
-        fixed(Bashforth, order=2, dense_order=2),
-        "state.free-fall",
+        fixed(Bashforth, order=2, dense_order=2), "state.free-fall",
         "the motion of a free body in free fall is wrong after the first step",
     ),
     "dense output of lower order": (
-        adaptive(Line, dense_order=3),
-        "order.dense-output",
+        adaptive(Line, dense_order=3), "order.dense-output",
         "it claims dense output of order 3, but its dense output has the order",
     ),
     "dense output that is a line for states": (
-        fixed(LineOfStates),
-        "order.dense-output",
+        fixed(LineOfStates), "order.dense-output",
         "it claims dense output of order 3, but first-order states in its dense output have the order",
     ),
     "dense output that the next step overwrites": (
@@ -379,8 +374,7 @@ WRONG = {
         adaptive(ErrorWithoutStates), "tolerance.error-estimate", "for first-order states, its error estimate is zero",
     ),
     "an error estimate that is zero for linear equations": (
-        adaptive(Ros3p, dense_output=False, needs=("accelerations", "tangents")),
-        "tolerance.linear-oscillators",
+        adaptive(Ros3p, dense_output=False, needs=("accelerations", "tangents")), "tolerance.linear-oscillators",
         "its error does not decrease with the tolerance",
     ),
     "rejected steps that do not shrink": (
