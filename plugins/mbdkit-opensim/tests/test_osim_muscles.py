@@ -66,11 +66,9 @@ MUSCLES = [
         MILLARD, "hamstrings", [point("a", "ground", (-0.06, 0.93, 0.07)), point("b", "shank", (-0.03, -0.05, 0.02))],
     ),
     muscle(
-        "Thelen2003Muscle",
-        "gastroc",
+        "Thelen2003Muscle", "gastroc",
         [
-            point("a", "thigh", (-0.02, -0.39, -0.02)),
-            conditional("b", "thigh", (-0.03, -0.402, -0.03), (-0.8, 0.2)),
+            point("a", "thigh", (-0.02, -0.39, -0.02)), conditional("b", "thigh", (-0.03, -0.402, -0.03), (-0.8, 0.2)),
             point("c", "shank", (-0.04, -0.4, 0.0)),
         ],
         "<pennation_angle_at_optimal>0.3</pennation_angle_at_optimal>",

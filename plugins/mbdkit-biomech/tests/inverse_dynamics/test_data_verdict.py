@@ -367,11 +367,9 @@ def test_a_spec_may_accept_every_criterion_and_no_other() -> None:
 
 
 REDUCED = {
-    3: ("degrees", "outliers"),
-    5: ("frame_of_load", "wrong_foot", "filled_gap"),
-    6: ("scale_of_plate", "sign_of_load"),
+    3: ("degrees", "outliers"), 5: ("frame_of_load", "wrong_foot", "filled_gap"), 6: ("scale_of_plate", "sign_of_load"),
     32: ("rounded_times",),
-}
+}  # fmt: skip
 """Some of the faults of `python -m tests.benchmarks.data_faults`, by number of the data set."""
 
 

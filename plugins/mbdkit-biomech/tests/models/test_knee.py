@@ -61,14 +61,9 @@ def linkage(data: dict[str, Any], damping: float) -> tuple[FourBar, float, float
     phi = bodies["acl"]["angle"] + crank.tilt
     for branch in (1, -1):
         four_bar = FourBar(
-            ground=(points["C", "ground"], points["D", "ground"]),
-            crank=crank,
-            coupler=link("shank", "B", "A"),
-            follower=link("pcl", "D", "A"),
-            branch=branch,
-            springs=springs,
-            damping=damping,
-        )
+            ground=(points["C", "ground"], points["D", "ground"]), crank=crank, coupler=link("shank", "B", "A"),
+            follower=link("pcl", "D", "A"), branch=branch, springs=springs, damping=damping,
+        )  # fmt: skip
         turn = four_bar.state(phi, 0.0).angle[1] - bodies["shank"]["angle"]
         if abs(math.remainder(turn, 2 * math.pi)) < 1e-6:
             return four_bar, phi, bodies["acl"]["angular_velocity"]
@@ -85,10 +80,8 @@ def test_the_knee_has_the_link_lengths_of_its_source_scaled_with_height(model: d
 
 
 METHODS: dict[str, tuple[dict[str, Any], float]] = {
-    "rk4": ({"name": "rk4"}, 0.0005),
-    "gauss3": (gauss(3), 0.005),
-    "gauss4": (gauss(4), 0.01),
-}
+    "rk4": ({"name": "rk4"}, 0.0005), "gauss3": (gauss(3), 0.005), "gauss4": (gauss(4), 0.01),
+}  # fmt: skip
 
 
 @models

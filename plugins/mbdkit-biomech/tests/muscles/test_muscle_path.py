@@ -142,11 +142,9 @@ def test_a_tendon_longer_than_the_path_is_named_with_its_time():
 
 ROD = {"bodies": {"rod": {"mass": 1.0, "inertia": 0.1}}}
 MUSCLE = {
-    "path": [{"body": "ground", "point": [0.0, 1.0]}, {"body": "rod", "point": [0.1, 0.0]}],
-    "max_force": 100.0,
-    "optimal_length": 0.1,
-    "tendon_length": 0.2,
-}
+    "path": [{"body": "ground", "point": [0.0, 1.0]}, {"body": "rod", "point": [0.1, 0.0]}], "max_force": 100.0,
+    "optimal_length": 0.1, "tendon_length": 0.2,
+}  # fmt: skip
 
 
 WITH_BEND = {"table": [[0, 1], [0, 1]], "of": "bend"}

@@ -118,15 +118,11 @@ def slide(motion: str, kind: str = "rigid", path: Any = STRAIGHT, **more: Any) -
 # Activation, length of the path, and length of the fibres and tension after `equilibrateMuscles` of OpenSim 4.6, for
 # the muscle of `arm` with an elastic tendon (DeGrooteFregly2016Muscle, strain of 0.049 at one norm force) on a slide
 OPENSIM = [
-    (0.05, 0.25, 0.07069636320036596, 8.218266899348237),
-    (0.05, 0.30, 0.11918127187938013, 40.203023454523645),
-    (0.05, 0.35, 0.16633371351434179, 155.90169026108924),
-    (0.50, 0.28, 0.09521890057513880, 249.61763048486318),
-    (0.50, 0.32, 0.13434532373357003, 301.9772954721702),
-    (1.00, 0.25, 0.06801643763455668, 102.84246054652613),
-    (1.00, 0.30, 0.11193899888631438, 583.2191537629114),
-    (1.00, 0.35, 0.16328408065507038, 393.4808787162183),
-]
+    (0.05, 0.25, 0.07069636320036596, 8.218266899348237), (0.05, 0.30, 0.11918127187938013, 40.203023454523645),
+    (0.05, 0.35, 0.16633371351434179, 155.90169026108924), (0.50, 0.28, 0.09521890057513880, 249.61763048486318),
+    (0.50, 0.32, 0.13434532373357003, 301.9772954721702), (1.00, 0.25, 0.06801643763455668, 102.84246054652613),
+    (1.00, 0.30, 0.11193899888631438, 583.2191537629114), (1.00, 0.35, 0.16328408065507038, 393.4808787162183),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("activation", "length", "fiber", "tension"), OPENSIM)
@@ -194,11 +190,9 @@ def bent() -> Mechanism:
     m.revolute("shoulder", m.ground, "upper", points=((0, 0), (0, 0.15)))
     m.revolute("elbow", "upper", "forearm", points=((0, -0.15), (-0.12, 0)))
     path = [
-        {"body": "ground", "point": (0.03, 0.02, 0.03)},
-        {"body": "upper", "point": (0.03, 0.05, -0.02)},
-        {"body": "upper", "point": (0.035, -0.08)},
-        {"body": "forearm", "point": (-0.07, 0.01)},
-    ]
+        {"body": "ground", "point": (0.03, 0.02, 0.03)}, {"body": "upper", "point": (0.03, 0.05, -0.02)},
+        {"body": "upper", "point": (0.035, -0.08)}, {"body": "forearm", "point": (-0.07, 0.01)},
+    ]  # fmt: skip
     m.muscle(
         "biceps", path, max_force=800, optimal_length=0.13, tendon_length=0.15, tendon="elastic",
         excitation="0.5 - 0.3*cos(8*t)",

@@ -51,14 +51,10 @@ def test_contact_force_of_a_held_forearm_has_the_derivatives_of_its_closed_form(
 
 
 MEASURES = [
-    "mean(joints.knee.force_x**2)",
-    "final(joints.hip.force_y)",
-    "mean(muscles.wrapped.force)",
-    "mean(muscles.via.activation)",
-    "at(muscles.straight.power, 0.3)",
-    'mean(actuators["reserve.knee"].power)',
+    "mean(joints.knee.force_x**2)", "final(joints.hip.force_y)", "mean(muscles.wrapped.force)",
+    "mean(muscles.via.activation)", "at(muscles.straight.power, 0.3)", 'mean(actuators["reserve.knee"].power)',
     "final(energy.work)",
-]
+]  # fmt: skip
 PARAMETERS = [
     "model.forces.spring.stiffness",
     "model.muscles.via.optimal_length",

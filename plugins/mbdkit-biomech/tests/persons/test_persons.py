@@ -224,16 +224,8 @@ def test_the_packaged_example_finds_the_centres_of_the_person_who_made_its_table
 )
 def test_names_of_landmarks_in_published_marker_sets(kind: str, side: Side | None, names: list[str]) -> None:
     others = [
-        "RTHI",
-        "LTIB",
-        "R.Thigh.Lateral",
-        "RMedial",
-        "RMED",
-        "RShankLateral",
-        "RMidfootMedial",
-        "LToeLateral",
-        "C7",
-    ]
+        "RTHI", "LTIB", "R.Thigh.Lateral", "RMedial", "RMED", "RShankLateral", "RMidfootMedial", "LToeLateral", "C7",
+    ]  # fmt: skip
     for name in names:
         assert landmark([*others, name], kind, side) == name
         assert landmark([name], kind, "r" if side == "l" else "l") is None

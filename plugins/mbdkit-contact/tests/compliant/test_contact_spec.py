@@ -22,12 +22,9 @@ def spec(contact: dict[str, Any], **more: Any) -> dict[str, Any]:
     bodies = {"b": {"mass": 1.0, "inertia": 0.1, "position": [0.0, 0.5]}, "c": {"mass": 1.0, "inertia": 0.1}}
     pin = {"type": "revolute", "bodies": ["b", "c"], "at": [0.0, 0.2]}
     return {
-        "mbdkit": 1,
-        "model": {"name": "mechanism", "bodies": bodies, "joints": {"pin": pin}, "contacts": {"k": own}},
-        "integrator": {"name": "rk4"},
-        "time": {"end": 0.001, "step": 0.001},
-        **more,
-    }
+        "mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies, "joints": {"pin": pin}, "contacts": {"k": own}},
+        "integrator": {"name": "rk4"}, "time": {"end": 0.001, "step": 0.001}, **more,
+    }  # fmt: skip
 
 
 K = "model.contacts.k"

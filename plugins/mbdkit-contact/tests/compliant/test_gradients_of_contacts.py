@@ -20,11 +20,9 @@ def ball(end: float, integrator: dict[str, Any] = GAUSS, **compliance: Any) -> d
     spec = ball_on_pad(end, 0.01, integrator)
     model = {key: value for key, value in spec["model"].items() if key != "forces"}
     floor = {
-        "bodies": ["ground", "ball"],
-        "shapes": [{"line": {"normal": [0, 1]}}, {"circle": {"radius": PAD}}],
-        "friction": 0.0,
-        "compliance": compliance,
-    }
+        "bodies": ["ground", "ball"], "shapes": [{"line": {"normal": [0, 1]}}, {"circle": {"radius": PAD}}],
+        "friction": 0.0, "compliance": compliance,
+    }  # fmt: skip
     times = {"end": end} if integrator.get("adaptive") else spec["time"]
     return {**spec, "model": {**model, "contacts": {"floor": floor}}, "time": times}
 
@@ -83,18 +81,14 @@ def test_gradients_of_a_box_that_slides_tips_and_sticks() -> None:
     box = {"mass": 1.0, "inertia": 0.005, "position": [0.0, 0.1], "velocity": ["v", 0.0], "angular_velocity": -2.0}
     corners = [["-half", -0.1], ["half", -0.1], ["half", 0.1], ["-half", 0.1]]
     floor = {
-        "bodies": ["ground", "box"],
-        "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"polygon": corners}],
-        "friction": "mu",
-        "compliance": {"stiffness": "k", "dissipation": 0.5},
-    }
+        "bodies": ["ground", "box"], "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"polygon": corners}],
+        "friction": "mu", "compliance": {"stiffness": "k", "dissipation": 0.5},
+    }  # fmt: skip
     spec = {
-        "mbdkit": 1,
-        "parameters": {"v": 0.8, "mu": 0.6, "k": 2e4, "half": 0.05},
-        "model": {"name": "mechanism", "bodies": {"box": box}, "contacts": {"floor": floor}},
-        "integrator": ADAPTIVE,
+        "mbdkit": 1, "parameters": {"v": 0.8, "mu": 0.6, "k": 2e4, "half": 0.05},
+        "model": {"name": "mechanism", "bodies": {"box": box}, "contacts": {"floor": floor}}, "integrator": ADAPTIVE,
         "time": {"end": 0.3},
-    }
+    }  # fmt: skip
     _compare(spec, ["final(bodies.box.x)", "final(bodies.box.angle)"])
 
 

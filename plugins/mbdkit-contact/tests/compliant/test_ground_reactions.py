@@ -22,11 +22,9 @@ def run(
     methods = {"compliant": "dopri5", "event-driven": "dop853", "time-stepping": "moreau-jean"}
     contact = {"bodies": ["box", "ground"], "shapes": [BOX, floor], "friction": 0.5, "compliance": COMPLIANCE}
     model = {
-        "name": "mechanism",
-        "bodies": {"box": {"mass": MASS, "inertia": INERTIA, "position": [0.3, 0.1]} | body},
-        "contacts": {"floor": contact},
-        "forces": {"push": {"type": "force", "body": "box", "value": [3.0, 0.0]}},
-    }
+        "name": "mechanism", "bodies": {"box": {"mass": MASS, "inertia": INERTIA, "position": [0.3, 0.1]} | body},
+        "contacts": {"floor": contact}, "forces": {"push": {"type": "force", "body": "box", "value": [3.0, 0.0]}},
+    }  # fmt: skip
     integrator = {"name": methods[treatment]} | ({"adaptive": True} if treatment == "compliant" else {})
     given = {"mbdkit": 1, "model": model, "contact": {"treatment": treatment}, "integrator": integrator}
     return mbdkit.run(given, time={"end": end, "step": step}, **more)
@@ -93,13 +91,10 @@ def test_forces_of_time_stepping_add_up_to_the_change_of_momentum() -> None:
 def test_measures_events_and_archives_have_ground_reactions(tmp_path: Any) -> None:
     name = "ground_reactions.box"
     found = run(
-        "compliant",
-        {"position": [0.3, 0.15]},
-        0.15,
-        0.001,
+        "compliant", {"position": [0.3, 0.15]}, 0.15, 0.001,
         measures={"peak": f"max({name}.force_y)", "place": f"final({name}.center_of_pressure_x)"},
         events={"lands": {"when": f"{name}.normal_force - 1", "direction": "rising"}},
-    )
+    )  # fmt: skip
     foot = found.ground_reactions["box"]
     assert found.measures["peak"] >= np.max(foot.force[:, 1])
     assert found.measures["place"] == foot.center_of_pressure[-1, 0]

@@ -15,19 +15,12 @@ import mbdkit
 from mbdkit_contact.event_step import EventStep
 
 EVENT_DRIVEN: tuple[dict[str, Any], ...] = (
-    {"name": "rk4"},
-    {"name": "rk-gill"},
-    {"name": "dopri5"},
-    {"name": "gauss", "stages": 2},
-    {"name": "radau-iia"},
-    {"name": "dopri5", "adaptive": True},
-    {"name": "dop853", "adaptive": True, "rtol": 1e-10},
+    {"name": "rk4"}, {"name": "rk-gill"}, {"name": "dopri5"}, {"name": "gauss", "stages": 2}, {"name": "radau-iia"},
+    {"name": "dopri5", "adaptive": True}, {"name": "dop853", "adaptive": True, "rtol": 1e-10},
     {"name": "gauss", "stages": 3, "adaptive": True},
-    {"name": "radau-iia", "stages": 3, "adaptive": True, "rtol": 1e-8},
-    {"name": "scipy-dop853", "rtol": 1e-8},
-    {"name": "scipy-radau"},
-    {"name": "scipy-lsoda"},
-)
+    {"name": "radau-iia", "stages": 3, "adaptive": True, "rtol": 1e-8}, {"name": "scipy-dop853", "rtol": 1e-8},
+    {"name": "scipy-radau"}, {"name": "scipy-lsoda"},
+)  # fmt: skip
 TIME_STEPPING: tuple[dict[str, Any], ...] = ({"name": "moreau-jean"}, {"name": "nonsmooth-generalized-alpha"})
 STEP = {"event-driven": 0.02, "time-stepping": 0.002}
 """Fixed steps [s]."""

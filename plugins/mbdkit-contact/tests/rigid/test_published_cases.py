@@ -122,9 +122,7 @@ def test_a_stick_that_would_gain_energy_as_in_siconos_loses_some(treatment: str,
     place = {"position": [0.5 * np.sin(angle), 0.5 * np.cos(angle) + 0.01], "angle": angle}
     model = {
         "gravity": [0.0, -10.0],
-        "bodies": {
-            "stick": {"mass": 1.0, "inertia": 1 / 12, "velocity": [-0.5, 0.1], "angular_velocity": 0.1} | place,
-        },
+        "bodies": {"stick": {"mass": 1.0, "inertia": 1 / 12, "velocity": [-0.5, 0.1], "angular_velocity": 0.1} | place},
         "contacts": {
             "floor": {
                 "bodies": ["ground", "stick"], "shapes": [FLOOR, {"point": [0.0, -0.5]}], "restitution": 1.0,

@@ -30,13 +30,10 @@ def pile(count: int, friction: float) -> dict[str, Any]:
         contacts[f"on{i}"] = {"bodies": [below, f"box{i}"], "shapes": [lower, BOX], "friction": friction}
     bodies[f"box{count - 1}"]["velocity"] = [1.0, 0.0]
     return {
-        "mbdkit": 1,
-        "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts},
-        "contact": {"treatment": "time-stepping"},
-        "integrator": {"name": "moreau-jean"},
-        "time": {"end": 0.1, "step": 1e-3},
-        "output": {"every": 1},
-    }
+        "mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts},
+        "contact": {"treatment": "time-stepping"}, "integrator": {"name": "moreau-jean"},
+        "time": {"end": 0.1, "step": 1e-3}, "output": {"every": 1},
+    }  # fmt: skip
 
 
 def types_of(bundle: Any) -> tuple[Any, ...]:

@@ -18,12 +18,10 @@ def _base() -> dict[str, Any]:
     spring = {"type": "spring-damper", "bodies": ["ground", "block"], "from": [0, 0], "to": [1, 0],
               "stiffness": "ratio*soft + half", "free_length": 0.5}  # fmt: skip
     return {
-        "mbdkit": 1,
-        "parameters": {"soft": "0.1 kN/m", "half": "twice/2", "twice": 20.0, "mass": 2.0, "ratio": 1.0},
+        "mbdkit": 1, "parameters": {"soft": "0.1 kN/m", "half": "twice/2", "twice": 20.0, "mass": 2.0, "ratio": 1.0},
         "model": {"name": "mechanism", "gravity": [0, 0], "bodies": {"block": body}, "forces": {"spring": spring}},
-        "integrator": {"name": "rk4"},
-        "time": {"end": 0.1, "step": 0.05},
-    }
+        "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.05},
+    }  # fmt: skip
 
 
 UNITS = {"parameters.soft": "N/m", "parameters.twice": "N/m", "parameters.mass": "kg", "parameters.ratio": ""}
@@ -32,11 +30,9 @@ UNITS = {"parameters.soft": "N/m", "parameters.twice": "N/m", "parameters.mass":
 def test_studies_show_the_units_of_parameters(tmp_path: Path) -> None:
     values: dict[str, list[Any]] = {key: [1.0, 2.0] for key in UNITS} | {"parameters.mass": ["1 kg", "2 kg"]}
     given = {
-        "mbdkit_study": 1,
-        "base": _base(),
-        "axes": [{key: listed} for key, listed in values.items()],
+        "mbdkit_study": 1, "base": _base(), "axes": [{key: listed} for key, listed in values.items()],
         "measures": {"peak": "max(abs(forces.spring.value))"},
-    }
+    }  # fmt: skip
     study = mbdkit.study(given, out=tmp_path / "study", workers=1)
     words = "soft 1 N/m, twice 1 N/m, mass 1 kg, ratio 1"
     assert f"({words})" in summary(study)

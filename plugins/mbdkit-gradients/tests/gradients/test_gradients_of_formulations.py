@@ -13,11 +13,8 @@ import mbdkit
 from mbdkit.base.errors import SpecError
 
 MEASURES = (
-    "final(bodies.rod.angle)",
-    "max(abs(joints.B.force))",
-    "integral(energy.kinetic)",
-    "final(energy.dissipated)",
-)
+    "final(bodies.rod.angle)", "max(abs(joints.B.force))", "integral(energy.kinetic)", "final(energy.dissipated)",
+)  # fmt: skip
 PARAMETERS = ("k", "c", "model.bodies.rod.mass", "model.bodies.crank.angular_velocity", "model.joints.B.points.0.0")
 
 RADAU = {"name": "radau-iia", "stages": 3}

@@ -12,23 +12,18 @@ import mbdkit
 from mbdkit_gradients.evaluated_states import StateEvaluator
 
 KINDS = {
-    "at": "at(bodies.rod{rod}.angle, {share!r})",
-    "integral": "integral((bodies.rod{rod}.angle + {share!r})**2)",
+    "at": "at(bodies.rod{rod}.angle, {share!r})", "integral": "integral((bodies.rod{rod}.angle + {share!r})**2)",
     "integral of abs": "integral(abs(bodies.rod{rod}.angle + 0.3 + 0.001*{share!r}))",
-    "max": "max(bodies.rod{rod}.angle*(1 + {share!r}))",
-    "final": "final(bodies.rod{rod}.angle + {share!r})",
-}
+    "max": "max(bodies.rod{rod}.angle*(1 + {share!r}))", "final": "final(bodies.rod{rod}.angle + {share!r})",
+}  # fmt: skip
 PARAMETERS = ["model.lengths.0", "model.lengths.1", "model.masses.0", "model.masses.1"]
 
 
 def spec(end: float = 1.2) -> dict[str, Any]:
     model = {"name": "n-pendulum", "n": 3, "angles": [0.3, 0.1, -0.2], "lengths": [1.0] * 3, "masses": [1.0] * 3}
     return {
-        "mbdkit": 1,
-        "model": model,
-        "integrator": {"name": "gauss", "stages": 3},
-        "time": {"end": end, "step": 0.005},
-    }
+        "mbdkit": 1, "model": model, "integrator": {"name": "gauss", "stages": 3}, "time": {"end": end, "step": 0.005},
+    }  # fmt: skip
 
 
 def measures(kind: str, count: int, end: float = 1.2) -> list[str]:

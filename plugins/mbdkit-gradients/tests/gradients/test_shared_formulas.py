@@ -43,12 +43,9 @@ def expressions(of: RunSpec) -> dict[str, str]:
     """Return the final value and the mean of all quantities that have derivatives, and of `FUNCTIONS`."""
     mechanism = of.mechanism()
     names = {
-        "bodies": mechanism.bodies,
-        "joints": mechanism.joints,
-        "forces": mechanism.forces,
-        "markers": mechanism.markers,
-        "energy": [""],
-    }
+        "bodies": mechanism.bodies, "joints": mechanism.joints, "forces": mechanism.forces,
+        "markers": mechanism.markers, "energy": [""],
+    }  # fmt: skip
     found = []
     for kind, owners in names.items():
         for owner in owners:

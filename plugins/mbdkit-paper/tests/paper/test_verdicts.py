@@ -240,13 +240,11 @@ def test_a_folder_that_cannot_be_written_costs_nothing_but_time(tmp_path: Path) 
 def test_any_study_has_a_general_verdict(tmp_path: Path) -> None:
     # expected: order 4 of Gauss with two stages, in the error and in the misalignment
     spec = {
-        "mbdkit_study": 1,
-        "title": "Steps",
-        "base": "double-pendulum",
+        "mbdkit_study": 1, "title": "Steps", "base": "double-pendulum",
         "overrides": {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 0.4, "step": 0.04}},
         "axes": [{"time.step": [0.02, 0.01, 0.005, 0.0025]}],
         "reference": {"integrator": {"name": "gauss", "stages": 5}, "time.step": 0.0025},
-    }
+    }  # fmt: skip
     verdict = judge(mbdkit.study(spec, out=tmp_path / "study"))
     assert verdict.sentence.startswith("4 of 4 runs are complete.")
     assert "largest with step 0.02 s" in verdict.sentence

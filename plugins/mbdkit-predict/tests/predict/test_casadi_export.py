@@ -60,14 +60,11 @@ def check(m: Mechanism, t0: float = 0.0, spread: float = 0.05) -> CasadiSystem:
     residual = system.residual(*given_symbols)
     rows = system.constraints(*given_symbols)
     derivatives = {
-        "stiffness": ca.jacobian(residual, system.q),
-        "damping": ca.jacobian(residual, system.v),
-        "jacobian": ca.jacobian(residual, system.lam).T,
-        "mass": ca.jacobian(residual, system.a),
-        "phi_q": ca.jacobian(rows[0], system.q),
-        "gamma_v": -ca.jacobian(rows[2], system.v),
+        "stiffness": ca.jacobian(residual, system.q), "damping": ca.jacobian(residual, system.v),
+        "jacobian": ca.jacobian(residual, system.lam).T, "mass": ca.jacobian(residual, system.a),
+        "phi_q": ca.jacobian(rows[0], system.q), "gamma_v": -ca.jacobian(rows[2], system.v),
         "residual_q": ca.jacobian(rows[2], system.q),
-    }
+    }  # fmt: skip
     function = system.function("derivatives", derivatives)
     has_friction = any(getattr(joint, "friction", None) is not None for joint in m.joints.values())
     for k in range(3):
@@ -235,17 +232,13 @@ def test_cables_states_and_loads_of_the_state_are_those_of_the_machine_code() ->
     m.cable("cable", {"elbow": 0.03, "shoulder": -0.02}, stiffness=300.0, acts="tension", length=0.3)
     m.state("current", initial=0.3, rate="(2 - states.current - 0.1*elbow.angle + forces.cable.rate)/0.05", unit="A")
     m.torque(
-        "motor",
-        "lower",
-        value="0.2*states.current - 0.1*markers.hand.vx*max(markers.hand.y, -0.3)",
+        "motor", "lower", value="0.2*states.current - 0.1*markers.hand.vx*max(markers.hand.y, -0.3)",
         reaction_body="upper",
-    )
+    )  # fmt: skip
     m.force(
-        "wind",
-        "lower",
-        value=["-0.5*markers.hand.vx*abs(markers.hand.vx)", {"table": [[0, 1, 2], [0, 1, 0]]}],
+        "wind", "lower", value=["-0.5*markers.hand.vx*abs(markers.hand.vx)", {"table": [[0, 1, 2], [0, 1, 0]]}],
         frame="body",
-    )
+    )  # fmt: skip
     check(m)
 
 

@@ -14,11 +14,9 @@ from mbdkit_report.analysis.growth import Law
 
 TIME = np.linspace(0.0, 100.0, 2001)
 ENVELOPES: dict[Law, np.ndarray] = {
-    "bounded": np.full_like(TIME, 3e-7),
-    "linear": 1e-9 * TIME,
-    "quadratic": 1e-11 * TIME**2,
+    "bounded": np.full_like(TIME, 3e-7), "linear": 1e-9 * TIME, "quadratic": 1e-11 * TIME**2,
     "exponential": 1e-12 * np.exp(0.1 * TIME),
-}
+}  # fmt: skip
 
 
 def oscillating(envelope: np.ndarray, period: float, seed: int = 1) -> np.ndarray:

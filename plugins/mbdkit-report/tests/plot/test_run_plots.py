@@ -19,8 +19,7 @@ MASS, HALF, RATE, STIFFNESS = 2.0, 0.5, 3.0, 40.0
 
 # A rod turns about its end at a constant rate, driven by a motor; a spring is hooked to its tip.
 DRIVEN: dict[str, Any] = {
-    "mbdkit": 1,
-    "title": "a driven rod",
+    "mbdkit": 1, "title": "a driven rod",
     "model": {
         "name": "mechanism",
         "bodies": {"rod": {"mass": MASS, "inertia": 0.2, "position": [HALF, 0.0], "angular_velocity": RATE}},
@@ -30,23 +29,19 @@ DRIVEN: dict[str, Any] = {
         },
         "markers": {"tip": {"body": "rod", "point": [HALF, 0.0]}},
     },
-    "integrator": {"name": "gauss", "stages": 2},
-    "time": {"end": 2.0, "step": 0.01},
-}
+    "integrator": {"name": "gauss", "stages": 2}, "time": {"end": 2.0, "step": 0.01},
+}  # fmt: skip
 
 
 def with_spring(spec: dict[str, Any]) -> dict[str, Any]:
     """Return the spec with a vertical spring between the ground and the tip, and a spring about the pin."""
     forces = {
         "hook": {
-            "type": "spring-damper",
-            "bodies": ["ground", "rod"],
-            "points": [[0, 3], [HALF, 0]],
-            "stiffness": STIFFNESS,
+            "type": "spring-damper", "bodies": ["ground", "rod"], "points": [[0, 3], [HALF, 0]], "stiffness": STIFFNESS,
             "free_length": 1.0,
         },
         "coil": {"type": "torsion-spring", "bodies": ["ground", "rod"], "stiffness": 0.3},
-    }
+    }  # fmt: skip
     return spec | {"model": spec["model"] | {"forces": forces}}
 
 
@@ -79,13 +74,10 @@ def lines(axes: Axes) -> dict[str, np.ndarray]:
 
 def test_every_kind_draws_on_the_given_axes_and_returns_them(sprung: mbdkit.Run) -> None:
     labels = {
-        "trajectory": ("x [m]", "y [m]"),
-        "drift": ("time [s]", "misalignment [m]"),
-        "energy": ("time [s]", "energy [J]"),
-        "reactions": ("time [s]", "joint force [N]"),
-        "torques": ("time [s]", "torque [N m]"),
-        "forces": ("time [s]", "force [N]"),
-    }
+        "trajectory": ("x [m]", "y [m]"), "drift": ("time [s]", "misalignment [m]"),
+        "energy": ("time [s]", "energy [J]"), "reactions": ("time [s]", "joint force [N]"),
+        "torques": ("time [s]", "torque [N m]"), "forces": ("time [s]", "force [N]"),
+    }  # fmt: skip
     for kind, named in labels.items():
         axes = Figure().add_subplot()
         assert getattr(sprung.plot, kind)(axes) is axes
@@ -127,13 +119,10 @@ def test_components_of_forces_in_the_global_frame_and_along_the_rod(driven: mbdk
     up = MASS * (9.81 - RATE**2 * HALF * np.sin(angle))
     right = -MASS * RATE**2 * HALF * np.cos(angle)
     known = {
-        "x": {"pin": right},
-        "y": {"pin": up},
-        "global": {"pin, x": right, "pin, y": up},
+        "x": {"pin": right}, "y": {"pin": up}, "global": {"pin, x": right, "pin, y": up},
         "axial": {"pin": right * np.cos(angle) + up * np.sin(angle)},
-        "shear": {"pin": up * np.cos(angle) - right * np.sin(angle)},
-        "magnitude": {"pin": np.hypot(right, up)},
-    }
+        "shear": {"pin": up * np.cos(angle) - right * np.sin(angle)}, "magnitude": {"pin": np.hypot(right, up)},
+    }  # fmt: skip
     known["body"] = {f"pin, {name}": known[name]["pin"] for name in ("axial", "shear")}
     for components, expected in known.items():
         axes = driven.plot.reactions(Figure().add_subplot(), joints="pin", components=components)  # type: ignore[arg-type]

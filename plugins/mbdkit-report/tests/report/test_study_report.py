@@ -132,13 +132,10 @@ def test_keys_of_specs_have_words(key, words):
 
 
 SPRINGS = {
-    "mbdkit_study": 1,
-    "base": "gravity-balanced-arm",
-    "overrides": {"time": {"end": 0.1, "step": 0.02}},
+    "mbdkit_study": 1, "base": "gravity-balanced-arm", "overrides": {"time": {"end": 0.1, "step": 0.02}},
     "axes": [{"model.forces.upper spring.stiffness": [900.0, 1000.0]}],
-    "measures": ["reaction_force_max", "energy_balance_end"],
-    "repeats": 3,
-}
+    "measures": ["reaction_force_max", "energy_balance_end"], "repeats": 3,
+}  # fmt: skip
 
 
 def test_the_measures_that_a_study_asks_for_are_drawn_and_listed(tmp_path):

@@ -20,12 +20,10 @@ STIFFNESS, DAMPING, LAG = 12.0, 0.4, 0.05
 def leg(value: str, **states: Any) -> dict[str, Any]:
     """A leg of 3 kg on a hip 0.2 m above its centre of mass, under feedback."""
     model = {
-        "name": "mechanism",
-        "bodies": {"leg": {"mass": 3.0, "inertia": 0.05, "position": [0.0, -0.2]}},
+        "name": "mechanism", "bodies": {"leg": {"mass": 3.0, "inertia": 0.05, "position": [0.0, -0.2]}},
         "joints": {"hip": {"type": "revolute", "bodies": ["ground", "leg"], "points": [[0, 0], [0, 0.2]]}},
-        "forces": {"motor": {"type": "torque", "body": "leg", "value": value}},
-        "states": states,
-    }
+        "forces": {"motor": {"type": "torque", "body": "leg", "value": value}}, "states": states,
+    }  # fmt: skip
     return {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}}
 
 

@@ -19,11 +19,8 @@ from mbdkit_studies.statistics.sample_statistics import (
 )
 
 ASKED: tuple[Callable[[np.ndarray], Estimate], ...] = (
-    mean,
-    standard_deviation,
-    lambda values: quantile(values, 0.05),
-    lambda values: quantile(values, 0.95),
-)
+    mean, standard_deviation, lambda values: quantile(values, 0.05), lambda values: quantile(values, 0.95),
+)  # fmt: skip
 SEEDS = 150
 """With this number of samples, the share of intervals that hold has a standard deviation of 0.018."""
 

@@ -10,11 +10,9 @@ import pytest
 import mbdkit
 
 BASE: dict[str, Any] = {
-    "mbdkit": 1,
-    "model": {"name": "double-pendulum", "angles": [0.1, 0.2]},
-    "integrator": {"name": "rk4"},
+    "mbdkit": 1, "model": {"name": "double-pendulum", "angles": [0.1, 0.2]}, "integrator": {"name": "rk4"},
     "time": {"end": 0.05, "step": 0.01},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -13,17 +13,14 @@ def test_the_cost_at_an_error_lies_between_the_runs_that_miss_and_reach_it(tmp_p
     # expected: runs that cost less have larger errors, the others smaller ones
     study = mbdkit.study(
         {
-            "mbdkit_study": 1,
-            "base": "double-pendulum",
-            "overrides": {"time": {"end": 1.0, "step": 0.1}},
+            "mbdkit_study": 1, "base": "double-pendulum", "overrides": {"time": {"end": 1.0, "step": 0.1}},
             "axes": [
-                {"integrator": [{"name": "rk4"}, {"name": "gauss", "stages": 3}]},
-                {"time.step": [0.2, 0.1, 0.05]},
+                {"integrator": [{"name": "rk4"}, {"name": "gauss", "stages": 3}]}, {"time.step": [0.2, 0.1, 0.05]},
             ],
             "reference": {"integrator": {"name": "gauss", "stages": 6}, "time.step": 0.01},
         },
         out=tmp_path / "out",
-    )
+    )  # fmt: skip
     table = cost_at_error(study)
     assert table is not None
     costs = {row[0]: row[1] for row in table.rows}

@@ -17,17 +17,14 @@ PROBABILITIES = np.linspace(0.01, 0.99, 25)
 SAME: list[tuple[dict[str, Any], Any]] = [
     ({"uniform": [-1, 3]}, scipy.stats.uniform(loc=-1, scale=4)),
     ({"uniform": {"high": 3, "low": -1}}, scipy.stats.uniform(loc=-1, scale=4)),
-    ({"normal": [2, 0.5]}, scipy.stats.norm(loc=2, scale=0.5)),
-    ({"normal": {"std": 0.5}}, scipy.stats.norm(scale=0.5)),
-    ({"norm": [2, 0.5]}, scipy.stats.norm(2, 0.5)),
-    ({"lognorm": [0.3, 0, 2]}, scipy.stats.lognorm(0.3, 0, 2)),
+    ({"normal": [2, 0.5]}, scipy.stats.norm(loc=2, scale=0.5)), ({"normal": {"std": 0.5}}, scipy.stats.norm(scale=0.5)),
+    ({"norm": [2, 0.5]}, scipy.stats.norm(2, 0.5)), ({"lognorm": [0.3, 0, 2]}, scipy.stats.lognorm(0.3, 0, 2)),
     ({"lognorm": {"s": 0.3, "scale": 2}}, scipy.stats.lognorm(s=0.3, scale=2)),
     ({"triang": {"c": 0.25, "loc": 1, "scale": 2}}, scipy.stats.triang(0.25, 1, 2)),
     ({"truncnorm": [-1, 2, 0.5, 0.1]}, scipy.stats.truncnorm(-1, 2, 0.5, 0.1)),
-    ({"loguniform": [0.1, 10]}, scipy.stats.loguniform(0.1, 10)),
-    ({"beta": [2, 5]}, scipy.stats.beta(2, 5)),
+    ({"loguniform": [0.1, 10]}, scipy.stats.loguniform(0.1, 10)), ({"beta": [2, 5]}, scipy.stats.beta(2, 5)),
     ({"expon": []}, scipy.stats.expon()),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("given", "expected"), SAME, ids=[str(given) for given, _ in SAME])

@@ -230,14 +230,12 @@ def test_an_interrupted_call_leaves_an_index_of_all_that_is_there(finished, smal
 
 def test_equal_runs_are_computed_once(tmp_path):
     study = {
-        "mbdkit_study": 1,
-        "base": "pendulum",
-        "overrides": {"time": {"end": 0.2, "step": 0.01}},
+        "mbdkit_study": 1, "base": "pendulum", "overrides": {"time": {"end": 0.2, "step": 0.01}},
         "families": {
             "one": {"axes": [{"model.length": [1.0, 2.0]}]},
             "two": {"axes": [{"model.length": [2.0, 1.0, 1.0]}], "reference": {"time.step": 0.005}},
         },
-    }
+    }  # fmt: skip
     done = mbdkit.study(study, out=tmp_path / "out")
     assert len(done.points) == 5
     assert done.computed == 4
@@ -272,12 +270,9 @@ def test_every_run_belongs_to_exactly_one_part():
 
 def test_repeated_timings_are_kept_with_their_quartiles_and_not_made_again(tmp_path):
     study = {
-        "mbdkit_study": 1,
-        "base": "pendulum",
-        "overrides": {"time": {"end": 0.1, "step": 0.01}},
-        "axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}],
-        "repeats": 5,
-    }
+        "mbdkit_study": 1, "base": "pendulum", "overrides": {"time": {"end": 0.1, "step": 0.01}},
+        "axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}], "repeats": 5,
+    }  # fmt: skip
     done = mbdkit.study(study, out=tmp_path / "out")
     for point in done.points:
         assert len(point.row.repeats) == 5

@@ -12,28 +12,22 @@ from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 
 STUDY = {
-    "mbdkit_study": 1,
-    "title": "t",
+    "mbdkit_study": 1, "title": "t",
     "base": {"mbdkit": 1, "model": {"name": "double-pendulum"}, "time": {"end": 1.0, "step": 0.1}},
     "overrides": {"output.every": 2},
     "families": {
         "a": {"axes": [{"integrator": [{"name": "rk4"}, {"label": "x", "value": {"name": "gauss"}}]}], "repeats": 2},
         "b": {"axes": [{"time.step": {"geomspace": [0.1, 0.01, 3]}}], "overrides": {"integrator": {"name": "rk4"}}},
     },
-    "reference": {"integrator": {"name": "gauss", "stages": 3}},
-    "measures": ["end_error"],
-}
+    "reference": {"integrator": {"name": "gauss", "stages": 3}}, "measures": ["end_error"],
+}  # fmt: skip
 
 ODD = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(-3, 3),
-    st.floats(),
-    st.text(max_size=5),
+    st.none(), st.booleans(), st.integers(-3, 3), st.floats(), st.text(max_size=5),
     st.sampled_from(["none", "all", "knee", "gauss", "-", "a.b", "a[0]", "[0]", "time.step", "\ud800", "..", "a/b"]),
     st.lists(st.integers(0, 2), max_size=3),
     st.dictionaries(st.sampled_from(["geomspace", "label", "value", "time.step", "x[0]", "", "."]), st.just([1, 2, 3])),
-)
+)  # fmt: skip
 
 
 def places(data, path=()):

@@ -57,13 +57,10 @@ CONTROLLED: dict[str, ExplicitRungeKutta | ImplicitRungeKutta] = {
     "loose radau-iia-2 by fixed points": ImplicitRungeKutta(radau_iia.tableau(2), "fixed-point", tolerances=LOOSE),
 }
 RECORDED: dict[str, dict[str, Any]] = {
-    "adaptive dopri5": {"every": 1},
-    "adaptive dop853": {"interval": 0.011},
-    "loose dop853": {"every": 3},
-    "adaptive radau-iia-3": {"every": 2},
-    "loose gauss-2": {"interval": 0.011},
+    "adaptive dopri5": {"every": 1}, "adaptive dop853": {"interval": 0.011}, "loose dop853": {"every": 3},
+    "adaptive radau-iia-3": {"every": 2}, "loose gauss-2": {"interval": 0.011},
     "loose radau-iia-2 by fixed points": {"every": 1},
-}
+}  # fmt: skip
 
 
 def with_laws(rng: np.random.Generator) -> Mechanism:
@@ -103,15 +100,9 @@ def blade(rng: np.random.Generator) -> Mechanism:
 
 
 KINDS = {
-    "blade": blade,
-    "chain": chain,
-    "ladder": ladder,
-    "driven frame": driven_frame,
-    "slides": slides,
-    "laws": with_laws,
-    "rolling": rolling,
-    "springs": lambda rng: driven_chain(float(rng.uniform(10, 50)), float(rng.uniform(0.1, 1))),
-}
+    "blade": blade, "chain": chain, "ladder": ladder, "driven frame": driven_frame, "slides": slides, "laws": with_laws,
+    "rolling": rolling, "springs": lambda rng: driven_chain(float(rng.uniform(10, 50)), float(rng.uniform(0.1, 1))),
+}  # fmt: skip
 
 
 class Nearby(np.random.Generator):

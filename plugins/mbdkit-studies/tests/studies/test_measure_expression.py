@@ -31,11 +31,9 @@ def thrown() -> RunSpec:
     m.marker("rim", wheel, point=(0.5, 0.0))
     m.spring_damper("soft", m.ground, ball, from_=(0.0, 0.0), to=(0.0, 0.0), stiffness=0.0, free_length=1.0)
     return load_spec(
-        {"mbdkit": 1, "model": m.to_spec(), "parameters": {"lever": 0.25}},
-        integrator={"name": "rk4"},
-        time={"end": END, "step": STEP},
-        events={"top": {"when": "ball.vy"}, "never": {"when": "ball.x + 1"}},
-    )
+        {"mbdkit": 1, "model": m.to_spec(), "parameters": {"lever": 0.25}}, integrator={"name": "rk4"},
+        time={"end": END, "step": STEP}, events={"top": {"when": "ball.vy"}, "never": {"when": "ball.x + 1"}},
+    )  # fmt: skip
 
 
 SPEC = thrown()
@@ -133,11 +131,9 @@ def test_what_did_not_happen_is_not_a_number(run: Run) -> None:
 
 def test_a_single_row_has_a_mean_but_no_integral() -> None:
     start: Any = SimpleNamespace(
-        time=np.array([0.0]),
-        bodies={"ball": SimpleNamespace(index=0)},
-        column=lambda path, index, part: np.array([[3.0, 4.0]]),
-        integrals={},
-    )
+        time=np.array([0.0]), bodies={"ball": SimpleNamespace(index=0)},
+        column=lambda path, index, part: np.array([[3.0, 4.0]]), integrals={},
+    )  # fmt: skip
     assert MeasureExpression.parse("mean(ball.vy)", SPEC).of(start) == 4.0
     assert MeasureExpression.parse("rms(ball.vy)", SPEC).of(start) == 4.0
     assert MeasureExpression.parse("integral(ball.vy)", SPEC).of(start) == 0.0
@@ -148,8 +144,7 @@ REFUSED = {
     "max(ball.x) - max(ball.vx)": "subtracts quantities of different units, m and m/s",
     "max(max(ball.x), max(ball.vx))": "compares quantities of different units, m and m/s",
     "sin(final(ball.x))": "sin needs a number or an angle, not m",
-    "at(ball.x, final(ball.x))": "is a time, but it has the unit m",
-    "at(ball.x, 7)": "the run goes from 0 s to 1 s",
+    "at(ball.x, final(ball.x))": "is a time, but it has the unit m", "at(ball.x, 7)": "the run goes from 0 s to 1 s",
     "at(ball.x, ball.x)": "is one time, such as 0.5 or events.NAME.time",
     "ball.x": "changes over time, but a measure is one number; apply max, min, mean",
     "final(ball.position)": "is a vector, but a measure is one number; use abs of it",
@@ -160,20 +155,17 @@ REFUSED = {
     "abs(final(ball.position)*final(ball.position))": "not possible with a vector in '*'",
     "max(abs(joints.hok.force))": "there is no joint 'hok' (did you mean 'hook'?)",
     "max(abs(joints.hook.forse))": "joint 'hook' has no 'forse' (did you mean 'force'?)",
-    "max(joints.hook.force_z)": "has no 'force_z'",
-    "events.tip.time": "there is no event 'tip' (did you mean 'top'?)",
+    "max(joints.hook.force_z)": "has no 'force_z'", "events.tip.time": "there is no event 'tip' (did you mean 'top'?)",
     "events.top.tim": "event 'top' has no 'tim' (did you mean 'time'?)",
     "meen(ball.x)": "'meen' is not a function that can be used (did you mean 'mean'?)",
-    "mean": "'mean' is a function and needs its argument in parentheses",
-    "rms(ball.x, 2)": "'rms' takes 1 argument",
-    "at(ball.x)": "'at' takes 2 arguments",
-    "2*3": "contains no quantity of the run",
+    "mean": "'mean' is a function and needs its argument in parentheses", "rms(ball.x, 2)": "'rms' takes 1 argument",
+    "at(ball.x)": "'at' takes 2 arguments", "2*3": "contains no quantity of the run",
     "final(ball.angle)": "'ball' is a point mass",
     "lever*final(ball.x)": "the unit of this expression is unknown, because parameters and some states have none",
     "__import__('os').system('true')": "is not a function that can be used",
     "final(ball.x) if 1 else 2": "is not part of an expression of a run",
     "final(ball.x": "the expression cannot be parsed",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("text", REFUSED)

@@ -27,15 +27,9 @@ def cantilever(**more: Any) -> mbdkit.Mechanism:
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
     stiffness = {"axial": 1e6, "shear": 1e6, "bending": BENDING}
     leaf = m.beam(
-        "leaf",
-        a=(0, 0),
-        b=(LENGTH, 0),
-        elements=ELEMENTS,
-        stiffness=stiffness,
-        mass_per_length=1.0,
-        damping=1.0,
+        "leaf", a=(0, 0), b=(LENGTH, 0), elements=ELEMENTS, stiffness=stiffness, mass_per_length=1.0, damping=1.0,
         **more,
-    )
+    )  # fmt: skip
     m.weld("clamp", m.ground, leaf[0], at=(0, 0))
     m.force("load", leaf[-1], value=(PULL, FORCE))
     return m

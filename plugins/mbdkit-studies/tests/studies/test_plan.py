@@ -247,12 +247,10 @@ def test_a_mass_that_varies_without_its_inertia_is_noted(
 )
 def test_improbable_parameters_of_distributions_are_noted(variables: dict[str, Any], told: str) -> None:
     base = {
-        "mbdkit": 1,
-        "parameters": {"l": "40 cm"},
-        "model": {"name": "single-pendulum", "angle": "0.5 rad", "rate": 0.01},
-        "integrator": {"name": "rk4"},
+        "mbdkit": 1, "parameters": {"l": "40 cm"},
+        "model": {"name": "single-pendulum", "angle": "0.5 rad", "rate": 0.01}, "integrator": {"name": "rk4"},
         "time": {"end": 1, "step": 0.1},
-    }
+    }  # fmt: skip
     sample = {"n": 4, "seed": 5, "variables": variables}
     notes = plan_study(load_study_spec({"mbdkit_study": 1, "base": base, "sample": sample})).notes()
     assert len(notes) == bool(told)

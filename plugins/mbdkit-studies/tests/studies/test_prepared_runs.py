@@ -15,11 +15,9 @@ from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.reading import parse_key, put
 
 DOUBLE = {
-    "mbdkit": 1,
-    "model": {"name": "double-pendulum", "angles": [0.3, -0.2]},
-    "integrator": {"name": "rk4"},
+    "mbdkit": 1, "model": {"name": "double-pendulum", "angles": [0.3, -0.2]}, "integrator": {"name": "rk4"},
     "time": {"end": 0.2, "step": 0.01},
-}
+}  # fmt: skip
 CASES: list[tuple[Any, dict[str, Any], str, float]] = [
     (DOUBLE, {}, "model.angles.0", 1.2),
     (

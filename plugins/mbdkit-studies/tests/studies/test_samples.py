@@ -164,12 +164,10 @@ def of_ishigami(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
     value = "sin(final(a.angle)) + 7*sin(final(b.angle))**2 + 0.1*final(c.angle)**4*sin(final(a.angle))"
     angles = {f"model.bodies.{name}.angle": {"uniform": [-np.pi, np.pi]} for name in "abc"}
     spec = {
-        "mbdkit_study": 1,
-        "base": base(0.1, **dict.fromkeys("abc", BODY)),
-        "sample": {"n": 256, "seed": 1, "design": "saltelli", "variables": angles},
-        "store": "histories",
+        "mbdkit_study": 1, "base": base(0.1, **dict.fromkeys("abc", BODY)),
+        "sample": {"n": 256, "seed": 1, "design": "saltelli", "variables": angles}, "store": "histories",
         "measures": {"y": {"value": value, "unit": "1"}},
-    }
+    }  # fmt: skip
     return mbdkit.study(spec, out=tmp_path_factory.mktemp("samples") / "ishigami")
 
 

@@ -107,14 +107,12 @@ def test_netcdf_tools_open_the_index(finished):
 def test_measures_may_be_chosen(tmp_path):
     study = mbdkit.study(
         {
-            "mbdkit_study": 1,
-            "base": "pendulum",
+            "mbdkit_study": 1, "base": "pendulum",
             "overrides": {"time": {"end": 0.1, "step": 0.01}, "output.quantities": ["joints"]},
-            "axes": [{"model.length": [1.0]}],
-            "measures": ["misalignment_max", "energy_balance_max"],
+            "axes": [{"model.length": [1.0]}], "measures": ["misalignment_max", "energy_balance_max"],
         },
         out=tmp_path / "out",
-    )
+    )  # fmt: skip
     values = study.points[0].values
     assert values["misalignment_max"] >= 0
     assert np.isnan(values["energy_balance_max"])  # not recorded

@@ -101,12 +101,9 @@ def test_json_is_one_object(mbdkit, in_tmp_path):
 
 def start(folder: Path, out: str) -> subprocess.Popen:
     return subprocess.Popen(
-        [sys.executable, "-m", "mbdkit", "study", "slow.yaml", "-o", out],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+        [sys.executable, "-m", "mbdkit", "study", "slow.yaml", "-o", out], cwd=folder, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
 
 
 @pytest.mark.end_to_end

@@ -9,11 +9,9 @@ import mbdkit
 
 RUN = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 2.0, "step": 0.05}}
 STUDY = {
-    "mbdkit_study": 1,
-    "title": "two methods",
-    "base": {"mbdkit": 1, "model": {"name": "double-pendulum"}, **RUN},
+    "mbdkit_study": 1, "title": "two methods", "base": {"mbdkit": 1, "model": {"name": "double-pendulum"}, **RUN},
     "axes": [{"integrator": [{"name": "gauss", "stages": 3}, {"name": "rk-gill"}]}],
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")

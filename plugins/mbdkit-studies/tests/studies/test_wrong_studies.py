@@ -124,11 +124,9 @@ WRONG = {
     **{name: (called(name), 8, f"axes[0].{name}", "is a column of the index") for name in COLUMNS.split()},
     "axes of the same name in the index": (
         study(
-            f"  - {STEPS}", "  - a/b: [{label: x, set: {time.step: 0.1}}]\n  - a|b: [{label: y, set: {time.end: 2}}]"
+            f"  - {STEPS}", "  - a/b: [{label: x, set: {time.step: 0.1}}]\n  - a|b: [{label: y, set: {time.end: 2}}]",
         ),
-        12,
-        "axes[2].a|b",
-        "'a|b' and 'a/b' would be one column",
+        12, "axes[2].a|b", "'a|b' and 'a/b' would be one column",
     ),
     "a zero in a name": (
         several("set: {time.step: 0.1}", '"a\\0b"'), 11, "axes[1].a?b", r"contains the character '\x00'",

@@ -25,13 +25,9 @@ from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import load_registry
 
 GAUSS_3: dict[str, Any] = {
-    "order": 6,
-    "stages": 3,
-    "symmetric": True,
-    "symplectic": True,
-    "quadratic_invariants": True,
+    "order": 6, "stages": 3, "symmetric": True, "symplectic": True, "quadratic_invariants": True,
     "needs": ("tangents",),
-}
+}  # fmt: skip
 
 
 class NoOptions(BaseModel):
@@ -285,14 +281,10 @@ def hardening(length: float, rate: float, time: float, p: Any) -> tuple[float, f
 def offer(create: Any, options: type[BaseModel] = NoOptions, *, dense_output: bool = False, **claims: Any) -> Registry:
     """Return what mbdkit ships and one integrator more, ``acme:mine``."""
     item = mbdkit.IntegratorPlugin(
-        name="mine",
-        summary="A method under test",
-        options=options,
-        create=create,
-        claims=lambda options: Claims(**{"drift": "of the method's order"} | claims),
-        references=("@misc{acme}",),
+        name="mine", summary="A method under test", options=options, create=create,
+        claims=lambda options: Claims(**{"drift": "of the method's order"} | claims), references=("@misc{acme}",),
         dense_output=dense_output,
-    )
+    )  # fmt: skip
     return _with(mbdkit_integrators=item)
 
 

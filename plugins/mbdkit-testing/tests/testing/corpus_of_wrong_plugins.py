@@ -24,17 +24,15 @@ RIGHT = {
     "symplectic Euler": ("integrator", corpus.offer_method(corpus.SymplecticEuler, **EULER)),
     "runge-kutta": ("integrator", corpus.offer_method(corpus.RungeKutta, **RK4)),
     "midpoint": ("integrator", corpus.offer_method(corpus.Midpoint, **MIDPOINT)),
-    "pendulum": ("model", corpus.offer_model()),
-    "driven": ("model", corpus.offer_model(motion="0.5*sin(2*t)")),
+    "pendulum": ("model", corpus.offer_model()), "driven": ("model", corpus.offer_model(motion="0.5*sin(2*t)")),
     "hardening": ("force-law", corpus.offer_law(corpus.hardening)),
     "contact": ("force-law", corpus.offer_law(subtle.hertz)),
     "dry friction": ("force-law", corpus.offer_law(subtle.dry_friction, potential=False)),
     "a steep stop": ("force-law", corpus.offer_law(subtle.steep)),
     "a root": (
-        "force-law",
-        subtle.ranged(subtle.right_where_it_says_it_holds, length=(0.0, math.inf), time=(0.0, 4.0)),
+        "force-law", subtle.ranged(subtle.right_where_it_says_it_holds, length=(0.0, math.inf), time=(0.0, 4.0)),
     ),
-}
+}  # fmt: skip
 
 
 WRONG: dict[str, tuple[Any, Registry, str]] = {

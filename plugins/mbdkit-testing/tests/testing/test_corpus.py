@@ -14,34 +14,24 @@ from mbdkit_testing.check import Check
 from . import corpus, further_faults, overclaims, subtle, wrong_steps
 
 SUBTLE_LAWS = {
-    subtle.creates_energy_at_some_rates: "law.passivity",
-    subtle.creates_energy_in_a_corner: "law.passivity",
-    subtle.creates_energy_for_a_second: "law.passivity",
-    subtle.creates_a_little: "law.passivity",
-    subtle.wrong_slope_when_long: "derivatives.length",
-    subtle.wrong_slope_below_zero: "derivatives.length",
-    subtle.wrong_slope_near_zero: "derivatives.length",
-    subtle.wrong_slope_of_the_product: "derivatives.length",
-    subtle.wrong_rate_when_fast: "derivatives.rate",
-    subtle.wrong_rate_late: "derivatives.rate",
-    subtle.stiffer_after_two_seconds: "law.potential",
-    subtle.flickers: "law.potential",
+    subtle.creates_energy_at_some_rates: "law.passivity", subtle.creates_energy_in_a_corner: "law.passivity",
+    subtle.creates_energy_for_a_second: "law.passivity", subtle.creates_a_little: "law.passivity",
+    subtle.wrong_slope_when_long: "derivatives.length", subtle.wrong_slope_below_zero: "derivatives.length",
+    subtle.wrong_slope_near_zero: "derivatives.length", subtle.wrong_slope_of_the_product: "derivatives.length",
+    subtle.wrong_rate_when_fast: "derivatives.rate", subtle.wrong_rate_late: "derivatives.rate",
+    subtle.stiffer_after_two_seconds: "law.potential", subtle.flickers: "law.potential",
     subtle.potential_jumps: "law.potential",
-}
+}  # fmt: skip
 SUBTLE_LAWS_WITHOUT_POTENTIAL = {
     subtle.creates_energy_when_long: "law.passivity",
     subtle.springy_but_passive: "law.passivity",
     subtle.no_number_when_short: "law.finite",
 }
 SUBTLE_METHODS = {
-    subtle.Growing: "state.free-fall",
-    subtle.EndShort: "state.free-fall",
-    subtle.EndAlmostShort: "state.last-step",
-    subtle.Single: "order.finest",
-    subtle.Wrapped: "state.free-fall",
-    subtle.Clipped: "state.free-fall",
+    subtle.Growing: "state.free-fall", subtle.EndShort: "state.free-fall", subtle.EndAlmostShort: "state.last-step",
+    subtle.Single: "order.finest", subtle.Wrapped: "state.free-fall", subtle.Clipped: "state.free-fall",
     subtle.OwnClock: "contract.start-time",
-}
+}  # fmt: skip
 WRONG |= {one.__name__: ("force-law", corpus.offer_law(one), name) for one, name in SUBTLE_LAWS.items()}
 WRONG |= {
     one.__name__: ("force-law", corpus.offer_law(one, potential=False), name)
@@ -50,16 +40,12 @@ WRONG |= {
 WRONG |= {one.__name__: ("integrator", corpus.offer_method(one, **RK4), name) for one, name in SUBTLE_METHODS.items()}
 WRONG |= {
     "a wrong slope in the range of a law": (
-        "force-law",
-        subtle.ranged(subtle.wrong_where_it_says_it_holds, length=(20.0, 30.0)),
-        "derivatives.length",
+        "force-law", subtle.ranged(subtle.wrong_where_it_says_it_holds, length=(20.0, 30.0)), "derivatives.length",
     ),
     "a step size that a symmetric start deceives": (
-        "integrator",
-        subtle.offer_derivative_solver(),
-        "state.resting-starts",
+        "integrator", subtle.offer_derivative_solver(), "state.resting-starts",
     ),
-}
+}  # fmt: skip
 WITH_CAUSES = overclaims.WRONG | wrong_steps.WRONG
 WRONG |= {name: ("integrator", installed, check) for name, (installed, check, _) in WITH_CAUSES.items()}
 WRONG |= {name: found[:3] for name, found in further_faults.WRONG.items()}

@@ -312,12 +312,8 @@ class ForgetsStep(Library):
 
 def fixed(method: type[StepMethod], **claims: Any) -> Any:
     given: dict[str, Any] = {
-        "order": 3,
-        "dense_output": True,
-        "dense_order": 3,
-        "states": True,
-        "needs": ("accelerations",),
-    }
+        "order": 3, "dense_output": True, "dense_order": 3, "states": True, "needs": ("accelerations",),
+    }  # fmt: skip
     return corpus.offer(lambda options: method(), **given | claims)
 
 
@@ -333,11 +329,9 @@ def library(method: type[Library]) -> Any:
 RK4: dict[str, Any] = {"order": 4, "needs": ("accelerations",)}
 
 RIGHT = {
-    "a pair with fixed steps": fixed(Nodes),
-    "a pair with adaptive steps": adaptive(Pair, dense_order=3),
-    "a library": library(Library),
-    "work": corpus.offer_method(Booked, **RK4),
-}
+    "a pair with fixed steps": fixed(Nodes), "a pair with adaptive steps": adaptive(Pair, dense_order=3),
+    "a library": library(Library), "work": corpus.offer_method(Booked, **RK4),
+}  # fmt: skip
 
 MEMORY = "a step uses the memory of the steps before"
 NEEDED = "its state does not contain everything that the next step needs"
