@@ -158,11 +158,8 @@ def test_parameters_are_read_and_what_is_not_read_is_named(tmp_path: Path) -> No
     assert tuple(m.muscles) == READ
     gastroc = m.muscles["gastroc"]
     assert (gastroc.max_force, gastroc.optimal_length, gastroc.tendon_length, gastroc.pennation) == (
-        1500,
-        0.12,
-        0.2,
-        0.3,
-    )
+        1500, 0.12, 0.2, 0.3,
+    )  # fmt: skip
     assert (gastroc.curves, m.muscles["vasti"].curves) == ("millard", "de-groote-fregly")
     told = "\n".join((*m.warnings, *m.left_out))
     assert "muscle 'over_ball' of the model of OpenSim is left out: it wraps around a WrapSphere" in told

@@ -14,10 +14,7 @@ from tests.witness.running import gauss, run
 
 SEATED: dict[str, Any] = {"name": "four-bar-knee", "thigh_angle": 0.0, "flexion": 0.4, "flexion_rate": 0.5}
 SUPPORTED: dict[str, Any] = SEATED | {
-    "height": 1.65,
-    "body_mass": 60.0,
-    "rod_mass": 0.08,
-    "damping": 0.4,
+    "height": 1.65, "body_mass": 60.0, "rod_mass": 0.08, "damping": 0.4,
     "springs": {
         "front": {"points": [[0.05, 0.2], [0.04, -0.15]], "stiffness": 300.0, "damping": 8.0, "free_length": 0.3},
         "back": {"points": [[-0.06, 0.15], [-0.05, -0.1]], "stiffness": 150.0, "free_length": 0.2},

@@ -23,13 +23,9 @@ def verdict(*tables: Table) -> Verdict:
 def test_the_terminal_gets_headline_tables_and_claims_alone() -> None:
     assert headlines(verdict(OTHER, SHOWN)) == (SHOWN,)
     assert terminal_text(verdict(OTHER, SHOWN)).splitlines() == [
-        "What it is for",
-        "  method  drift [m]",
-        "  RK4     1.235e-05",
-        "  a | b",
-        "A note.",
+        "What it is for", "  method  drift [m]", "  RK4     1.235e-05", "  a | b", "A note.",
         "no     Joints hold. Found: 2e-5 m.",
-    ]
+    ]  # fmt: skip
     assert terminal_text(verdict(OTHER)) == ""
     assert json_values(verdict(OTHER)) == {}
     values = json.loads(json.dumps(json_values(verdict(OTHER, SHOWN))))

@@ -29,13 +29,9 @@ def test_the_measures_of_beams_are_valid() -> None:
     spec = load_spec("leaf-spring", measures=read_text(text, "guide").data["measures"])
     units = {one.name: describe(one, spec).units for one in spec.defined_measures()}
     assert units == {
-        "largest_moment": "N m",
-        "stress_in_the_middle": "MPa",
-        "stress_at_the_clamp": "MPa",
-        "moment_at_the_end": "N m",
-        "moment_near_a": "N m",
-        "moment_at_a": "N m",
-    }
+        "largest_moment": "N m", "stress_in_the_middle": "MPa", "stress_at_the_clamp": "MPa",
+        "moment_at_the_end": "N m", "moment_near_a": "N m", "moment_at_a": "N m",
+    }  # fmt: skip
 
 
 def test_every_quantity_is_listed() -> None:

@@ -69,21 +69,16 @@ def test_there_is_one_reference_for_all_points_that_it_fits(small):
 
 def test_a_family_takes_from_the_top_what_it_leaves_out(small):
     study = small | {
-        "axes": [],
-        "overrides": {"time.step": 0.1, "output.every": 2},
+        "axes": [], "overrides": {"time.step": 0.1, "output.every": 2},
         "families": {
             "plain": {"axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}]},
             "own": {
-                "title": "Everything its own",
-                "base": "pendulum",
-                "overrides": {"time": {"end": 1.0, "step": 0.25}},
-                "axes": [{"model.length": [1.0, 2.0, 3.0]}],
-                "reference": "none",
-                "repeats": 3,
+                "title": "Everything its own", "base": "pendulum", "overrides": {"time": {"end": 1.0, "step": 0.25}},
+                "axes": [{"model.length": [1.0, 2.0, 3.0]}], "reference": "none", "repeats": 3,
             },
             "one": {"overrides": {"integrator": {"name": "rk4"}}},
         },
-    }
+    }  # fmt: skip
     del study["axes"]
     found = points(study)
     assert [point.family for point in found] == ["plain"] * 2 + ["own"] * 3 + ["one"]
