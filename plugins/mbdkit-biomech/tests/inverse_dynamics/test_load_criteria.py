@@ -1,7 +1,8 @@
-"""Measured loads that contradict the motion or the model make the verdict doubtful; plausible loads do not."""
+"""Measured loads that contradict the motion or the model, and parts of models, are doubted; plausible ones are not."""
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, no
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.guide.pages import find_page
 from mbdkit.spec.loading import example_table
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints, mechanism_doubts
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 
@@ -281,3 +284,35 @@ def test_other_criteria_find_faults_of_loads_and_masses_if_residuals_are_accepte
     assert all(" times the largest load and " in one for one in doubts.accepted)
     delays = [float(one.split()[7]) for one in doubts.open if one.startswith("load-time")]
     assert delays == pytest.approx([0.1] * len(delays), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "mass", "told"),
+    [
+        # shank of 3.5 kg and 0.42 m: 0.302, 0.528 and 0.643 lengths about centre, knee and ankle (Winter, table 4.1)
+        pytest.param(3.5 * (0.302 * 0.42) ** 2, 3.5, False, id="about the centre of mass"),
+        pytest.param(3.5 * (0.528 * 0.42) ** 2, 3.5, True, id="about the knee"),
+        pytest.param(3.5 * (0.643 * 0.42) ** 2, 3.5, True, id="about the ankle"),
+        pytest.param(3.5 * 0.21**2, 3.5, False, id="masses at both ends"),
+        pytest.param(3.5 * 0.42**2, 3.5, False, id="larger than its points"),
+        pytest.param(0.05 * 0.25**2, 0.05, False, id="light body"),
+        pytest.param(None, 3.5, False, id="point mass"),
+    ],
+)
+def test_an_inertia_about_a_joint_is_told(inertia: float | None, mass: float, told: bool) -> None:
+    m = mbdkit.Mechanism()
+    m.body("thigh", mass=8.0, inertia=0.1)
+    m.body("shank", mass=mass, inertia=inertia)
+    m.revolute("knee", "thigh", "shank", points=((-0.24, 0), (0.18, 0)))
+    m.marker("ankle", "shank", point=(-0.24, 0.0))
+    found = [*inertias_about_joints(m)]
+    assert len(found) == told
+    assert all("of body 'shank' at model.bodies.shank" in text for text in found)
+
+
+def test_a_model_says_what_it_leaves_out_as_printed() -> None:
+    section = find_page("plugins").text.split("# A model in twenty lines\n", 1)[1].split("\n#", 1)[0]
+    m = mbdkit.Mechanism()
+    exec(re.findall(r"^```python\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL)[1], {"m": m})
+    assert [one.criterion for one in mechanism_doubts(m)] == ["left-out"]
+    assert len(m.warnings) == 1

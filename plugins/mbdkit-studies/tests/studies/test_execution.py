@@ -1,7 +1,8 @@
-"""What is computed, what is not computed again, and what becomes of runs that go wrong."""
+"""What is computed, what is not computed again, and what becomes of runs that go wrong or are killed."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from pathlib import Path
@@ -13,11 +14,14 @@ from tests.studies.stored_studies import index_hash
 
 import mbdkit
 from mbdkit.archive.archive_check import check
+from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.base.errors import ArchiveError, SpecError
-from mbdkit_studies.compute import pool
+from mbdkit.spec import load_spec
+from mbdkit_studies.compute import pool, worker
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.store import study_index
+from tests.runs.resuming.killed_runs import killed
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
 CLOSED = {
@@ -295,3 +299,19 @@ def test_reasons_of_runs_with_several_wrong_values_are_on_one_line() -> None:
     error = SpecError("should be greater than 0, not -1\n  also: model.b: is missing", key="model.a")
     wanted = "wrong-input: model.a: should be greater than 0, not -1; also: model.b: is missing"
     assert refusal(error).reason == wanted
+
+
+@pytest.mark.parametrize("is_damaged", [False, True], ids=["whole", "damaged checkpoint"])
+def test_a_study_continues_its_killed_run(tmp_path: Path, is_damaged: bool) -> None:
+    part = tmp_path / "run.h5.part"
+    spec = load_spec("double-pendulum", integrator={"name": "rk4"}, time={"steps": 20_000, "step": 1e-4}, events={})
+    assert killed(json.loads(spec.canonical_json()), part, checkpoints=3, delay=0.0)
+    if is_damaged:
+        checkpoint_path(part).write_bytes(b"damaged")
+    path = part.with_suffix("")
+    answer = worker._work({"spec": spec.canonical_json(), "path": str(path), "measures": []}, print)
+    assert answer == {"status": "complete", "reason": ""}
+    with mbdkit.load(path) as run:
+        assert run.provenance.get("resumed", 0) == (0 if is_damaged else 1)
+        assert run.data_sha256 == mbdkit.run(spec).data_sha256
+    assert os.listdir(tmp_path) == ["run.h5"]

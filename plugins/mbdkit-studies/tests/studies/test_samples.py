@@ -1,4 +1,4 @@
-"""Studies with samples: reproducible members, values in specs and index, sensitivities and quantiles over time."""
+"""Studies with samples: reproducible members, values in specs and index, sensitivities, errors, quantiles over time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from mbdkit_studies.points.sampled_values import sampled_values
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.results.study_notes import notes
 from mbdkit_studies.spec.sample_section import Sample
+from mbdkit_studies.statistics.sensitivity import sensitivity
 from mbdkit_studies.statistics.sobol_indices import sobol_indices
+from tests.runs.oscillator import oscillator
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
 SPEED, MASS = "model.bodies.ball.velocity.0", "model.bodies.ball.mass"
@@ -350,3 +352,28 @@ def test_a_key_of_the_sample_is_set_by_an_assignment(throw: dict[str, Any], tmp_
         assert run.time[-1] == 0.2
     with pytest.raises(SpecError, match=r"--set sample\.m=4.*unknown key; known here: n, method"):
         mbdkit.study(throw, assignments=["sample.m=4"], out=tmp_path / "other")
+
+
+def test_indices_of_errors_are_not_shown(tmp_path: Path) -> None:
+    # the total energy does not depend on the phase: its values differ by their errors only
+    base = oscillator({"name": "rk4"}, 0.2, check=True, parameters={"phase": 0.0, "level": 0.0})
+    base["model"]["bodies"]["slider"] |= {"position": ["cos(phase)", 0], "velocity": ["-2*sin(phase)", 0]}
+    variables = {"parameters.phase": {"uniform": [0.0, 3.0]}, "parameters.level": {"uniform": [0.0, 1.0]}}
+    sample = {"n": 4, "method": "sobol", "design": "saltelli", "seed": 1, "variables": variables}
+    measures = {"noise": "max(energy.total) - 2 + 2", "swing": {"value": "final(slider.x)*(1 + level)", "unit": "m"}}
+    study = mbdkit.study(
+        {"mbdkit_study": 1, "base": base, "sample": sample, "measures": measures}, out=tmp_path / "study"
+    )
+    found = sensitivity(study, "noise")
+    assert np.all(np.isnan(found.first))
+    assert np.all(np.isnan(found.total))
+    assert "within their estimated errors" in str(found)
+    wide = sensitivity(study, "swing")
+    assert not wide.reason
+    covers = (wide.indices.first_low <= 0) & (wide.indices.first_high >= 1)
+    assert np.array_equal(np.isnan(wide.first), covers)
+    told = dict(headlines(study))
+    assert "of the standard deviation: THE SPREAD MAY BE NUMERICAL" in told["noise"]
+    assert "no variable explains it: the values of noise differ by" in told["noise"]
+    assert "NUMERICAL" not in told["swing"]
+    assert "error of a run" in told["swing"]

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.testing import corpus
 
 import mbdkit
 import mbdkit.testing
+from mbdkit import ImplicitRungeKutta
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
 from mbdkit_testing import Report, Result, checks_of, conformance
@@ -18,6 +20,7 @@ from mbdkit_testing.order_checks import reference
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM
 from mbdkit_testing.verification_page import html, write_page
 from mbdkit_testing.verification_table import BEGIN, END, VARIANTS, title
+from tests.integrators.diagonal_tableaus import TABLEAUS
 
 README = Path(__file__).parents[2] / "README.md"
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -177,3 +180,13 @@ def test_a_page_that_appears_during_the_checks_is_not_replaced(tmp_path: Path) -
     with pytest.raises(SpecError, match="exists already"):
         write_page([], page, overwrite=False)
     assert page.read_text() == "theirs"
+
+
+def test_a_plugin_with_such_a_tableau_is_verified() -> None:
+    tableau = TABLEAUS["alexander-2"]
+    offered = corpus.offer(lambda options: ImplicitRungeKutta(tableau), order=2, stages=2, needs=("tangents",))
+    integrator = plugin_under_test("integrator", "mine", {}, offered)
+    wanted = ("contract.", "tableau.", "counters.", "newton.tolerance")
+    found = [check.run(integrator) for check in checks_of("integrator", quick=True) if check.name.startswith(wanted)]
+    assert len(found) > 12
+    assert [result for result in found if result.outcome == "fail"] == []
