@@ -1,7 +1,10 @@
-"""The report in a real headless browser, by eye, by keyboard, by screen reader, on a telephone."""
+"""The report in a real headless browser, by eye, by keyboard, by screen reader, on a telephone, and as it is printed."""
 
 from __future__ import annotations
 
+import csv
+import shutil
+import subprocess
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +13,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
+from mbdkit.base.text import csv_cell
 from mbdkit.spec import load_spec
 from mbdkit.spec.yaml_reader import read_yaml
 from mbdkit_report import render, report, run_report
@@ -293,3 +297,140 @@ def test_the_spec_can_be_saved_and_copied(page):
     tab.get_by_role("button", name="Copy: Spec").click()
     until(tab, "[...document.querySelectorAll('.tools button')].some(button => button.textContent === 'Copied')")
     assert tab.evaluate("navigator.clipboard.readText()") == saved
+
+
+def test_a_table_is_sorted_by_the_button_in_its_heading(page):
+    tab = page.page
+    table = tab.locator('table[data-file="joints"]')
+    head = table.locator("th[scope=col]").nth(2)
+    values = "table => [...table.tBodies[0].rows].map(row => Number(row.cells[2].dataset.value))"
+    first = table.evaluate(values)
+    head.get_by_role("button").focus()
+    for order, wanted in (("descending", sorted(first)[::-1]), ("ascending", sorted(first)), (None, first)):
+        tab.keyboard.press("Enter")
+        assert head.get_attribute("aria-sort") == order
+        assert table.evaluate(values) == wanted
+
+
+def test_a_table_is_saved_as_csv_with_all_digits_and_without_formulas(browser, tmp_path):
+    m = mbdkit.Mechanism()
+    names = ["=1+1", "+a", "@b", 'plain, "quoted"', "-c"]
+    for number, name in enumerate(names):
+        m.body(name, mass=1.0 / (3 + number), inertia=1.0)
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.05}) as run:
+        path = tmp_path / "page.html"
+        path.write_text(run_report(run).html(), encoding="utf-8")
+    watched = opened(browser, path)
+    watched.page.get_by_text("Bodies", exact=True).first.click()  # inputs are folded
+    with watched.page.expect_download() as begun:
+        watched.page.get_by_role("button", name="Download CSV: Bodies").click()
+    assert begun.value.suggested_filename == "bodies.csv"
+    with open(begun.value.path(), encoding="utf-8", newline="") as file:
+        heading, *rows = csv.reader(file)
+    assert heading[:2] == ["body", "mass [kg]"]
+    assert [row[0] for row in rows] == [csv_cell(name) for name in names]
+    assert [float(row[1]) for row in rows] == [1.0 / (3 + number) for number in range(len(names))]
+    assert watched.outside == []
+    watched.page.context.close()
+
+
+def test_nothing_sticks_out_to_the_side(browser, any_path):
+    tab = opened(browser, any_path).page
+    for width in (1400, 390):
+        tab.set_viewport_size({"width": width, "height": 900})
+        tab.wait_for_timeout(300)
+        wide, window = tab.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+        assert wide <= window == width
+    tab.context.close()
+
+
+def test_no_table_is_cut_off_on_a_telephone_and_every_value_has_its_name(browser, any_path):
+    tab = opened(browser, any_path, width=390).page
+    tab.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+    wide = "[...document.querySelectorAll('.scroll')].filter(box => box.scrollWidth > box.clientWidth + 1)"
+    assert tab.evaluate(f"{wide}.map(box => box.ariaLabel)") == []
+    labels = tab.evaluate(
+        """() => [...document.querySelectorAll("table.stack")].flatMap(table => {
+            const heads = [...table.tHead.rows[0].cells].map(head => head.textContent.trim());
+            const shown = cell => getComputedStyle(cell, "::before").content.replaceAll('"', "").trim();
+            return [...table.tBodies[0].rows].flatMap(row => [...row.cells].map((cell, k) => [shown(cell), heads[k]]));
+        })"""
+    )
+    assert labels
+    assert all(shown == head for shown, head in labels)
+    tab.context.close()
+
+
+def test_on_paper_everything_is_whole_light_and_without_controls(browser, any_path):
+    watched = opened(browser, any_path, width=703, color_scheme="dark")  # px: A4 without its margins
+    tab = watched.page
+    tab.emulate_media(media="print")
+    tab.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    tab.wait_for_timeout(300)
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 703
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert tab.locator(".main-svg").first.evaluate("svg => svg.style.background") == "rgb(255, 255, 255)"
+    for name in (".tools", ".player .controls", ".magnifier", ".modebar", ".on-screen", "nav", "summary"):
+        assert not any(one.is_visible() for one in tab.locator(name).all()), name
+    cut = tab.evaluate(
+        """() => [...document.querySelectorAll("figure, table, pre")].filter(one => {
+            const box = one.getBoundingClientRect();
+            return box.right > 703.5 || one.scrollWidth > one.clientWidth + 1
+                || [...one.querySelectorAll(".main-svg")].some(svg => {
+                    const own = svg.getBoundingClientRect();
+                    return own.right > box.right + 0.5 || own.bottom > box.bottom + 0.5 || own.width < 330;
+                });
+        }).map(one => one.id || one.outerHTML.slice(0, 60))"""
+    )
+    assert cut == []
+    heights = tab.evaluate("[...document.querySelectorAll('figure')].map(one => one.offsetHeight)")
+    assert max(heights) < 1000  # px: a page has 1017
+    kept = tab.evaluate(
+        "[...document.querySelectorAll('figure')].every(f => getComputedStyle(f).breakInside === 'avoid')"
+    )
+    assert kept
+    tab.context.close()
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext (poppler-utils) is not installed")
+def test_the_printed_report_has_every_figure(browser, page_path, tmp_path):
+    watched = opened(browser, page_path)
+    watched.page.pdf(path=tmp_path / "page.pdf", format="A4")
+    titles = watched.page.locator("#figures ~ .figures h3, #verdict ~ .figures h3").all_inner_texts()
+    subprocess.run(["pdftotext", tmp_path / "page.pdf", tmp_path / "page.txt"], check=True)
+    printed = (tmp_path / "page.txt").read_text(encoding="utf-8")
+    pages = [" ".join(sheet.split()) for sheet in printed.split("\f")]
+    captions = watched.page.locator(".figures figcaption").all_inner_texts()
+    for title, text in zip(titles, captions, strict=True):
+        assert any(title in sheet and text[:40] in sheet for sheet in pages), title  # on one page
+    assert "Download" not in printed
+    watched.page.context.close()
+
+
+def test_the_motion_is_printed_as_frames_side_by_side_and_then_shown_as_before(browser, page_path):
+    tab = opened(browser, page_path, width=703).page
+    tab.get_by_role("button", name="Pause").click()
+    picture = tab.evaluate("document.getElementById('stage').toDataURL()")
+    drawn, last = tab.evaluate(
+        """() => {
+            const paint = Stage.prototype.paint, drawn = [];
+            Stage.prototype.paint = function (frame, ...others) {
+                const { a, e, f } = this.pen.getTransform(), { canvas } = this;
+                const inside = e + a * this.width <= canvas.width + a && f + a * this.height <= canvas.height + a;
+                drawn.push([frame, e / a, f / a, inside]);
+                paint.call(this, frame, ...others);
+            };
+            window.dispatchEvent(new Event("beforeprint"));
+            Stage.prototype.paint = paint;
+            return [drawn, Number(document.getElementById("scrub").max)];
+        }"""
+    )
+    frames = [frame for frame, *_ in drawn]
+    assert frames[0] == 0
+    assert frames[-1] == last
+    assert all(a < b for a, b in pairwise(frames))
+    assert len({(x, y) for _, x, y, _ in drawn}) == len(drawn) == 6
+    assert all(inside for *_, inside in drawn)
+    tab.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert tab.evaluate("document.getElementById('stage').toDataURL()") == picture
+    tab.context.close()

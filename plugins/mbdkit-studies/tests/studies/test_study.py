@@ -6,6 +6,8 @@ import logging
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,6 +16,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
+from mbdkit_studies.report.study_summary import summary
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store import study_index
 from mbdkit_studies.store.study_index import Index, Row
@@ -216,3 +219,11 @@ def test_a_full_disk_leaves_the_previous_index(tmp_path: Path) -> None:
             study_index.write(path, SPEC, index(5000))
         assert len(study_index.read(path)) == 1
         assert [file.name for file in disk.iterdir()] == ["index.h5"]
+
+
+def test_reasons_do_not_add_lines() -> None:
+    spec = SimpleNamespace(title="", defined_measures=tuple, has_table=False)
+    study: Any = SimpleNamespace(points=(), references=(), failures=(), spec=spec, computed=0, folder="out")
+    study.unfinished, study.statuses, study.verdicts = ("x\nall is well",), list, list
+    study.columns = lambda: dict.fromkeys(("status", "status_reason", "verdict", "verdict_reasons"), ())
+    assert summary(study).splitlines()[-1] == "unfinished 1 time: x\\nall is well"
