@@ -1,4 +1,4 @@
-"""The report in a real headless browser, by eye, by keyboard, by screen reader, on a telephone, and as it is printed."""
+"""The report in a real headless browser, by eye, by keyboard, by screen reader, on a telephone, and on paper."""
 
 from __future__ import annotations
 

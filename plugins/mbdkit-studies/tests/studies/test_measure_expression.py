@@ -1,4 +1,4 @@
-"""Expressions of measures, of beams too: values against closed forms, units by the rules of physics, one sentence each."""
+"""Expressions of measures, of beams too: values against closed forms, units by the rules of physics, and refusals."""
 
 from __future__ import annotations
 
