@@ -112,8 +112,7 @@ def test_without_smoothing_the_ends_have_no_effect_of_their_own(smooth: str) -> 
 
 
 @pytest.mark.parametrize(
-    "offset",
-    [pytest.param(0.0, id="in place"), pytest.param(0.01, id="off their bodies", marks=pytest.mark.slow)],
+    "offset", [pytest.param(0.0, id="in place"), pytest.param(0.01, id="off their bodies", marks=pytest.mark.slow)]
 )
 def test_gaps_of_a_marker_on_a_body_with_others_are_filled_by_its_pose(offset: float) -> None:
     rows = slice(70, 106)  # 0.31 s, several periods of the cutoff, which interpolation over time cannot bridge

@@ -22,11 +22,7 @@ PENDULUM: dict[str, Any] = {"integrator": {"name": "gauss", "stages": 2}, "time"
 
 @pytest.mark.parametrize(
     ("integrator", "step"),
-    [
-        ({"name": "gauss", "stages": 3}, 0.01),
-        ({"name": "radau-iia", "stages": 3}, 0.01),
-        ({"name": "rk4"}, 0.004),
-    ],
+    [({"name": "gauss", "stages": 3}, 0.01), ({"name": "radau-iia", "stages": 3}, 0.01), ({"name": "rk4"}, 0.004)],
 )
 def test_gradient_of_the_slider_crank_of_sundials(integrator: dict[str, Any], step: float) -> None:
     # expected: the integral of the kinetic energy over 10 s and its derivatives with respect to stiffness and damping,

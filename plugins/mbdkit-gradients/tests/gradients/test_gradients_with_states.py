@@ -193,9 +193,7 @@ def test_a_gradient_through_a_stop_includes_the_jump_of_the_rate_of_a_state(inte
 
 @pytest.mark.parametrize(
     ("method", "measure", "sentence"),
-    [
-        ("rk4", "max(leg.angle)", "the gradient of an extremum.* does not include first-order states \\(i\\)"),
-    ],
+    [("rk4", "max(leg.angle)", "the gradient of an extremum.* does not include first-order states \\(i\\)")],
 )
 def test_what_has_no_derivative_says_so(method: str, measure: str, sentence: str) -> None:
     time = {"end": 0.1, "step": 0.01}

@@ -55,8 +55,7 @@ RIGHT |= {name: ("integrator", installed) for name, installed in further_faults.
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (kind == "integrator")) for name, (kind, _) in RIGHT.items()],
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (kind == "integrator")) for name, (kind, _) in RIGHT.items()]
 )
 def test_what_is_right_is_accused_by_no_check_that_catches_what_is_wrong(name: str) -> None:
     kind, installed = RIGHT[name]
