@@ -228,14 +228,6 @@ def test_wrong_parameters_are_refused(parameter: Any, message: str) -> None:
     assert message in str(error.value)
 
 
-def test_a_misspelt_name_with_a_value_is_refused_without_parameters_too() -> None:
-    rod = {"mbdkit": 1, "model": {"name": "single-pendulum", "length": "reach"}}
-    found = mbdkit.gradient(rod, "final(rod1.x)", {"reach": 1.0}, check=False, **PENDULUM)
-    assert found.parameters == ("reach",)
-    with pytest.raises(SpecError, match="there is no parameter 'raech'; the spec has no `parameters`"):
-        mbdkit.gradient(rod, "final(rod1.x)", {"reach": 1.0, "raech": 1.0}, **PENDULUM)
-
-
 @pytest.mark.parametrize(
     ("sections", "message"),
     [

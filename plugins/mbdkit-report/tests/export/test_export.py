@@ -20,7 +20,7 @@ from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.registry.target import Target
 from mbdkit_report import table_formats
-from mbdkit_report.export import export, suffix_of
+from mbdkit_report.export import export
 from mbdkit_report.group_table import group_names, group_table
 from tests.synthetic_runs import make_run as make_run
 
@@ -268,10 +268,3 @@ def test_a_run_of_one_row_is_exported(make_run, tmp_path):
     run = make_run(rows=1, status="failed", reason="singular: at the start")
     for to in ("csv", "json", "mat", "sto"):
         assert {file.stem for file in export(run, tmp_path, to)} >= {"trajectory", "joints"}
-
-
-def test_the_message_names_the_format_that_opensim_reads_as_well() -> None:
-    with pytest.raises(MbdkitError) as raised:
-        suffix_of("mot")
-    told = str(raised.value)
-    assert told.startswith("there is no format 'mot' (OpenSim reads sto wherever it reads mot); the formats are csv, ")

@@ -161,11 +161,6 @@ def test_a_run_of_small_amplitude_shows_frequency_and_damping(name: str) -> None
     np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-9)
 
 
-def test_what_is_fully_driven_has_no_modes() -> None:
-    with pytest.raises(mbdkit.SpecError, match="no degrees of freedom"):
-        mbdkit.modes("slider-crank")
-
-
 def test_a_linearization_gives_the_modes_as_its_state_matrix() -> None:
     # expected: eigenvalues of A of x' = A x, by NumPy
     line, found = mbdkit.linearize("double-wishbone"), mbdkit.modes("double-wishbone")

@@ -256,15 +256,6 @@ def test_wrong_measures_of_a_base_are_refused_where_they_stand(
     assert not (tmp_path / "falls").exists()
 
 
-def test_a_measure_of_a_base_is_refused_with_the_file_of_the_base(tmp_path: Path) -> None:
-    base = {"mbdkit": 1, **FALL["base"], "measures": {"depth": "final(bal.y)"}}
-    (tmp_path / "fall.json").write_text(json.dumps(base, indent=1))
-    with pytest.raises(SpecError, match=r"fall\.json:\d+: measures\.depth: "):
-        mbdkit.study(
-            {"mbdkit_study": 1, "base": str(tmp_path / "fall.json"), "axes": FALL["axes"]}, out=tmp_path / "falls"
-        )
-
-
 GUIDE = (Path(mbdkit.__file__).parent / "guide" / "measures.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", GUIDE, flags=re.MULTILINE | re.DOTALL)
 

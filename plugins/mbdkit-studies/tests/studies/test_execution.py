@@ -266,12 +266,6 @@ def test_the_parts_of_a_study_make_the_whole_and_say_what_they_lack(finished, sm
     assert index_hash(out) == index_hash(finished.folder)
 
 
-def test_every_run_belongs_to_exactly_one_part():
-    for count in (1, 2, 5):
-        parts = [Shard.parse(f"{number}/{count}") for number in range(1, count + 1)]
-        assert all(sum(part.has(place) for part in parts) == 1 for place in range(20))
-
-
 def test_repeated_timings_are_kept_with_their_quartiles_and_not_made_again(tmp_path):
     study = {
         "mbdkit_study": 1, "base": "pendulum", "overrides": {"time": {"end": 0.1, "step": 0.01}},
