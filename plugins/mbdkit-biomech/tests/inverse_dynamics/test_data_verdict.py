@@ -63,7 +63,11 @@ def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> No
     [
         (lambda x: 1e3 * x, "column of toe.x: .* no `unit`: they look like millimetres"),
         (lambda x: np.where(np.arange(len(x)) == 9, -999.0, x), "column of toe.x: the value at t = 0.72 s is"),
-        (lambda x: 3.5 * x, r"toe.x: its range of \S+ m \(\S+ times the longest link\) is \S+ times the median range"),
+        pytest.param(
+            lambda x: 3.5 * x,
+            r"toe.x: its range of \S+ m \(\S+ times the longest link\) is \S+ times the median range",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_the_refusal_of_a_fit_names_the_suspicious_column(
@@ -113,8 +117,8 @@ def test_a_marker_on_the_wrong_body_is_named_with_the_right_one(swing: float) ->
     ("change", "cause"),
     [
         pytest.param(lambda z: z.imag + 1j * z.real, "x and y exchanged", id="exchanged"),
-        pytest.param(np.conj, "the sign of y reversed", id="y-down"),
-        pytest.param(lambda z: -z.conj(), "the sign of x reversed", id="x-backwards"),
+        pytest.param(np.conj, "the sign of y reversed", id="y-down", marks=pytest.mark.slow),
+        pytest.param(lambda z: -z.conj(), "the sign of x reversed", id="x-backwards", marks=pytest.mark.slow),
         pytest.param(lambda z: z.real + 0.1j * np.abs(z), "z in place of y", id="z-up"),
     ],
 )

@@ -49,7 +49,7 @@ def test_a_motion_that_starts_suddenly_from_rest_has_honest_bars_and_a_doubtful_
 
 def test_bars_in_short_gaps_cover_the_truth_with_the_noise_of_the_values_that_fill_them() -> None:
     covered = []
-    for seed in range(20, 23):
+    for seed in (20, 21):
         angle, torque, random = swing(seed)
         gap = slice(90, 97)  # 0.08 s between the samples beside it; half a period of the cutoff is 0.083 s
         one = measured(angle, random, gap, measures={}).actuators["hip"]
@@ -90,7 +90,7 @@ def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted(monkeypatc
 def test_bars_at_the_ends_of_a_quintic_spline_cover_the_truth_for_nearly_exact_data() -> None:
     columns = {"hip.angle": {"column": "hip", "deviation": 1e-9}}
     near, covered = np.r_[0:5, 196:201], []
-    for seed in range(30, 38):
+    for seed in range(30, 34):
         angle, torque, random = swing(seed)
         run = measured(angle, random, deviation=1e-9, measures={}, smooth="quintic", columns=columns)
         one = run.actuators["hip"]

@@ -232,7 +232,7 @@ def test_without_noise_the_bar_is_the_change_with_the_cutoff(monkeypatch: pytest
     assert band[-1, 1] - band[0, 1] == pytest.approx(2 * run.actuators["hip"].value_error[0])
 
 
-@pytest.mark.parametrize("random_coordinates", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("random_coordinates", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_bars_cover_the_truth_of_random_mechanisms_whatever_is_smoothed(random_coordinates: bool) -> None:
     # a reduced size of `python -m tests.benchmarks.inverse_coverage`, with 48 mechanisms and 20 noises
     numbers = (3, 6, 13, 22) if not random_coordinates else (13, 22)

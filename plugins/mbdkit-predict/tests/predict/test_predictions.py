@@ -162,6 +162,7 @@ def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: s
     assert text in caught.value.message
 
 
+@pytest.mark.slow
 def test_a_first_mesh_above_the_limit_is_refined_once() -> None:
     run = mbdkit.predict(block(collocation={"points": 2, "intervals": 400}))
     assert run.status == "complete"
@@ -333,6 +334,7 @@ def test_what_has_no_optimum_is_told_in_one_sentence(changed: dict[str, Any], co
     assert "\n" not in run.status_reason
 
 
+@pytest.mark.slow
 def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_excitations() -> None:
     # expected: the motion of the engine with explicit rates of the fibres, by another method and in its own steps
     names = ("biceps", "brachialis", "triceps")

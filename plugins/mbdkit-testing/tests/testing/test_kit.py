@@ -33,8 +33,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "mechanism": DRIVEN_PENDULUM,
 }
 FULL = [("gauss", {"stages": 3}), ("rk4", {}), ("scipy-dop853", {})]
-FIRST = [("gauss", {"stages": 2}), ("dop853", {}), ("lobatto-pair", {})]
-"""An implicit method, an adaptive one, and one with another formulation; the others of mbdkit are slow tests."""
+FIRST = [("gauss", {"stages": 2}), ("dop853", {})]
+"""An implicit method and an explicit one with adaptive steps; the others of mbdkit are slow tests."""
 EVERY = [pytest.param(*x, marks=[] if x in FIRST else [pytest.mark.slow]) for x in VARIANTS]
 
 
