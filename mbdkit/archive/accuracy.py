@@ -29,23 +29,15 @@ nothing.
 class JointAccuracy:
     """Accuracy of the reaction force of one joint.
 
-    Attributes
-    ----------
-    name
-        Name of the joint.
-    peak
-        Largest reaction force over the run [N].
-    peak_known
-        Largest reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
-    error
-        Largest estimated error of the reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
-    missed
-        By how much the largest force between recorded rows exceeds `peak` [N]; 0 if every step is recorded, nan if it
-        is unknown.
-    share
-        Sum of two shares: `error` divided by the sum of `peak_known` and `missed`, and `missed` divided by the sum of
-        `peak` and `missed`. Sums below the share `SMALL_FORCE` of the largest sum of all joints are replaced by this
-        share.
+    - `name`: name of the joint.
+    - `peak`: largest reaction force over the run [N].
+    - `peak_known`: largest reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
+    - `error`: largest estimated error of the reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
+    - `missed`: by how much the largest force between recorded rows exceeds `peak` [N]; 0 if every step is recorded, nan
+      if it is unknown.
+    - `share`: sum of two shares: `error` divided by the sum of `peak_known` and `missed`, and `missed` divided by the
+      sum of `peak` and `missed`. Sums below the share `SMALL_FORCE` of the largest sum of all joints are replaced by
+      this share.
     """
 
     name: str
@@ -60,12 +52,8 @@ class JointAccuracy:
 class AccuracyFigures:
     """The figures on which a verdict on a run is based.
 
-    Attributes
-    ----------
-    known_until, end
-        Time until which the errors are known [s], nan if no error is known; time of the last row [s], nan without rows.
-    joints
-        Accuracy of the reaction force of each joint.
+    `known_until`, `end`: time until which the errors are known [s], nan if no error is known; time of the last row [s],
+    nan without rows. `joints`: accuracy of the reaction force of each joint.
     """
 
     known_until: float
@@ -90,38 +78,26 @@ class Accuracy(HtmlView):
     After a check of a run, the errors are envelopes, which never decrease with time. In inverse dynamics, each error is
     a bound that holds at its time with a probability of 95 %.
 
-    Attributes
-    ----------
-    time
-        (T,) time of the rows [s].
-    position_error, velocity_error
-        (T, B, 3) errors of x, y [m] and angle [rad] of the bodies, and of their rates.
-    reaction_error
-        (T, J) norm of the error of the reaction forces [N].
-    torque_error
-        (T, J) error of the reaction torques [N m].
-    known_until
-        Time until which all errors are known [s]; nan if no error is known.
-    order_observed
-        Observed order of convergence of the positions with the step or, for adaptive methods, with the tolerance; nan
-        if the comparison runs differed by rounding errors only.
-    method
-        How the estimates were made.
-    check_s
-        Duration of the check [s].
-    asked
-        Requested accuracy of positions (`accuracy` of the spec), as a share of the mechanism's size; nan if none.
-    reached
-        Largest estimated error of positions up to `known_until`, as a share of the mechanism's size; nan if unknown, or
-        if no accuracy was requested.
-    chosen, why
-        Method and step that were chosen for the requested accuracy, and the reason; empty if none was requested.
-    compared_measures
-        Values of the expressions of measures in the comparison runs.
-    unknown
-        Why errors are unknown after `known_until`, as a clause; empty if all are known.
-    further
-        Further arrays of the group ``/accuracy`` by name, such as the parts of `reaction_error`; empty for most runs.
+    - `time`: (T,) time of the rows [s].
+    - `position_error`, `velocity_error`: (T, B, 3) errors of x, y [m] and angle [rad] of the bodies, and of their
+      rates.
+    - `reaction_error`: (T, J) norm of the error of the reaction forces [N].
+    - `torque_error`: (T, J) error of the reaction torques [N m].
+    - `known_until`: time until which all errors are known [s]; nan if no error is known.
+    - `order_observed`: observed order of convergence of the positions with the step or, for adaptive methods, with the
+      tolerance; nan if the comparison runs differed by rounding errors only.
+    - `method`: how the estimates were made.
+    - `check_s`: duration of the check [s].
+    - `asked`: requested accuracy of positions (`accuracy` of the spec), as a share of the mechanism's size; nan if
+      none.
+    - `reached`: largest estimated error of positions up to `known_until`, as a share of the mechanism's size; nan if
+      unknown, or if no accuracy was requested.
+    - `chosen`, `why`: method and step that were chosen for the requested accuracy, and the reason; empty if none was
+      requested.
+    - `compared_measures`: values of the expressions of measures in the comparison runs.
+    - `unknown`: why errors are unknown after `known_until`, as a clause; empty if all are known.
+    - `further`: further arrays of the group ``/accuracy`` by name, such as the parts of `reaction_error`; empty for
+      most runs.
     """
 
     time: np.ndarray
@@ -198,15 +174,8 @@ class Accuracy(HtmlView):
     ) -> tuple[JointAccuracy, ...]:
         """Return the accuracy of each joint.
 
-        Parameters
-        ----------
-        names
-            Names of the J joints.
-        force
-            (T, J, 2) reaction forces [N].
-        missed
-            (J,) by how much the largest forces between rows exceed those in the rows [N], nan where unknown; None if
-            every step is recorded.
+        `names`: names of the J joints. `force`: (T, J, 2) reaction forces [N]. `missed`: (J,) by how much the largest
+        forces between rows exceed those in the rows [N], nan where unknown; None if every step is recorded.
         """
         count, size = self.rows_known, np.linalg.norm(force, axis=-1)
         beyond = np.zeros(len(names)) if missed is None else missed
@@ -248,15 +217,7 @@ class Accuracy(HtmlView):
         }
 
     def write(self, file: h5py.File, bodies: Sequence[str], joints: Sequence[str]) -> None:
-        """Write the group ``/accuracy``.
-
-        Parameters
-        ----------
-        file
-            The archive.
-        bodies, joints
-            Names, in the order of the arrays.
-        """
+        """Write the group ``/accuracy``. `file`: the archive. `bodies`, `joints`: names, in the order of the arrays."""
         group = file.create_group("accuracy")
         values = self.arrays(bodies, joints)
         for array in sorted(kind_of_group("accuracy").arrays, key=lambda array: not array.is_scale):

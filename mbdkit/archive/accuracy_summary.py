@@ -20,11 +20,6 @@ class RunErrors:
 
     The errors of this class are those of simulated runs: envelopes that never decrease with time, estimated by a check.
     A kind of specs whose runs have other errors names a class derived from this one, `SpecKind.errors`.
-
-    Parameters
-    ----------
-    run
-        The run.
     """
 
     def __init__(self, run: Run):
@@ -43,14 +38,8 @@ class RunErrors:
     def of_largest(self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
         """Return the errors (E,) of the largest values of elements.
 
-        Parameters
-        ----------
-        quantity
-            Quantity of which `size` has the magnitudes, such as ``joints.force``.
-        names
-            Names of the elements.
-        size, errors
-            (T, E) magnitudes in the leading rows of the run, and their errors.
+        `quantity`: quantity of which `size` has the magnitudes, such as ``joints.force``. `names`: names of the
+        elements. `size`, `errors`: (T, E) magnitudes in the leading rows of the run, and their errors.
         """
         return simulated_peak_errors(self.run, quantity, names, size, errors)
 
@@ -59,10 +48,7 @@ class RunErrors:
 
         It is empty if the run has no rows, or if its errors were not estimated.
 
-        Parameters
-        ----------
-        with_force
-            Whether to state the largest force if all errors are known.
+        `with_force`: whether to state the largest force if all errors are known.
         """
         run, accuracy = self.run, self.run.accuracy
         if accuracy is None or not len(run.time):
@@ -101,11 +87,6 @@ def _largest_known_force(run: Run, count: int) -> str:
 def asked_sentence(run: Run) -> str:
     """Return sentences on the requested accuracy, the accuracy reached, and the choice of method; empty if none was
     requested.
-
-    Parameters
-    ----------
-    run
-        The run.
     """
     accuracy = run.accuracy
     if accuracy is None or math.isnan(accuracy.asked):

@@ -35,15 +35,8 @@ from mbdkit.trust.criteria import LEVELS
 def check(path: str | Path) -> list[str]:
     """Check the structure, units, dimension scales, times, values and hashes of a run archive or a block of runs.
 
-    Returns
-    -------
-    list of str
-        One sentence per problem; empty if the archive is valid.
-
-    Raises
-    ------
-    ResourceError
-        If a run is still writing the file, or the system refuses to read it.
+    Returns one sentence per problem; empty if the archive is valid. Raises ResourceError if a run is still writing the
+    file, or the system refuses to read it.
     """
     path = Path(path)
     try:
@@ -63,10 +56,7 @@ def check(path: str | Path) -> list[str]:
 def blaming_damage(*paths: Path) -> Iterator[None]:
     """Replace an unforeseen error in the body of a `with` statement if one of the archives `paths` is damaged.
 
-    Raises
-    ------
-    ArchiveError
-        In place of an error that is not an MbdkitError, with the first problem found by `check`.
+    Raises ArchiveError in place of an error that is not an MbdkitError, with the first problem found by `check`.
     """
     try:
         yield

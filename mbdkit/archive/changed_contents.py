@@ -20,10 +20,7 @@ def hash_warnings(run: Run) -> list[str]:
 
     All arrays are read, which takes about 0.1 s for 100 MB.
 
-    Returns
-    -------
-    list of str
-        One sentence, or none if the hashes match, are not stored, or the run is in memory.
+    Returns one sentence, or none if the hashes match, are not stored, or the run is in memory.
     """
     if run.path is None:
         return []
@@ -43,12 +40,8 @@ def hash_warnings(run: Run) -> list[str]:
 def opened(path: Path) -> Iterator[Run]:
     """Open an archive for a command, as `load` does, and print a warning if its contents do not match its hashes.
 
-    Raises
-    ------
-    SpecError
-        If `path` is not an archive that this version can read, or if the body fails because the archive is damaged.
-    ResourceError
-        If a run is still writing the file, or the system refuses to read it.
+    Raises SpecError if `path` is not an archive that this version can read, or if the body fails because the archive is
+    damaged. Raises ResourceError if a run is still writing the file, or the system refuses to read it.
     """
     with blaming_damage(path), load(path) as run:
         warn_on_stderr(f"{path}: {warning}" for warning in hash_warnings(run))

@@ -49,16 +49,8 @@ StoredState = Mapping[str, Any]
 class StoredRows:
     """Location of the rows of a growing array in a ``.part`` file.
 
-    Parameters
-    ----------
-    row_shape
-        Shape of one row.
-    chunk_rows
-        Number of rows in a chunk.
-    offsets
-        Byte offset of each chunk in the file.
-    texts
-        The rows themselves if they are strings, because HDF5 does not reveal where it stores strings.
+    `row_shape`: shape of one row. `chunk_rows`: number of rows in a chunk. `offsets`: byte offset of each chunk in the
+    file. `texts`: the rows themselves if they are strings, because HDF5 does not reveal where it stores strings.
     """
 
     row_shape: tuple[int, ...]
@@ -100,22 +92,14 @@ class StoredRows:
 class Checkpoint:
     """The data from which a run continues.
 
-    Parameters
-    ----------
-    head
-        ``spec``, ``run_id`` and ``created_utc`` as in the archive, its ``provenance``, and the ``files`` that were
-        read for it.
-    file
-        Inode number of the ``.part`` with the rows.
-    rows
-        Number of rows along each growing axis of the layout.
-    lines
-        Sorted lines that describe the arrays with these rows (see `fingerprint.line`). Together with the lines of the
-        arrays of names, they determine `data_sha256`.
-    arrays
-        Locations of the rows, by path of the array.
-    state
-        State of the run.
+    - `head`: ``spec``, ``run_id`` and ``created_utc`` as in the archive, its ``provenance``, and the ``files`` that
+      were read for it.
+    - `file`: inode number of the ``.part`` with the rows.
+    - `rows`: number of rows along each growing axis of the layout.
+    - `lines`: sorted lines that describe the arrays with these rows (see `fingerprint.line`). Together with the lines
+      of the arrays of names, they determine `data_sha256`.
+    - `arrays`: locations of the rows, by path of the array.
+    - `state`: state of the run.
     """
 
     head: Mapping[str, Any]
@@ -180,14 +164,8 @@ class Checkpoint:
     def of(cls, part: Path) -> Checkpoint | None:
         """Return the checkpoint of a ``.part``; None if there is none.
 
-        Raises
-        ------
-        ArchiveError
-            If the checkpoint is damaged.
-        SpecError
-            If it is larger than `LARGEST`.
-        ResourceError
-            If the system refuses to read it.
+        Raises ArchiveError if the checkpoint is damaged. Raises SpecError if it is larger than `LARGEST`. Raises
+        ResourceError if the system refuses to read it.
         """
         path = checkpoint_path(part)
         if not path.is_file():
@@ -218,8 +196,8 @@ def _stored_rows(values: Mapping[str, Any]) -> StoredRows:
 
 
 class _Reader:
-    def __init__(self, body: bytes, place: int):
-        self.body, self.place = body, place
+    def __init__(self, body: bytes, offset: int):
+        self.body, self.place = body, offset
 
     def take(self, kind: str, shape: list[int]) -> np.ndarray:
         if kind not in _KINDS or any(not isinstance(size, int) or size < 0 for size in shape):
@@ -230,7 +208,7 @@ class _Reader:
         return values.reshape(shape).copy()
 
 
-def _without_arrays(value: Any, arrays: list[np.ndarray]) -> Any:
+def _without_arrays(value: object, arrays: list[np.ndarray]) -> object:
     """Return a state as JSON values; append its arrays to `arrays`."""
     match value:
         case np.ndarray():
@@ -247,7 +225,7 @@ def _without_arrays(value: Any, arrays: list[np.ndarray]) -> Any:
     raise TypeError(f"values of the type {type(value).__name__} cannot be stored in a checkpoint")
 
 
-def _with_arrays(value: Any, reader: _Reader) -> Any:
+def _with_arrays(value: object, reader: _Reader) -> Any:
     match value:
         case dict():
             if value.keys() == {_ARRAY}:

@@ -22,21 +22,15 @@ _NOT_VERSIONS = {"command"}
 class Comparison:
     """Differences between two runs.
 
-    Parameters
-    ----------
-    same_data
-        Whether both runs have ended and all compared arrays are bitwise equal. Hashes are computed from the arrays,
-        because stored hashes may be wrong.
-    same_spec
-        Whether the canonical JSON of both specs is the same.
-    differences
-        Largest difference of each array except timings, relative to the largest magnitude of that array in either run.
-        Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
-        differ.
-    versions
-        Provenance attributes that differ, except the command, with the values of the first and the second run.
-    falsified
-        One sentence for each stored hash that does not match the contents of its run; empty if all match.
+    - `same_data`: whether both runs have ended and all compared arrays are bitwise equal. Hashes are computed from the
+      arrays, because stored hashes may be wrong.
+    - `same_spec`: whether the canonical JSON of both specs is the same.
+    - `differences`: largest difference of each array except timings, relative to the largest magnitude of that array in
+      either run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite
+      values differ.
+    - `versions`: provenance attributes that differ, except the command, with the values of the first and the second
+      run.
+    - `falsified`: one sentence for each stored hash that does not match the contents of its run; empty if all match.
     """
 
     same_data: bool
@@ -68,15 +62,7 @@ class Comparison:
 
 
 def compare(first: Run, second: Run) -> Comparison:
-    """Compare two runs.
-
-    Raises
-    ------
-    MbdkitError
-        If a run is closed.
-    SpecError
-        If an archive is damaged.
-    """
+    """Compare two runs. Raises MbdkitError if a run is closed. Raises SpecError if an archive is damaged."""
     one, of_one, falsified_one = _contents(first)
     two, of_two, falsified_two = _contents(second)
     # a crashed run has no hash and may lack rows, so its data count as different

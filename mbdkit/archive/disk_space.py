@@ -27,14 +27,8 @@ SMALL = 2**22
 def row_bytes(names: ArchiveNames, quantities: frozenset[str], kept: frozenset[str] | None = None) -> int:
     """Return the size of one recorded row, including the statistics of the interval that ends there [bytes].
 
-    Parameters
-    ----------
-    names
-        Names along the axes.
-    quantities
-        Which of `layout.QUANTITIES` are recorded.
-    kept
-        Paths of the arrays that are stored; by default, all.
+    `names`: names along the axes. `quantities`: which of `layout.QUANTITIES` are recorded. `kept`: paths of the arrays
+    that are stored; by default, all.
     """
     sizes, arrays = sizes_of(names), (array for array in layout.recorded_by(names, quantities) if array.grows)
     return sum(
@@ -45,23 +39,10 @@ def row_bytes(names: ArchiveNames, quantities: frozenset[str], kept: frozenset[s
 def check_room(path: Path | None, rows: int, row: int, every: int | None) -> None:
     """Check that an archive fits into the free space on its disk or in memory.
 
-    Parameters
-    ----------
-    path
-        Path of the archive; None for an archive in memory.
-    rows
-        Number of recorded rows.
-    row
-        Size of one row [bytes].
-    every
-        Number of steps between rows; None if rows are recorded at a time interval.
-
-    Raises
-    ------
-    SpecError
-        If the archive is larger than `LARGEST`.
-    ResourceError
-        If the archive is larger than the space that is free now, even if it is larger than the whole disk or memory.
+    `path`: path of the archive; None for an archive in memory. `rows`: number of recorded rows. `row`: size of one row
+    [bytes]. `every`: number of steps between rows; None if rows are recorded at a time interval. Raises SpecError if
+    the archive is larger than `LARGEST`. Raises ResourceError if the archive is larger than the space that is free now,
+    even if it is larger than the whole disk or memory.
     """
     needed = rows * row
     if path is None:

@@ -81,7 +81,7 @@ def datasets(group: h5py.Group) -> Iterator[h5py.Dataset]:
 
 def data_sha256(file: h5py.File) -> str:
     """Return the hash of all arrays of an archive except timings and estimated errors, in lower-case hexadecimal."""
-    arrays = (one for one in _identifiers(h5o.open(file.id, b"/"), "") if isinstance(one[1], h5d.DatasetID))
+    arrays = (entry for entry in _identifiers(h5o.open(file.id, b"/"), "") if isinstance(entry[1], h5d.DatasetID))
     return digest_lines(_line_of(path, item) for path, item in arrays if is_hashed(path))
 
 
@@ -99,10 +99,7 @@ def mismatches(file: h5py.File, data: str = "") -> dict[str, str]:
 
     A hash that is not stored, as in archives of crashed runs, matches everything.
 
-    Parameters
-    ----------
-    data
-        Hash of the arrays if it is known, as returned by `data_sha256`.
+    `data`: hash of the arrays if it is known, as returned by `data_sha256`.
     """
     stored = file.attrs
     checks: tuple[tuple[str, str, Callable[[], str]], ...] = (
@@ -120,12 +117,9 @@ def attributes_sha256(
 ) -> str:
     """Return the hash of everything that `data_sha256` does not cover: attributes, timings and estimated errors.
 
-    Parameters
-    ----------
-    known
-        Known lines of attributes, by ``PATH@NAME``, and of arrays, by path; their values are not read from the file.
-    unread
-        Known lines of arrays and of groups with all that they contain, by path; these objects are not opened.
+    `known`: known lines of attributes, by ``PATH@NAME``, and of arrays, by path; their values are not read from the
+    file. `unread`: known lines of arrays and of groups with all that they contain, by path; these objects are not
+    opened.
     """
     lines = [line for known_lines in unread.values() for line in known_lines]
     for path, item in _identifiers(h5o.open(file.id, b"/"), "", unread):

@@ -24,20 +24,12 @@ from mbdkit.quantities.registered_kinds import sizes_of
 class FinishedRun(Ending):
     """A finished run: how it has ended, and what it has recorded.
 
-    Parameters
-    ----------
-    names
-        Names of the mechanism's bodies, joints and other elements.
-    layout
-        The arrays of the archive's layout that the run recorded, including those of names.
-    arrays
-        Values of the arrays with rows, by `Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
-    shared
-        Description of the reactions of redundant joints; None without redundant joints.
-    data_sha256
-        Hash of the arrays, equal to that of the archive of this run.
-    assembly
-        Sentence on how the start was made consistent.
+    - `names`: names of the mechanism's bodies, joints and other elements.
+    - `layout`: the arrays of the archive's layout that the run recorded, including those of names.
+    - `arrays`: values of the arrays with rows, by `Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
+    - `shared`: description of the reactions of redundant joints; None without redundant joints.
+    - `data_sha256`: hash of the arrays, equal to that of the archive of this run.
+    - `assembly`: sentence on how the start was made consistent.
     """
 
     names: ArchiveNames
@@ -64,21 +56,11 @@ class FinishedRun(Ending):
 class ArrayWriter(RunWriter):
     """Stores the rows of a run in memory.
 
-    Parameters
-    ----------
-    names, arrays
-        See `RunWriter`.
-    shared
-        See `ArchiveWriter`.
-    assembly
-        Sentence on how the start was made consistent.
-
-    Attributes
-    ----------
-    finished
-        The run, once it is finished.
-    created_utc
-        Time at which the run began, ISO 8601.
+    - `names`, `arrays`: see `RunWriter`.
+    - `shared`: see `ArchiveWriter`.
+    - `assembly`: sentence on how the start was made consistent.
+    - `finished`: the run, once it is finished.
+    - `created_utc`: time at which the run began, ISO 8601.
     """
 
     def __init__(
@@ -90,9 +72,11 @@ class ArrayWriter(RunWriter):
             dim: tuple(dict.fromkeys(array.key for array in self.arrays if array.grows and array.dims[0] == dim))
             for dim in GROWING
         }
-        types = {one.key: np.dtype(object if one.dtype == TEXT else one.dtype) for one in self.arrays if one.grows}
+        types = {
+            array.key: np.dtype(object if array.dtype == TEXT else array.dtype) for array in self.arrays if array.grows
+        }
         sizes = sizes_of(names)
-        shapes = {one.key: tuple(sizes[dim] for dim in one.dims[1:]) for one in self.arrays if one.grows}
+        shapes = {array.key: tuple(sizes[dim] for dim in array.dims[1:]) for array in self.arrays if array.grows}
         self._buffers = {key: np.empty((0, *shape), types[key]) for key, shape in shapes.items()}
         self._rows = dict.fromkeys(GROWING, 0)
         self._capacity = dict.fromkeys(GROWING, 0)
@@ -153,28 +137,24 @@ class ArrayWriter(RunWriter):
 class ArrayHash:
     """Computes `data_sha256` for runs that record the same arrays and whose mechanisms have the same names.
 
-    Parameters
-    ----------
-    names
-        Names of bodies, joints and other elements.
-    recorded
-        Arrays of the layout that the runs record, including those of names.
+    `names`: names of bodies, joints and other elements. `recorded`: arrays of the layout that the runs record,
+    including those of names.
     """
 
     def __init__(self, names: ArchiveNames, recorded: Sequence[Array]):
-        hashed = [one for one in recorded if one.grows and layout.is_hashed(one.path)]
+        hashed = [array for array in recorded if array.grows and layout.is_hashed(array.path)]
         lines: list[tuple[str, Array | None]] = [(name, None) for name in name_lines(names, tuple(recorded))]
-        lines += [(f"{one.path} ", one) for one in hashed]
+        lines += [(f"{array.path} ", array) for array in hashed]
         #: For each hashed array, in the order of their paths: lines of names that precede its line, path, key and type.
         self._arrays: list[tuple[str, str, str, str]] = []
         self._rest = ""
         self._shared: dict[str, tuple[np.ndarray, str]] | None = None
         self._latest: tuple[tuple[tuple[int, ...], ...] | None, Sequence[tuple[str, str, bool]]] = None, []
-        for name, one in sorted(lines, key=lambda item: item[0]):
-            if one is None:
+        for name, array in sorted(lines, key=lambda item: item[0]):
+            if array is None:
                 self._rest += name
             else:
-                self._arrays.append((self._rest, one.path, one.key, one.dtype))
+                self._arrays.append((self._rest, array.path, array.key, array.dtype))
                 self._rest = ""
 
     def digest(self, array: np.ndarray) -> str:
@@ -185,11 +165,8 @@ class ArrayHash:
         """Return the digests of arrays that are equal in all of several runs, such as the times; they are computed only
         once.
 
-        Parameters
-        ----------
-        arrays
-            Contiguous numbers (R, ...) of the R runs by `Array.key`, with the same keys in every call. Arrays that
-            differed between runs in the first call are not compared again.
+        `arrays`: contiguous numbers (R, ...) of the R runs by `Array.key`, with the same keys in every call. Arrays
+        that differed between runs in the first call are not compared again.
         """
         first, self._shared = self._shared is None, self._shared or {}
         for key in list(arrays if first else self._shared):
@@ -205,10 +182,7 @@ class ArrayHash:
     def of(self, arrays: Mapping[str, np.ndarray], known: Mapping[str, str] = MappingProxyType({})) -> str:
         """Return the hash of a run from its contiguous arrays by `Array.key`.
 
-        Parameters
-        ----------
-        known
-            Known digests of arrays, by key; arrays that several runs share are then hashed only once.
+        `known`: known digests of arrays, by key; arrays that several runs share are then hashed only once.
         """
         digests, parts = dict(known), list[str]()
         for before, key, is_text in self._lines(tuple([arrays[key].shape for _, _, key, _ in self._arrays])):

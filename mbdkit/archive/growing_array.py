@@ -82,12 +82,8 @@ class Series:
 class Table:
     """Arrays that grow together along one axis, with one buffer per array.
 
-    Parameters
-    ----------
-    sizes
-        Lengths of the axes that do not grow, by name.
-    on_full
-        Called when the buffers are full; it must call `write`.
+    `sizes`: lengths of the axes that do not grow, by name. `on_full`: called when the buffers are full; it must call
+    `write`.
     """
 
     def __init__(self, arrays: Sequence[Array], sizes: Mapping[str, int], on_full: Callable[[], None]):
@@ -111,13 +107,7 @@ class Table:
         return self.written + self.waiting
 
     def append(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Copy rows into the buffers.
-
-        Parameters
-        ----------
-        rows
-            One array for each key in `keys`, all with the same number of rows.
-        """
+        """Copy rows into the buffers. `rows`: one array for each key in `keys`, all with the same number of rows."""
         missing = self.keys - rows.keys()
         if missing:
             raise ValueError(f"rows lack {', '.join(sorted(missing))}")

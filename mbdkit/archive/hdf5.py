@@ -59,18 +59,11 @@ def create(
 
     Unless the array is a dimension scale itself, the dimension scales of its axes must exist.
 
-    Parameters
-    ----------
-    file
-        The archive; the array's group must exist.
-    values
-        Contiguous array of the type in the layout; strings have the dtype object.
-    chunks
-        Shape of a chunk for an array whose first axis grows; None for an array of fixed size.
-    plan
-        Compression of an array of fixed size; None for no compression.
-    under
-        Path of the group in which the layout starts, with a slash at the end; empty for the root group.
+    - `file`: the archive; the array's group must exist.
+    - `values`: contiguous array of the type in the layout; strings have the dtype object.
+    - `chunks`: shape of a chunk for an array whose first axis grows; None for an array of fixed size.
+    - `plan`: compression of an array of fixed size; None for no compression.
+    - `under`: path of the group in which the layout starts, with a slash at the end; empty for the root group.
     """
     limits = None
     if chunks is not None:

@@ -32,19 +32,8 @@ def cause(error: BaseException) -> str:
 def reading(what: str, file: Path | None, *, hint: str = "`mbdkit archive check` says more") -> Iterator[None]:
     """Convert read errors on a damaged archive or study index into ArchiveError.
 
-    Parameters
-    ----------
-    what
-        Name of the data that the `with` block reads, such as ``energy/total``.
-    file
-        Path of the archive; None if it is in memory.
-    hint
-        Advice appended to the message.
-
-    Raises
-    ------
-    ArchiveError
-        In place of the exceptions in `DAMAGE`.
+    `what`: name of the data that the `with` block reads, such as ``energy/total``. `file`: path of the archive; None if
+    it is in memory. `hint`: advice appended to the message. Raises ArchiveError in place of the exceptions in `DAMAGE`.
     """
     try:
         yield

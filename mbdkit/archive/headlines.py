@@ -153,14 +153,8 @@ def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_
     If the value has too few digits for its error, the error is half a unit of its last digit, which is what rounding
     may change. A value without an error is exact. A value that is not finite has no known error.
 
-    Parameters
-    ----------
-    value, error
-        The value and its error, in the same unit; an error that is nan is unknown.
-    sign
-        Sign between the value and the error.
-    digits
-        Largest number of significant digits of the value.
+    `value`, `error`: the value and its error, in the same unit; an error that is nan is unknown. `sign`: sign between
+    the value and the error. `digits`: largest number of significant digits of the value.
     """
     if not (math.isfinite(value) and math.isfinite(error)):
         return f"{value:.4g} (error unknown)"
@@ -206,10 +200,7 @@ def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[s
     """Return label and text of up to `most` headlines. If any has an error bar, and the error bars do not include the
     error of the mesh of beams, a last pair says so.
 
-    Parameters
-    ----------
-    sign
-        Sign between a number and its error.
+    `sign`: sign between a number and its error.
     """
     every = headlines(run, most)
     pairs = [(headline.label, headline.answer(sign)) for headline in every]
@@ -232,7 +223,7 @@ def largest_loads(run: Run) -> list[Headline]:
     """
     forces = largest_forces(run)
     floor = ROUND_OFF * max((headline.largest for headline in forces), default=0.0)
-    of_drivers = [one for one in largest_torques(run) if one.element in run.drivers] if run.drivers else []
+    of_drivers = [torque for torque in largest_torques(run) if torque.element in run.drivers] if run.drivers else []
     return [*(headline for headline in of_drivers if headline.largest > floor), *forces]
 
 
@@ -303,7 +294,9 @@ def largest_of(
             Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked, ends)
         )
     most = max((headline.largest for headline in headlines), default=0.0)
-    return sorted((one for one in headlines if one.largest > ROUND_OFF * most), key=lambda one: -one.largest)
+    return sorted(
+        (headline for headline in headlines if headline.largest > ROUND_OFF * most), key=lambda one: -one.largest
+    )
 
 
 def _peak_rows(size: np.ndarray) -> np.ndarray:

@@ -28,19 +28,10 @@ NAMES_SHOWN = 32
 def describe(path: str | Path) -> dict[str, Any]:
     """Describe a run archive by JSON-compatible values.
 
-    Returns
-    -------
-    dict
-        Identity and status of the run; title, model, integrator, formulation and stabilization of its spec; names of
-        bodies, joints, force elements, markers and events; number of elements of each beam; statistics, provenance and
-        hashes; dimensions, shape, type and units of each array.
-
-    Raises
-    ------
-    SpecError
-        If `path` is not an archive that this version can read.
-    ResourceError
-        If a run is still writing the file, or the system refuses to read it.
+    Returns identity and status of the run; title, model, integrator, formulation and stabilization of its spec; names
+    of bodies, joints, force elements, markers and events; number of elements of each beam; statistics, provenance and
+    hashes; dimensions, shape, type and units of each array. Raises SpecError if `path` is not an archive that this
+    version can read. Raises ResourceError if a run is still writing the file, or the system refuses to read it.
     """
     path = Path(path)
     with blaming_damage(path), load(path) as run, reading("its contents", path):
@@ -93,7 +84,7 @@ def _elements(run: Run, path: str) -> list[str]:
     return [str(name) for name in run.array(path)] if run.records(path) else []
 
 
-def _array(dataset: h5py.Dataset) -> dict[str, Any]:
+def _array(dataset: h5py.Dataset) -> dict[str, object]:
     return {
         "dims": list(dims(dataset)),
         "shape": list(dataset.shape),
@@ -131,5 +122,5 @@ def _few(words: Sequence[str]) -> str:
     return ", ".join(words[:NAMES_SHOWN]) + more
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else shown(value)

@@ -121,14 +121,9 @@ def recorded(
 ) -> tuple[Array, ...]:
     """Return the arrays of an archive that records `quantities`.
 
-    Parameters
-    ----------
-    quantities
-        Subset of `QUANTITIES`; trajectory, steps and the names of the joints are always recorded.
-    extra
-        Paths of the optional arrays to include.
-    known
-        The kinds; by default, those of the core and of the plugins that have arrays in `extra`.
+    `quantities`: subset of `QUANTITIES`; trajectory, steps and the names of the joints are always recorded. `extra`:
+    paths of the optional arrays to include. `known`: the kinds; by default, those of the core and of the plugins that
+    have arrays in `extra`.
     """
     return tuple(
         array
@@ -156,7 +151,9 @@ def of_elements(names: ArchiveNames) -> list[str]:
         if kind.is_optional and (not kind.axis or sizes[kind.axis]):
             computed = [array for array in kind.arrays if isinstance(array, Recorded) or array.key == "time"]
             axes = {dim for array in computed for dim in array.dims} - {"time"}
-            paths += [one.path for one in kind.arrays if one.optional and (one in computed or one.dims[0] in axes)]
+            paths += [
+                array.path for array in kind.arrays if array.optional and (array in computed or array.dims[0] in axes)
+            ]
     return paths
 
 

@@ -64,19 +64,12 @@ def _number(value: float | None) -> float:
 class MeasuredValues(ReadOnlyDict[str, float]):
     """Values of measures by name; nan where one is undefined.
 
-    Parameters
-    ----------
-    values
-        Values by name, each in its unit.
-    units
-        Units by name.
-    reasons
-        Why a value could not be computed, by name.
-    errors
-        Estimated errors by name, for checked runs and inverse dynamics; nan where unknown.
-    remarks
-        Remarks on values, by name: why the error is unknown although the run was checked, or that recorded rows exceed
-        the value.
+    - `values`: values by name, each in its unit.
+    - `units`: units by name.
+    - `reasons`: why a value could not be computed, by name.
+    - `errors`: estimated errors by name, for checked runs and inverse dynamics; nan where unknown.
+    - `remarks`: remarks on values, by name: why the error is unknown although the run was checked, or that recorded
+      rows exceed the value.
     """
 
     def __init__(
@@ -97,10 +90,7 @@ class MeasuredValues(ReadOnlyDict[str, float]):
     def from_json(cls, text: str) -> MeasuredValues:
         """Return the values in the attribute ``measures`` of an archive.
 
-        Raises
-        ------
-        ValueError
-            If the text is not such an attribute.
+        Raises ValueError if the text is not such an attribute.
         """
         measures = json.loads(text)
         try:

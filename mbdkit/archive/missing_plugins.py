@@ -17,14 +17,8 @@ from mbdkit.registry.manager import registry
 class Needed:
     """A plugin that was used to create an archive.
 
-    Parameters
-    ----------
-    kind, id
-        Kind and full name of the plugin.
-    distribution, version
-        Name and version of the distribution that contains the plugin.
-    group
-        Group of the archive that the plugin describes, if it is a kind of quantities.
+    `kind`, `id`: kind and full name of the plugin. `distribution`, `version`: name and version of the distribution that
+    contains the plugin. `group`: group of the archive that the plugin describes, if it is a kind of quantities.
     """
 
     kind: Kind

@@ -19,13 +19,7 @@ from mbdkit.registry.use import use
 
 
 class NotRecordedError(MbdkitError, KeyError):
-    """The requested array was not recorded by the run.
-
-    Parameters
-    ----------
-    what
-        Path of the array or name of the group.
-    """
+    """The requested array was not recorded by the run. `what`: path of the array or name of the group."""
 
     def __init__(self, what: str):
         why = "`output.quantities` in its spec selects the recorded quantities"
@@ -72,16 +66,8 @@ class Source(Protocol):
 class Column:
     """A property that returns one column of an array of the archive as a read-only array.
 
-    Parameters
-    ----------
-    array
-        The array.
-    part
-        Index or slice of the array's third axis; None for arrays with two axes.
-    is_sum
-        Whether the values are summed over the array's second axis.
-    what
-        Docstring with shape and unit.
+    `part`: index or slice of the array's third axis; None for arrays with two axes. `is_sum`: whether the values are
+    summed over the array's second axis. `what`: docstring with shape and unit.
     """
 
     def __init__(self, array: Array, part: slice | int | None, what: str, *, is_sum: bool = False):
@@ -94,7 +80,7 @@ class Column:
     @overload
     def __get__(self, view: View, owner: type) -> np.ndarray: ...
 
-    def __get__(self, view: View | None, owner: type) -> Any:
+    def __get__(self, view: View | None, owner: type) -> Column | np.ndarray:
         if view is None:
             return self
         values = view.source.column(self.path, view.index, self.part)
@@ -126,7 +112,7 @@ class Label:
         self.paths = [array.path for array in arrays]
         self.__doc__ = "; ".join(array.long_name for array in arrays)
 
-    def __get__(self, view: View | None, owner: type) -> Any:
+    def __get__(self, view: View | None, owner: type) -> Label | str | tuple[str, ...]:
         if view is None:
             return self
         texts = tuple(view.source.text(path, view.index) for path in self.paths)
@@ -139,12 +125,8 @@ class View:
     Subclasses have the columns and labels of a kind, which is given by its group or as such;
     `mbdkit.archive.recorded_columns` declares them for type checkers and completion.
 
-    Parameters
-    ----------
-    name
-        Name of the body, joint or constraint row; empty for a whole group.
-    index
-        Index or indices along the second axis of the arrays.
+    `name`: name of the body, joint or constraint row; empty for a whole group. `index`: index or indices along the
+    second axis of the arrays.
     """
 
     def __init_subclass__(cls, of: str | Kind) -> None:
@@ -188,12 +170,7 @@ V = TypeVar("V", bound=View)
 class Histories(ReadOnlyDict[str, V]):
     """The histories of the objects of one kind by name, in the order of the archive.
 
-    Parameters
-    ----------
-    kind
-        Kind of the objects, such as bodies or joints.
-    run
-        The run.
+    `kind`: kind of the objects, such as bodies or joints.
     """
 
     def __init__(self, kind: Kind, run: Source):
@@ -217,7 +194,7 @@ class Histories(ReadOnlyDict[str, V]):
 
 
 @lru_cache(maxsize=32)
-def histories_of(kind: Kind) -> Any:
+def histories_of(kind: Kind) -> type[Histories[View]]:
     """Return a class of histories; IPython completes the attributes of an item by the argument of its base class."""
     view = view_of(kind)
     return new_class(view.__name__.removesuffix("History") + "Histories", (Histories[view],))  # type: ignore[valid-type]

@@ -61,19 +61,9 @@ def remove_part(part: Path) -> None:
 def check_target(path: str | Path, *, overwrite: bool = False, source: str | Path | None = None) -> Path:
     """Check that an archive may be written at `path`, without changing the file system.
 
-    Parameters
-    ----------
-    overwrite
-        Whether an existing file may be replaced.
-    source
-        The input file, which is never replaced.
-
-    Raises
-    ------
-    SpecError
-        If the name is not suitable, the folder does not exist, or an existing file may not be replaced.
-    ResourceError
-        If writing into the folder is not permitted.
+    `overwrite`: whether an existing file may be replaced. `source`: the input file, which is never replaced. Raises
+    SpecError if the name is not suitable, the folder does not exist, or an existing file may not be replaced. Raises
+    ResourceError if writing into the folder is not permitted.
     """
     path = Path(path)
     check_not_input(path, source)
@@ -128,19 +118,9 @@ class Target:
     """An archive being written to `path`: created as ``.part`` immediately, in the end renamed (`publish`) or removed
     (`drop`).
 
-    Parameters
-    ----------
-    overwrite
-        Whether publishing replaces an existing file.
-    part
-        Name of the file until `publish` or `take_place_of` renames it; by default `path` with the suffix ``.part``.
-
-    Raises
-    ------
-    SpecError
-        If no archive may be written at `path`.
-    ResourceError
-        If the system refuses to create the file, or another run is writing it.
+    `overwrite`: whether publishing replaces an existing file. `part`: name of the file until `publish` or
+    `take_place_of` renames it; by default `path` with the suffix ``.part``. Raises SpecError if no archive may be
+    written at `path`. Raises ResourceError if the system refuses to create the file, or another run is writing it.
     """
 
     def __init__(self, path: Path, *, overwrite: bool, part: Path | None = None):
@@ -296,15 +276,8 @@ class Target:
         is set, a file that was created there during the run is not replaced. The .part is still locked, so that other
         runs do not take it for that of a crashed run and remove it.
 
-        Parameters
-        ----------
-        keep
-            Whether the checkpoint is kept beside the archive, so that the run can be resumed.
-
-        Raises
-        ------
-        MbdkitError
-            If the .part cannot be renamed; it then keeps its name.
+        `keep`: whether the checkpoint is kept beside the archive, so that the run can be resumed. Raises MbdkitError if
+        the .part cannot be renamed; it then keeps its name.
         """
         self._end_if_forked()
         try:
@@ -367,10 +340,7 @@ class Target:
         The data must have been flushed. Afterwards, `drop` does not remove the files, even if only the checkpoint could
         be renamed.
 
-        Raises
-        ------
-        ResourceError
-            If a file cannot be renamed.
+        Raises ResourceError if a file cannot be renamed.
         """
         self.sync()
         try:
@@ -387,14 +357,9 @@ class Target:
 def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:
     """Write the bytes of an HDF5 file that was created in memory.
 
-    Raises
-    ------
-    SpecError
-        If no archive may be written at `path`.
-    ResourceError
-        If the file cannot be written, as on a full disk, or another run is writing it.
-    MbdkitError
-        If the file was created by another program in the meantime, and `overwrite` is not set.
+    Raises SpecError if no archive may be written at `path`. Raises ResourceError if the file cannot be written, as on a
+    full disk, or another run is writing it. Raises MbdkitError if the file was created by another program in the
+    meantime, and `overwrite` is not set.
     """
     target = Target(path, overwrite=overwrite)
     try:

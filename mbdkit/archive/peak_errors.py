@@ -43,16 +43,8 @@ _ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
     """Return the errors (J,) of the largest values of the joints in the first `count` rows; None without a check.
 
-    Parameters
-    ----------
-    run
-        The run.
-    name
-        ``reaction_error`` or ``torque_error``.
-    size
-        (T, J) magnitudes of the joints.
-    count
-        Number of rows, at least 1.
+    `name`: ``reaction_error`` or ``torque_error``. `size`: (T, J) magnitudes of the joints. `count`: number of rows, at
+    least 1.
     """
     if run.accuracy is None:
         return None
@@ -71,12 +63,8 @@ def simulated_peak_errors(
     recorded; otherwise the errors are nan. If the largest value is also a measure, the error is the sum of the height
     and the error of the measure, so that a number has the same error wherever it is printed.
 
-    Parameters
-    ----------
-    quantity, names
-        Quantity as in `expression_of_largest`, and names of the elements.
-    size, errors
-        (T, E) values and their errors.
+    `quantity`, `names`: quantity as in `expression_of_largest`, and names of the elements. `size`, `errors`: (T, E)
+    values and their errors.
     """
     missed = missed_between_rows(run, quantity, names, size)
     if missed is not None and len(size) == len(run.time):
@@ -136,17 +124,9 @@ def missed_by_rows(
 
     The result is None if every step is recorded and a value is unknown.
 
-    Parameters
-    ----------
-    integrals
-        Integrals and extrema of the run. Those of checked runs contain the largest values; see
-        `mbdkit.runs.integrals.largest_loads_of`.
-    quantity, names
-        Quantity as in `expression_of_largest`, and names of the elements.
-    size
-        (T, E) values in all rows.
-    skips_steps
-        Whether rows may skip ends of steps.
+    `integrals`: integrals and extrema of the run. Those of checked runs contain the largest values; see
+    `mbdkit.runs.integrals.largest_loads_of`. `quantity`, `names`: quantity as in `expression_of_largest`, and names of
+    the elements. `size`: (T, E) values in all rows. `skips_steps`: whether rows may skip ends of steps.
     """
     other = {"joints.force": "joints.torque", "joints.torque": "joints.force"}.get(quantity, quantity)
     # loads that are always zero, such as the torque of a pin, are left out of the largest values
@@ -212,14 +192,8 @@ def jumps(run: Run) -> np.ndarray:
 def measures_of_largest(measures: Mapping[str, object], quantity: str, names: Sequence[str]) -> dict[str, str]:
     """Return the measures of the largest magnitude of a quantity, such as ``joints.force``, by name of the element.
 
-    Parameters
-    ----------
-    measures
-        The section `measures` of a spec.
-    quantity
-        Quantity of joints or actuators.
-    names
-        Names of the elements.
+    `measures`: the section `measures` of a spec. `quantity`: quantity of joints or actuators. `names`: names of the
+    elements.
     """
     kind, attribute = quantity.split(".")
     spelled = {
@@ -237,15 +211,8 @@ def measures_of_largest(measures: Mapping[str, object], quantity: str, names: Se
 def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[float] | np.ndarray = ()) -> np.ndarray:
     """Return by how much the largest values (J,) of continuous curves may exceed the largest values in the rows.
 
-    Parameters
-    ----------
-    time
-        (T,) times of the rows [s].
-    size
-        (T, J) values of the curves.
-    jumps
-        (B,) increasing times at which the curves may be discontinuous [s]. The curves on both sides of such a time are
-        extrapolated to it by parabolas.
+    `time`: (T,) times of the rows [s]. `size`: (T, J) values of the curves. `jumps`: (B,) increasing times at which the
+    curves may be discontinuous [s]. The curves on both sides of such a time are extrapolated to it by parabolas.
     """
     recorded: np.ndarray = np.max(size, axis=0)
     above = recorded

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NoReturn, TypeVar
+from typing import NoReturn, TypeVar
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -15,7 +15,7 @@ class ReadOnlyDict(dict[K, V]):
     ``__getitem__`` of `dict`.
     """
 
-    def _refuse(self, *args: Any, **named: Any) -> NoReturn:
+    def _refuse(self, *args: object, **named: object) -> NoReturn:
         """Raise TypeError."""
         raise TypeError(f"a {type(self).__name__} cannot be changed")
 

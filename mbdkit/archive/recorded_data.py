@@ -47,7 +47,7 @@ class evaluated(cached_property[T]):  # noqa: N801
 class RecordedData(FurtherKinds, Extensible):
     """Base class of `Run`: what it recorded, as arrays by path and as histories by name."""
 
-    def __new__(cls, *arguments: Any, **named: Any) -> Self:
+    def __new__(cls, *arguments: object, **named: object) -> Self:
         """Make an object of the class, which has the histories of all kinds, also of those of plugins."""
         for word in {*words(), *GROUPS_OF_PARTS}:
             if not hasattr(cls, word):
@@ -136,7 +136,7 @@ class RecordedData(FurtherKinds, Extensible):
 
     def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
         """Return the array at `path` at an `index` of its second axis and a `part` of its third; read-only."""
-        at: tuple[Any, ...] = (slice(None),)
+        at: tuple[int | slice, ...] = (slice(None),)
         if index is not None:
             at += (index,)
         if part is not None:
@@ -171,7 +171,7 @@ class RecordedData(FurtherKinds, Extensible):
         """
         return self._contents.dataset(path)
 
-    def _read(self, path: str, at: tuple[Any, ...]) -> np.ndarray:
+    def _read(self, path: str, at: tuple[int | slice, ...]) -> np.ndarray:
         dataset = self.dataset(path)
         with reading(path, self.path):
             if isinstance(dataset, h5py.Dataset) and is_text(dataset):
@@ -312,7 +312,7 @@ class RecordedData(FurtherKinds, Extensible):
 def _histories_of(word: str) -> evaluated[Any]:
     """Return a property whose value contains the histories of the objects of a kind by name."""
 
-    def histories(run: RecordedData) -> Any:
+    def histories(run: RecordedData) -> object:
         group = words().get(word, word)
         kind = run.kinds.get(group) or (kind_of_group(group) if group in groups() else None)
         return histories_of(kind)(kind, run) if kind else ReadOnlyDict()

@@ -109,10 +109,7 @@ class ResultTable:
     def write(self, file: h5py.File, name: str) -> Iterator[str]:
         """Write the table to an archive, and yield the lines of its arrays in `data_sha256`.
 
-        Raises
-        ------
-        ValueError
-            If the archive has a group of this name, or quantities have.
+        Raises ValueError if the archive has a group of this name, or quantities have.
         """
         if name in groups() or name in file or not name.isidentifier():
             raise ValueError(f"a table cannot have the name {name!r}")

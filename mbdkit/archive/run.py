@@ -398,7 +398,7 @@ class Run(RecordedData, HtmlView):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         if self.path is None:
             raise TypeError("a run in memory cannot be pickled; save it to a file and load that")
         return Run.open, (self.path.resolve(),)

@@ -42,20 +42,12 @@ from mbdkit.spec import RunSpec
 class Header:
     """The data of a run except its arrays.
 
-    Parameters
-    ----------
-    attributes
-        Values of `layout.ROOT_ATTRIBUTES`.
-    provenance
-        Attributes of ``/provenance``.
-    verdict, verdict_reasons, warnings
-        Verdict on the run, its reasons, and warnings; empty if the run crashed.
-    stats
-        Counters and times [s].
-    misalignment_max
-        (J,) largest misalignment of each joint over all steps [m]; None if unknown.
-    redundancy
-        Description of the redundant constraints; empty if there are none.
+    - `attributes`: values of `layout.ROOT_ATTRIBUTES`.
+    - `provenance`: attributes of ``/provenance``.
+    - `verdict`, `verdict_reasons`, `warnings`: verdict on the run, its reasons, and warnings; empty if the run crashed.
+    - `stats`: counters and times [s].
+    - `misalignment_max`: (J,) largest misalignment of each joint over all steps [m]; None if unknown.
+    - `redundancy`: description of the redundant constraints; empty if there are none.
     """
 
     attributes: Mapping[str, str]
@@ -91,32 +83,18 @@ class Header:
 class RunContents(ABC):
     """Interface through which a `Run` reads its data.
 
-    Attributes
-    ----------
-    header
-        Status, spec, verdict and counters.
-    names
-        Names and units along the axes, by path.
-    kinds
-        Kinds of quantities by group: those of the core, and those of plugins whose groups the run has.
-    path
-        Path of the archive; None without a file.
-    run_spec
-        The validated spec; None if it has to be read from `header`.
-    cause
-        The exception of a plugin that ended the run in this process.
-    whole_rows
-        For a crashed run, the number of complete rows along each growing axis, by name of the axis.
-    measures
-        Values of the measures in the spec.
-    integrals
-        Integrals over time and extrema by their expressions.
-    gradients
-        Gradients of the measures; see `Run.gradients`.
-    accuracy
-        Estimated errors; None if there are none, or if a study did not store them.
-    tables
-        Tables of further results by name.
+    - `header`: status, spec, verdict and counters.
+    - `names`: names and units along the axes, by path.
+    - `kinds`: kinds of quantities by group: those of the core, and those of plugins whose groups the run has.
+    - `path`: path of the archive; None without a file.
+    - `run_spec`: the validated spec; None if it has to be read from `header`.
+    - `cause`: the exception of a plugin that ended the run in this process.
+    - `whole_rows`: for a crashed run, the number of complete rows along each growing axis, by name of the axis.
+    - `measures`: values of the measures in the spec.
+    - `integrals`: integrals over time and extrema by their expressions.
+    - `gradients`: gradients of the measures; see `Run.gradients`.
+    - `accuracy`: estimated errors; None if there are none, or if a study did not store them.
+    - `tables`: tables of further results by name.
     """
 
     header: Header
@@ -158,19 +136,9 @@ class RunContents(ABC):
 class ArchiveContents(RunContents):
     """The contents of an archive.
 
-    Parameters
-    ----------
-    file
-        The open archive. It is closed if its header is damaged.
-    path
-        Path of the archive; None if it is in memory.
-    header
-        The header of the archive, if it is known already; by default, it is read from the file.
-
-    Raises
-    ------
-    ArchiveError
-        If the header is read and is damaged.
+    `file`: the open archive. It is closed if its header is damaged. `path`: path of the archive; None if it is in
+    memory. `header`: the header of the archive, if it is known already; by default, it is read from the file. Raises
+    ArchiveError if the header is read and is damaged.
     """
 
     def __init__(self, file: h5py.File, path: Path | None = None, header: Header | None = None):
@@ -279,7 +247,7 @@ class ArchiveContents(RunContents):
             if path in file:
                 return file[path]
         if array is None:
-            raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
+            raise UnknownNameError("array", path, [array.path for array in layout.every_array()])
         raise NotRecordedError(path)
 
     def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
@@ -364,22 +332,13 @@ class NotStoredError(NotRecordedError):
 class ArrayContents(RunContents):
     """A run whose arrays are in memory, such as one read from a block of a study.
 
-    Parameters
-    ----------
-    finished
-        The results; `FinishedRun.layout` lists only the arrays that are stored.
-    spec
-        Spec of the run.
-    run_id, created_utc, provenance
-        See `Origin`.
-    mechanism
-        The mechanism; None for that of `spec`.
-    store
-        Which arrays the study stores of each run; empty if it stores all.
-    measured
-        Values of the measures in the spec.
-    gradients
-        Gradients of the measures as JSON; empty if there are none.
+    - `finished`: the results; `FinishedRun.layout` lists only the arrays that are stored.
+    - `spec`: spec of the run.
+    - `run_id`, `created_utc`, `provenance`: see `Origin`.
+    - `mechanism`: the mechanism; None for that of `spec`.
+    - `store`: which arrays the study stores of each run; empty if it stores all.
+    - `measured`: values of the measures in the spec.
+    - `gradients`: gradients of the measures as JSON; empty if there are none.
     """
 
     def __init__(
@@ -447,7 +406,7 @@ class ArrayContents(RunContents):
             if path in of_accuracy:
                 return of_accuracy[path]
         if array_at(path) is None:
-            raise UnknownNameError("array", path, [one.path for one in layout.every_array()])
+            raise UnknownNameError("array", path, [array.path for array in layout.every_array()])
         if self._store:
             raise NotStoredError(path, self._store)
         raise NotRecordedError(path)

@@ -29,15 +29,9 @@ from mbdkit.quantities.names import AXES, COORDINATES
 def open_archive(path: Path) -> h5py.File:
     """Open the file of a run archive for reading, after checking its format and version.
 
-    Raises
-    ------
-    ResourceError
-        If the file is in use, or the system refuses to read it.
-    SpecError
-        If the file is missing.
-    ArchiveError
-        If it is truncated, not an archive, of an unsupported format version, or refused because reading
-        it could do harm.
+    Raises ResourceError if the file is in use, or the system refuses to read it. Raises SpecError if the file is
+    missing. Raises ArchiveError if it is truncated, not an archive, of an unsupported format version, or refused
+    because reading it could do harm.
     """
     if os.path.isdir(path):
         raise SpecError("this is a folder; name a run archive in it", file=path)
@@ -88,7 +82,7 @@ def check_shapes(file: h5py.File, kinds: Iterable[Kind]) -> None:
     for path in ("trajectory/body", "joints/joint"):
         if path not in file:
             raise ValueError(f"{path} is missing")
-    for path, array in ((one.path, one) for kind in kinds for one in kind.arrays):
+    for path, array in ((array.path, array) for kind in kinds for array in kind.arrays):
         if path not in file:
             continue
         dataset = file[path]

@@ -161,7 +161,7 @@ def _method(spec: Mapping[str, Any]) -> str:
     return ", ".join([*parts, *([] if formulation is None else [name_of(formulation)])])
 
 
-def _options(chosen: Mapping[str, Any]) -> list[str]:
+def _options(chosen: Mapping[str, object]) -> list[str]:
     return [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
 
 
@@ -355,7 +355,7 @@ def _gradients(run: Run) -> list[tuple[str, str]]:
         texts = [gradient["reason"]] if "reason" in gradient else []
         texts += [f"by {parameter}: {text}" for parameter, text in derivative_texts(gradient)]
         lines += [("" if lines or i else "gradients", f"{name} {text}") for i, text in enumerate(texts)]
-    doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
+    doubts = dict.fromkeys(doubt for gradient in run.gradients.values() for doubt in gradient.get("doubts", ()))
     return [*lines, *(("", doubt) for doubt in doubts)]
 
 

@@ -46,29 +46,18 @@ UNJUDGED = Judgement("unknown")
 class Ending:
     """How a run has ended.
 
-    Parameters
-    ----------
-    status
-        ``complete``, ``failed`` or ``interrupted``.
-    reason
-        Code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``. For a
-        complete run, the event that ended it, or an empty string.
-    stats
-        Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``.
-    misalignment_max
-        (J,) largest misalignment of each joint over all steps [m].
-    judgement
-        The verdict on the run; ``unknown`` by default.
-    warnings
-        Warnings about the spec and the run, as sentences.
-    accuracy
-        Estimated errors of the rows, if the run was checked.
-    integrals
-        Integrals over time and extrema, by expression, in SI units; see `mbdkit.archive.measured_values.Integrals`.
-    cause
-        The exception of a plugin that ended the run; None if there was none.
-    tables
-        Tables of further results by name.
+    - `status`: ``complete``, ``failed`` or ``interrupted``.
+    - `reason`: code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``.
+      For a complete run, the event that ended it, or an empty string.
+    - `stats`: attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``.
+    - `misalignment_max`: (J,) largest misalignment of each joint over all steps [m].
+    - `judgement`: the verdict on the run; ``unknown`` by default.
+    - `warnings`: warnings about the spec and the run, as sentences.
+    - `accuracy`: estimated errors of the rows, if the run was checked.
+    - `integrals`: integrals over time and extrema, by expression, in SI units; see
+      `mbdkit.archive.measured_values.Integrals`.
+    - `cause`: the exception of a plugin that ended the run; None if there was none.
+    - `tables`: tables of further results by name.
     """
 
     status: str
@@ -87,20 +76,12 @@ class Ending:
 class Origin:
     """The spec of a run, and where and how the run was made.
 
-    Parameters
-    ----------
-    spec_json, spec_sha256
-        The canonical JSON of the spec, and the SHA-256 of its UTF-8 bytes.
-    run_id
-        Unique name of the run.
-    provenance
-        Attributes of ``/provenance``: versions, platform, command.
-    created_utc
-        Time at which the run began, ISO 8601; by default now.
-    bodies
-        Attributes of ``/trajectory``: ``mass`` (B,) [kg] and ``inertia`` (B,) [kg m^2] of the bodies.
-    texts
-        Further root attributes: the mechanism, and the files that were read for the run.
+    - `spec_json`, `spec_sha256`: the canonical JSON of the spec, and the SHA-256 of its UTF-8 bytes.
+    - `run_id`: unique name of the run.
+    - `provenance`: attributes of ``/provenance``: versions, platform, command.
+    - `created_utc`: time at which the run began, ISO 8601; by default now.
+    - `bodies`: attributes of ``/trajectory``: ``mass`` (B,) [kg] and ``inertia`` (B,) [kg m^2] of the bodies.
+    - `texts`: further root attributes: the mechanism, and the files that were read for the run.
     """
 
     spec_json: str
@@ -130,17 +111,10 @@ class Origin:
 class SharedForces:
     """Attributes of an archive whose mechanism has redundant joints.
 
-    Parameters
-    ----------
-    redundancy
-        Description, such as ``1 redundant row: joint D``.
-    joints
-        The joints whose reactions are not unique.
-    length
-        Characteristic length [m]. Of all reactions that produce the same motion, the recorded ones minimize the sum
-        over joints of ``|force|^2 + (torque / length)^2``.
-    drivers
-        The drivers among these joints, whose powers are not unique.
+    `redundancy`: description, such as ``1 redundant row: joint D``. `joints`: the joints whose reactions are not
+    unique. `length`: characteristic length [m]. Of all reactions that produce the same motion, the recorded ones
+    minimize the sum over joints of ``|force|^2 + (torque / length)^2``. `drivers`: the drivers among these joints,
+    whose powers are not unique.
     """
 
     redundancy: str
@@ -152,12 +126,8 @@ class SharedForces:
 class RunWriter(ABC):
     """Base class of writers, which store the rows of one run as they are recorded.
 
-    Parameters
-    ----------
-    names
-        Names of bodies, joints and constraint rows.
-    arrays
-        The arrays of the layout that the run records; by default, those of all quantities.
+    `names`: names of bodies, joints and constraint rows. `arrays`: the arrays of the layout that the run records; by
+    default, those of all quantities.
     """
 
     def __init__(self, names: ArchiveNames, arrays: tuple[Array, ...] | None = None):
@@ -198,27 +168,17 @@ class RunWriter(ABC):
     def append(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append recorded rows; the values are copied.
 
-        Parameters
-        ----------
-        rows
-            An array with T rows for every key of `row_keys`: paths such as ``trajectory/position`` (T, B, 3), and
-            ``time`` (T,) for the times of all groups.
-
-        Raises
-        ------
-        ResourceError
-            If the archive cannot be written, as on a full disk.
+        `rows`: an array with T rows for every key of `row_keys`: paths such as ``trajectory/position`` (T, B, 3), and
+        ``time`` (T,) for the times of all groups. Raises ResourceError if the archive cannot be written, as on a full
+        disk.
         """
         self._append("time", rows)
 
     def append_steps(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append the statistics of recorded intervals; the values are copied.
 
-        Parameters
-        ----------
-        rows
-            ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, and the corrections of a
-            stabilized run, each (N,).
+        `rows`: ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, and the corrections of
+        a stabilized run, each (N,).
         """
         keyed = {f"steps/{name}": values for name, values in rows.items()}
         self._append("interval", {**keyed, "steps/interval": self._numbers("interval", len(rows["time"]))})
@@ -226,10 +186,7 @@ class RunWriter(ABC):
     def append_events(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append crossings of events; the values are copied.
 
-        Parameters
-        ----------
-        rows
-            ``name`` (strings), ``time`` and ``direction``, each (E,), and ``position`` and ``velocity`` (E, B, 3).
+        `rows`: ``name`` (strings), ``time`` and ``direction``, each (E,), and ``position`` and ``velocity`` (E, B, 3).
         """
         keyed = {f"events/{name}": values for name, values in rows.items()}
         self._append("event", {**keyed, "events/event": self._numbers("event", len(rows["name"]))})

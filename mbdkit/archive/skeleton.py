@@ -39,16 +39,9 @@ _VARYING = "assembly"
 class Skeleton:
     """An HDF5 file with the groups, arrays and names of an archive, and the provenance that all runs share.
 
-    Parameters
-    ----------
-    image
-        The bytes of the file.
-    texts
-        The arrays of strings over time.
-    places
-        Where the values of arrays of numbers over time begin in `image`, by path.
-    unread, known
-        Lines in `attributes_sha256`: see there. Timings are left out.
+    `image`: the bytes of the file. `texts`: the arrays of strings over time. `places`: where the values of arrays of
+    numbers over time begin in `image`, by path. `unread`, `known`: lines in `attributes_sha256`: see there. Timings are
+    left out.
     """
 
     image: bytes
@@ -88,7 +81,7 @@ def begin_file(file: h5py.File, names: ArchiveNames, arrays: tuple[Array, ...]) 
     for group in (*dict.fromkeys(array.group for array in arrays), "stats", "provenance"):
         file.create_group(group)
     texts = name_texts(names)
-    for array in sorted((one for one in arrays if not one.grows), key=lambda one: not one.is_scale):
+    for array in sorted((array for array in arrays if not array.grows), key=lambda one: not one.is_scale):
         create(file, array, np.array(tuple(texts[array.path]), dtype=object))
 
 
@@ -125,14 +118,8 @@ def skeleton_of(
 ) -> Skeleton:
     """Return the skeleton of an archive.
 
-    Parameters
-    ----------
-    names, arrays
-        Names of the elements of the mechanism, and the arrays that its runs record.
-    rows
-        Numbers of rows along the growing axes, by name.
-    provenance
-        Attributes of ``/provenance``.
+    `names`, `arrays`: names of the elements of the mechanism, and the arrays that its runs record. `rows`: numbers of
+    rows along the growing axes, by name. `provenance`: attributes of ``/provenance``.
     """
     sizes = sizes_of(names) | dict(rows)
     values = sum(math.prod([sizes[dim] for dim in array.dims]) for array in arrays if array.grows)
@@ -147,16 +134,16 @@ def _made(
     provenance: tuple[tuple[str, str | int | float], ...],
 ) -> Skeleton:
     sizes = sizes_of(names) | dict(rows)
-    growing = sorted((one for one in arrays if one.grows), key=lambda one: not one.is_scale)
+    growing = sorted((array for array in arrays if array.grows), key=lambda one: not one.is_scale)
     with memory_file() as file:
         begin_file(file, names, arrays)
         for array in growing:
             shape = [sizes[dim] for dim in array.dims]
             create(file, array, np.full(shape, "", object) if array.dtype == TEXT else np.zeros(shape, array.dtype))
-        texts = tuple(one for one in growing if one.dtype == TEXT)
-        places = {one.path: file[one.path].id.get_offset() for one in growing if one not in texts}
+        texts = tuple(array for array in growing if array.dtype == TEXT)
+        places = {array.path: file[array.path].id.get_offset() for array in growing if array not in texts}
         # Groups with timings, or to whose arrays a run adds attributes at its end, have to be opened then.
-        opened = {"joints", *(one.group for one in arrays if one.path in SHARED or not is_hashed(one.path))}
+        opened = {"joints", *(array.group for array in arrays if array.path in SHARED or not is_hashed(array.path))}
         unread: dict[str, list[str]] = defaultdict(list)
         for one in arrays:
             if is_hashed(one.path):

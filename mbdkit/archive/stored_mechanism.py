@@ -42,12 +42,8 @@ _OWN = RegistryLookup(lambda: registry().only("mbdkit"))
 class StoredMechanism:
     """The mechanism of a run, as far as it is known.
 
-    Parameters
-    ----------
-    mechanism
-        The mechanism; None if only the bodies are known.
-    not_drawn
-        Sentence on what a drawing lacks and why; empty if it is complete.
+    `mechanism`: the mechanism; None if only the bodies are known. `not_drawn`: sentence on what a drawing lacks and
+    why; empty if it is complete.
     """
 
     mechanism: Mechanism | None
@@ -83,17 +79,8 @@ def is_determined(spec: RunSpec) -> bool:
 def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:
     """Return the mechanism that an archive holds.
 
-    Parameters
-    ----------
-    text
-        As returned by `mechanism_json`.
-    bodies
-        The names of the recorded bodies.
-
-    Raises
-    ------
-    ValueError
-        If `text` is damaged.
+    `text`: as returned by `mechanism_json`. `bodies`: the names of the recorded bodies. Raises ValueError if `text` is
+    damaged.
     """
     try:
         data = json.loads(text)
@@ -131,13 +118,10 @@ def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
 
     Only models of mbdkit itself build it, because those of plugins may read files.
 
-    Parameters
-    ----------
-    spec
-        The spec of the run as a plain mapping.
+    `spec`: the spec of the run as a plain mapping.
     """
     name = str(spec.get("model", {}).get("name", ""))
-    item = next((one for one in registry().only("mbdkit").of_kind("model") if name in (one.name, one.id)), None)
+    item = next((model for model in registry().only("mbdkit").of_kind("model") if name in (model.name, model.id)), None)
     lacks = "the mechanism of this run is not stored"
     if item is None:
         why = f"{lacks}, and the model '{shown(name)}' is of a plugin, which may read files"
@@ -146,7 +130,7 @@ def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
     assert isinstance(plugin, ModelPlugin)
     given = {key: value for key, value in plain(spec["model"]).items() if key != "name"}
 
-    def validate(values: Any) -> Any:
+    def validate(values: object) -> object:
         return plugin.options.model_validate_json(json.dumps(values), context={"plugins": _OWN})
 
     try:
@@ -164,7 +148,7 @@ def _adapter(section: str) -> TypeAdapter[Any]:
     return TypeAdapter(get_args(field.annotation)[1]) if field is not None else TypeAdapter(None)
 
 
-def _element(section: str, value: Any) -> Any:
+def _element(section: str, value: object) -> Any:
     text = json.dumps(value)
     try:
         return _adapter(section).validate_json(text, context={"plugins": _OWN})
@@ -186,10 +170,7 @@ def _add(mechanism: Mechanism, section: str, name: str, element: Any) -> None:
 def _without_wrong_references(mechanism: Mechanism) -> list[str]:
     """Remove the elements that refer to unknown ones, and return their names.
 
-    Raises
-    ------
-    ArchiveError
-        If there are too many.
+    Raises ArchiveError if there are too many.
     """
     removed: list[str] = []
     while len(removed) < _MOST_UNKNOWN:

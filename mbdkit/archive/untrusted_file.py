@@ -62,26 +62,11 @@ _DESCRIPTOR = np.dtype([("length", "<u4"), ("address", "<u8"), ("index", "<u4")]
 def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) -> h5py.File:
     """Open an HDF5 file for reading, after checking that reading it does no harm.
 
-    Parameters
-    ----------
-    path
-        An existing file.
-    what
-        What the file should be, for messages, such as ``run archive``.
-    hint
-        Advice on a damaged file, which is appended to messages.
-    objects
-        Largest number of groups and arrays.
-
-    Raises
-    ------
-    ResourceError
-        If the file is in use, or the system refuses to read it.
-    SpecError
-        If the file is not a regular file.
-    ArchiveError
-        If it is not an HDF5 file, is damaged, or is refused because it refers to other
-        files, links an object twice, declares more data than it holds, or has other contents that are not accepted.
+    `path`: an existing file. `what`: what the file should be, for messages, such as ``run archive``. `hint`: advice on
+    a damaged file, which is appended to messages. `objects`: largest number of groups and arrays. Raises ResourceError
+    if the file is in use, or the system refuses to read it. Raises SpecError if the file is not a regular file. Raises
+    ArchiveError if it is not an HDF5 file, is damaged, or is refused because it refers to other files, links an object
+    twice, declares more data than it holds, or has other contents that are not accepted.
     """
     check_regular(path)
     noun = what.rpartition(" ")[2]
@@ -213,18 +198,18 @@ class _Inspection:
                 at = content.find(b"GCOL", at + 4)
         return min(largest, self.size)
 
-    def kind(self, place: str, kind: h5t.TypeID, space: h5s.SpaceID) -> bool:
+    def kind(self, what: str, kind: h5t.TypeID, space: h5s.SpaceID) -> bool:
         """Return whether values are strings of variable length; refuse values that are neither strings nor numbers, and
         long strings of fixed length.
         """
         if space.get_simple_extent_type() == h5s.NULL:
-            raise self.refused(f"{place} has no values and no type of number")
+            raise self.refused(f"{what} has no values and no type of number")
         if isinstance(kind, h5t.TypeStringID):
             if not kind.is_variable_str() and kind.get_size() > FIXED:
-                raise self.refused(f"{place} has strings of the fixed length {kind.get_size():,}")
+                raise self.refused(f"{what} has strings of the fixed length {kind.get_size():,}")
             return bool(kind.is_variable_str())
         if not isinstance(kind, h5t.TypeIntegerID | h5t.TypeFloatID):
-            raise self.refused(f"{place} has values that are neither numbers nor strings")
+            raise self.refused(f"{what} has values that are neither numbers nor strings")
         return False
 
     def dataset(self, path: str, item: h5d.DatasetID) -> None:

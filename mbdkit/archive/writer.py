@@ -42,34 +42,18 @@ _ATTRIBUTE_BYTES = 1 << 15
 class ArchiveWriter(RunWriter):
     """Writes one archive: appends rows, flushes them regularly, and finishes or abandons the archive.
 
-    Parameters
-    ----------
-    path
-        Final name, ending in ``.h5``; the file is written as ``.part`` until `finish`. None for an archive in memory.
-    names
-        Names of bodies, joints and constraint rows.
-    origin
-        The spec of the run, its name, and where and how it was made.
-    arrays
-        The arrays to record; by default, those of all quantities.
-    overwrite
-        Whether `finish` replaces an existing file.
-    part
-        Name of the file until `finish`; by default, ``FILE.h5.part``.
-    shared
-        Attributes for a mechanism with redundant joints; None without them.
+    - `path`: final name, ending in ``.h5``; the file is written as ``.part`` until `finish`. None for an archive in
+      memory.
+    - `names`: names of bodies, joints and constraint rows.
+    - `origin`: the spec of the run, its name, and where and how it was made.
+    - `arrays`: the arrays to record; by default, those of all quantities.
+    - `overwrite`: whether `finish` replaces an existing file.
+    - `part`: name of the file until `finish`; by default, ``FILE.h5.part``.
+    - `shared`: attributes for a mechanism with redundant joints; None without them.
+    - `ending`, `head`: how the run has ended, and the root attributes; None and empty while it is in progress.
 
-    Attributes
-    ----------
-    ending, head
-        How the run has ended, and the root attributes; None and empty while it is in progress.
-
-    Raises
-    ------
-    SpecError
-        If no archive may be written at `path`.
-    ResourceError
-        If the system refuses to create the file, or another run is writing it.
+    Raises SpecError if no archive may be written at `path`. Raises ResourceError if the system refuses to create the
+    file, or another run is writing it.
     """
 
     def __init__(
@@ -186,8 +170,8 @@ class ArchiveWriter(RunWriter):
                 self.take(
                     dim,
                     {
-                        one.array.key: checkpoint.arrays[one.array.path].read(part, one.array, some)
-                        for one in table.series
+                        series.array.key: checkpoint.arrays[series.array.path].read(part, series.array, some)
+                        for series in table.series
                     },
                 )
         with self._storing():
@@ -201,24 +185,10 @@ class ArchiveWriter(RunWriter):
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name.
 
-        Parameters
-        ----------
-        ending
-            Results known at the end. Besides `Ending.stats`, this method stores its own duration up to the last write
-            [s], as ``finish_s``.
-        measured
-            Function that evaluates the measures from the HDF5 file, which is otherwise complete, and returns the
-            attribute ``measures``.
-
-        Returns
-        -------
-        h5py.File or None
-            The open archive in memory; None if it is a file on disk, which this method closes.
-
-        Raises
-        ------
-        ResourceError
-            If the archive cannot be written or renamed.
+        `ending`: results known at the end. Besides `Ending.stats`, this method stores its own duration up to the last
+        write [s], as ``finish_s``. `measured`: function that evaluates the measures from the HDF5 file, which is
+        otherwise complete, and returns the attribute ``measures``. Returns the open archive in memory; None if it is a
+        file on disk, which this method closes. Raises ResourceError if the archive cannot be written or renamed.
         """
         if ending.status not in layout.STATUSES[1:]:
             raise ValueError(f"a run ends as complete, failed or interrupted, not {ending.status!r}")
@@ -309,7 +279,7 @@ class ArchiveWriter(RunWriter):
                 len(self.origin.spec_json)
                 + sum(map(len, self.origin.texts.values()))
                 + 16 * len(names.bodies)
-                + 64 * sum(len(one.texts(names)) for one in self.arrays if one.texts)
+                + 64 * sum(len(array.texts(names)) for array in self.arrays if array.texts)
             )
             with self._room(more=False, also=_ATTRIBUTE_BYTES + text):
                 begin_file(self._file, names, self.arrays)

@@ -20,12 +20,7 @@ _OWN = "mbdkit.builtin_plugin"
 class UnusableDistribution:
     """A distribution whose entry points are not used.
 
-    Parameters
-    ----------
-    folder
-        Name of the folder with its metadata.
-    why
-        Reason, as a sentence without a full stop.
+    `folder`: name of the folder with its metadata. `why`: reason, as a sentence without a full stop.
     """
 
     folder: str
@@ -88,12 +83,12 @@ def normalized_name(distribution: str) -> str:
 @cache
 def own_version() -> str:
     """Return the version of mbdkit."""
-    return next((name_and_version(one)[1] for one in _named_mbdkit() if _is_own(one)), "unknown")
+    return next((name_and_version(own)[1] for own in _named_mbdkit() if _is_own(own)), "unknown")
 
 
 @cache
 def _own_points() -> EntryPoints:
-    return next((one.entry_points for one in _named_mbdkit() if _is_own(one)), EntryPoints())
+    return next((own.entry_points for own in _named_mbdkit() if _is_own(own)), EntryPoints())
 
 
 def _named_mbdkit() -> Iterable[Distribution]:

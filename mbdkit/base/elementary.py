@@ -16,12 +16,7 @@ from mbdkit.base import higher_layers
 class ElementaryFunction:
     """An elementary function of numbers or arrays.
 
-    Parameters
-    ----------
-    name
-        Its name in the C library, such as ``atan2``.
-    numpy_name
-        Its name in NumPy, if it is another one.
+    `name`: its name in the C library, such as ``atan2``. `numpy_name`: its name in NumPy, if it is another one.
     """
 
     def __init__(self, name: str, numpy_name: str = ""):

@@ -20,15 +20,9 @@ class MbdkitError(Exception):
 class SpecError(MbdkitError, ValueError):
     """Wrong input, such as a spec, a mechanism, an expression or a file name.
 
-    Parameters
-    ----------
-    message
-        What is wrong and how to correct it.
-    key
-        Dotted key path of the input in a spec, such as ``model.joints.A.bodies[1]``; empty if unknown or not in a
-        spec.
-    file, line
-        Location of the input, if known (lines count from 1).
+    `message`: what is wrong and how to correct it. `key`: dotted key path of the input in a spec, such as
+    ``model.joints.A.bodies[1]``; empty if unknown or not in a spec. `file`, `line`: location of the input, if known
+    (lines count from 1).
     """
 
     def __init__(self, message: str, *, key: str = "", file: str | Path | None = None, line: int | None = None):
@@ -39,10 +33,10 @@ class SpecError(MbdkitError, ValueError):
         self.line = line
 
     def __str__(self) -> str:
-        place = shown(self.file or "")
+        location = shown(self.file or "")
         if self.line is not None:
-            place += f":{self.line}" if place else f"line {self.line}"
-        where = ": ".join(part for part in (place, shortened(shown(self.key))) if part)
+            location += f":{self.line}" if location else f"line {self.line}"
+        where = ": ".join(part for part in (location, shortened(shown(self.key))) if part)
         return f"{where}: {self.message}" if where else self.message
 
     def located(self, *, prefix: str = "", file: str | Path | None = None, line: int | None = None) -> SpecError:
@@ -61,12 +55,7 @@ class UnsupportedMechanismError(SpecError):
 class _FileError(MbdkitError):
     """Base class of errors about a file or a folder that the content of a spec does not cause.
 
-    Parameters
-    ----------
-    message
-        What is wrong, and how to correct it.
-    file
-        The file or folder, if any.
+    `message`: what is wrong, and how to correct it. `file`: the file or folder, if any.
     """
 
     def __init__(self, message: str, *, file: str | Path | None = None):
@@ -100,10 +89,7 @@ _OF_NAMES = {
 def file_error(number: int | None, message: str, *, file: str | Path | None = None) -> SpecError | ResourceError:
     """Return the error for a file that cannot be used: SpecError if its name is the cause, otherwise ResourceError.
 
-    Parameters
-    ----------
-    number
-        Error number of the system; None if unknown.
+    `number`: error number of the system; None if unknown.
     """
     return (SpecError if number in _OF_NAMES else ResourceError)(message, file=file)
 
@@ -155,15 +141,15 @@ def with_place(error: BaseException) -> str:
     library, and the line is the last one in this package. An exception raised in a library is thus reported with the
     line of the plugin that called the library.
     """
-    place = _place_of(error)
+    location = _place_of(error)
     cause = error.__cause__
-    while not place and cause is not None:  # mbdkit raised this error because of an exception of the plugin
-        place, cause = _place_of(cause), cause.__cause__
-    return f"{one_line(error)} ({shown(place)})" if place else one_line(error)
+    while not location and cause is not None:  # mbdkit raised this error because of an exception of the plugin
+        location, cause = _place_of(cause), cause.__cause__
+    return f"{one_line(error)} ({shown(location)})" if location else one_line(error)
 
 
 def _place_of(error: BaseException) -> str:
-    package, place = "", ""
+    package, location = "", ""
     trace = error.__traceback__
     while trace is not None:
         frame = trace.tb_frame
@@ -171,20 +157,15 @@ def _place_of(error: BaseException) -> str:
         if not package and name and name not in _NO_PLUGINS | sys.stdlib_module_names:
             package = name
         if package and name == package:
-            place = f"{frame.f_code.co_filename}, line {trace.tb_lineno}"
+            location = f"{frame.f_code.co_filename}, line {trace.tb_lineno}"
         trace = trace.tb_next
-    return place
+    return location
 
 
 class MissingPartError(MbdkitError, ImportError):
     """A part of mbdkit is needed that is not installed.
 
-    Parameters
-    ----------
-    wanted
-        What needs the part.
-    part
-        The part, such as ``mbdkit-studies``.
+    `wanted`: what needs the part. `part`: the part, such as ``mbdkit-studies``.
     """
 
     def __init__(self, wanted: str, part: str):
@@ -214,13 +195,9 @@ class StepError(Exception):
     `EquationsOfMotion` raises it if the equations have no unique or no finite solution; a method raises it if its own
     iteration does not converge.
 
-    Parameters
-    ----------
-    code
-        Code of the reason, stored in the archive: ``newton-failed``, ``singular``, ``not-finite`` or
-        ``step-too-small``, or a code of a plugin.
-    sentence
-        Description of the failure, without the time and without a full stop.
+    `code`: code of the reason, stored in the archive: ``newton-failed``, ``singular``, ``not-finite`` or
+    ``step-too-small``, or a code of a plugin. `sentence`: description of the failure, without the time and without a
+    full stop.
     """
 
     def __init__(self, code: str, sentence: str):

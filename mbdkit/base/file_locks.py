@@ -33,10 +33,7 @@ def _windows() -> ModuleType:
 def open_file(path: str | os.PathLike[str], flags: int) -> int:
     """Open a file as `os.open` does; also on Windows, it may be renamed and removed while it is open.
 
-    Parameters
-    ----------
-    flags
-        ``os.O_RDONLY`` or ``os.O_RDWR``; ``os.O_CREAT``, ``os.O_EXCL`` and `NO_LINKS` may be added.
+    `flags`: ``os.O_RDONLY`` or ``os.O_RDWR``; ``os.O_CREAT``, ``os.O_EXCL`` and `NO_LINKS` may be added.
     """
     return int(_windows().open_file(path, flags)) if IS_WINDOWS else os.open(path, flags, 0o666)
 
@@ -44,21 +41,9 @@ def open_file(path: str | os.PathLike[str], flags: int) -> int:
 def lock(handle: int, *, shared: bool = False, wait: bool = False) -> None:
     """Lock an open file.
 
-    Parameters
-    ----------
-    handle
-        Descriptor of a file that `open_file` has opened.
-    shared
-        Whether other shared locks are allowed.
-    wait
-        Whether to wait until other locks end.
-
-    Raises
-    ------
-    BlockingIOError
-        If there is another lock, and `wait` is not set.
-    OSError
-        If the file system does not support locks.
+    `handle`: descriptor of a file that `open_file` has opened. `shared`: whether other shared locks are allowed.
+    `wait`: whether to wait until other locks end. Raises BlockingIOError if there is another lock, and `wait` is not
+    set. Raises OSError if the file system does not support locks.
     """
     if not IS_WINDOWS:
         import fcntl

@@ -35,20 +35,10 @@ def check_regular(path: str | Path) -> None:
 def read_bytes(path: str | Path, largest: int, advice: str = "") -> bytes:
     """Return the content of a file of the user, such as a model of another program.
 
-    Parameters
-    ----------
-    largest
-        Largest number of bytes. They are also counted as they are read, because a file may have more of them than the
-        system states.
-    advice
-        Advice on a file that is too large, which is appended to the message.
-
-    Raises
-    ------
-    SpecError
-        If the file does not exist, is not a regular file, or is too large.
-    ResourceError
-        If the system refuses to read the file.
+    `largest`: largest number of bytes. They are also counted as they are read, because a file may have more of them
+    than the system states. `advice`: advice on a file that is too large, which is appended to the message. Raises
+    SpecError if the file does not exist, is not a regular file, or is too large. Raises ResourceError if the system
+    refuses to read the file.
     """
     try:
         check_regular(path)
@@ -66,13 +56,7 @@ def read_bytes(path: str | Path, largest: int, advice: str = "") -> bytes:
 
 
 def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> Path:
-    """Return `path` as a Path after checking its suffix.
-
-    Raises
-    ------
-    SpecError
-        If the suffix is not one of `allowed`.
-    """
+    """Return `path` as a Path after checking its suffix. Raises SpecError if the suffix is not one of `allowed`."""
     target = Path(path)
     if target.suffix.lower() not in allowed:
         names = ", ".join(allowed[:-1]) + " or " + allowed[-1]
@@ -104,22 +88,11 @@ def check_name_of_file(name: str) -> None:
 def check_output(path: Path, *, overwrite: bool, source: str | Path | None = None, suffix: str = "") -> None:
     """Check that a file may be written at `path`; the check does not change the file system.
 
-    Parameters
-    ----------
-    overwrite
-        Whether an existing regular file may be replaced. Folders, devices, pipes, sockets and symbolic links are never
-        replaced.
-    source
-        The input file, which is never replaced; None or ``-`` if the input is not a file.
-    suffix
-        Suffix of the file name that the message suggests if `path` is a folder; by default the suffix of `path`.
-
-    Raises
-    ------
-    SpecError
-        If the folder does not exist, or an existing file may not be replaced.
-    ResourceError
-        If writing into the folder is not permitted, or the existing file cannot be replaced because it is open.
+    `overwrite`: whether an existing regular file may be replaced. Folders, devices, pipes, sockets and symbolic links
+    are never replaced. `source`: the input file, which is never replaced; None or ``-`` if the input is not a file.
+    `suffix`: suffix of the file name that the message suggests if `path` is a folder; by default the suffix of `path`.
+    Raises SpecError if the folder does not exist, or an existing file may not be replaced. Raises ResourceError if
+    writing into the folder is not permitted, or the existing file cannot be replaced because it is open.
     """
     check_name_of_file(path.name)
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
@@ -177,17 +150,9 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
     The temporary file, ``.NAME-xxxxxxxx.mbdkit.SUFFIX``, is locked while it is being written. A temporary file left by
     a killed process is removed when `target` is written the next time.
 
-    Parameters
-    ----------
-    overwrite, source
-        See `check_output`.
-
-    Raises
-    ------
-    SpecError
-        If the file may not be written, or its name is not valid. An existing file then remains unchanged.
-    ResourceError
-        If writing fails for another reason, such as a full disk. An existing file then remains unchanged.
+    `overwrite`, `source`: see `check_output`. Raises SpecError if the file may not be written, or its name is not
+    valid. An existing file then remains unchanged. Raises ResourceError if writing fails for another reason, such as a
+    full disk. An existing file then remains unchanged.
     """
     check_output(target, overwrite=overwrite, source=source)
     stem = f".{target.stem[:40]}"

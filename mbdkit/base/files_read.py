@@ -61,12 +61,8 @@ def recording(files: FilesRead) -> Iterator[None]:
 def only_known(files: Sequence[FileRead] | None, *, allowed: bool) -> Iterator[None]:
     """Within a block that runs the spec of an archive, refuse all files, or those that the archive does not list.
 
-    Parameters
-    ----------
-    files
-        The files that the archive lists; None if the archive is missing, as that of a run of a study may be.
-    allowed
-        Whether the user allows that files are read.
+    `files`: the files that the archive lists; None if the archive is missing, as that of a run of a study may be.
+    `allowed`: whether the user allows that files are read.
     """
     token = _KNOWN.set(files if allowed else ())
     try:
@@ -88,13 +84,8 @@ def check_readable(path: str | Path) -> None:
 def read_data(path: str | Path, largest: int, advice: str = "") -> bytes:
     """Return the content of a file that a spec names, and record that it was read; see `mbdkit.base.files.read_bytes`.
 
-    Raises
-    ------
-    SpecError
-        If the file cannot be read as a regular file of at most `largest` bytes, or if the spec comes from an archive
-        and the file may not be read for it.
-    ResourceError
-        If the system refuses to read the file.
+    Raises SpecError if the file cannot be read as a regular file of at most `largest` bytes, or if the spec comes from
+    an archive and the file may not be read for it. Raises ResourceError if the system refuses to read the file.
     """
     check_readable(path)
     content = read_bytes(path, largest, advice)
@@ -105,16 +96,13 @@ def read_data(path: str | Path, largest: int, advice: str = "") -> bytes:
 def note_read(path: str | Path, content: bytes) -> None:
     """Record a file that was read.
 
-    Raises
-    ------
-    SpecError
-        If the spec comes from an archive, and this is not the content with which the run was made.
+    Raises SpecError if the spec comes from an archive, and this is not the content with which the run was made.
     """
     known = _KNOWN.get()
     if not _RECORDS.get() and known is None:
         return
     file = FileRead(Path(path).name, len(content), hashlib.sha256(content).hexdigest())
-    if known is not None and file.sha256 not in {one.sha256 for one in known}:
+    if known is not None and file.sha256 not in {other.sha256 for other in known}:
         raise SpecError("this file is not the one with which the run was made: its SHA-256 differs", file=path)
     for record in _RECORDS.get():
         record.add(file)
@@ -127,4 +115,4 @@ def files_json(files: Sequence[FileRead]) -> str:
 
 def read_files(text: str) -> tuple[FileRead, ...]:
     """Return files from JSON; raise ValueError or TypeError if it is damaged."""
-    return tuple(FileRead(str(one["name"]), int(one["size"]), str(one["sha256"])) for one in json.loads(text))
+    return tuple(FileRead(str(entry["name"]), int(entry["size"]), str(entry["sha256"])) for entry in json.loads(text))

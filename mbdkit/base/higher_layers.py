@@ -36,10 +36,10 @@ check_gradients: Callable[..., None]
 gradients_json: Callable[..., str]
 """Returns the gradients requested by a run spec, in the form stored in its archive."""
 
-gradient_of_run: Callable[..., Any]
+gradient_of_run: Callable[..., object]
 """Returns the derivatives of measures of a run; see `SpecKind.differentiate`."""
 
-run_errors: Callable[..., Any]
+run_errors: Callable[..., object]
 """Returns what is known of the errors of a simulated run; see `mbdkit.archive.accuracy_summary.RunErrors`."""
 
 run_summary: Callable[..., str]

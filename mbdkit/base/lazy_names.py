@@ -13,10 +13,7 @@ from typing import Any
 def import_part(module: str, wanted: str) -> ModuleType:
     """Import a module, which may be of a part of mbdkit that is not installed.
 
-    Raises
-    ------
-    MissingPartError
-        If it is not installed; `wanted` is what needs it.
+    Raises MissingPartError if it is not installed; `wanted` is what needs it.
     """
     package = module.partition(".")[0]
     try:
@@ -29,18 +26,13 @@ def import_part(module: str, wanted: str) -> ModuleType:
         raise MissingPartError(wanted, package.replace("_", "-")) from None
 
 
-def lazy(package: MutableMapping[str, Any], homes: Mapping[str, str]) -> Callable[[str], Any]:
+def lazy(package: MutableMapping[str, object], homes: Mapping[str, str]) -> Callable[[str], object]:
     """Return the ``__getattr__`` of a package.
 
-    Parameters
-    ----------
-    package
-        The ``globals()`` of the package.
-    homes
-        Module of each name.
+    `package`: the ``globals()`` of the package. `homes`: module of each name.
     """
 
-    def __getattr__(name: str) -> Any:  # noqa: N807
+    def __getattr__(name: str) -> object:  # noqa: N807
         if name not in homes:
             raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")
         home, wanted = homes[name], f"{package['__name__']}.{name}"
@@ -70,10 +62,7 @@ def door(package: MutableMapping[str, Any]) -> tuple[Callable[[str], Any], Calla
 
     Each name is thus written once, in the block ``if TYPE_CHECKING`` of the module.
 
-    Parameters
-    ----------
-    package
-        The ``globals()`` of the module.
+    `package`: the ``globals()`` of the module.
     """
     homes = homes_of(package["__file__"])
     package["__all__"] = sorted(homes)

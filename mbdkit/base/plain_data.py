@@ -94,16 +94,13 @@ def _unquoted(text: str) -> str:
     return re.sub(r"\\(.)", r"\1", text[1:-1])
 
 
-def plain(value: Any, path: Path = ()) -> Any:
+def plain(value: object, path: Path = ()) -> Any:
     """Convert `value` to plain data: dicts, lists, text, numbers, booleans and None.
 
     In the columns of a mapping with the key ``data``, NaN is a gap and becomes None.
 
-    Raises
-    ------
-    SpecError
-        If there is a number that is too large or not finite, a key that is not text, an object that a spec cannot
-        contain, or more than `DEEPEST` levels, as in a list that contains itself.
+    Raises SpecError if there is a number that is too large or not finite, a key that is not text, an object that a spec
+    cannot contain, or more than `DEEPEST` levels, as in a list that contains itself.
     """
     if len(path) > DEEPEST:
         raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
@@ -142,13 +139,11 @@ NO_FUNCTIONS = (
 )
 
 
-def copied(value: Any, path: Path = ()) -> Any:
+def copied(value: object, path: Path = ()) -> Any:
     """Return a copy of a mapping or list; mappings and lists are copied at all levels, other values are not.
 
-    Raises
-    ------
-    SpecError
-        If the value has more than `DEEPEST` levels, as a list that contains itself does, or if a key is not text.
+    Raises SpecError if the value has more than `DEEPEST` levels, as a list that contains itself does, or if a key is
+    not text.
     """
     if len(path) > DEEPEST:
         raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
@@ -199,7 +194,7 @@ def canonical(value: Any) -> Any:
         case list() | tuple():
             return [canonical(item) for item in value]
         case BaseModel():
-            parts = [(one, getattr(value, one.field)) for one in _written_fields(type(value))]
+            parts = [(field, getattr(value, field.field)) for field in _written_fields(type(value))]
             return {one.name: canonical(part) for one, part in parts if one.is_written(part)}
         case Mapping():
             return {key: canonical(item) for key, item in value.items()}
@@ -208,7 +203,7 @@ def canonical(value: Any) -> Any:
     return value
 
 
-def canonical_text(data: object) -> str:
+def canonical_text(data: Any) -> str:
     """Return plain data as the JSON that is hashed: without spaces, keys as ordered in the data, shortest numbers."""
     return _COMPACT.encode(data)
 
@@ -221,7 +216,7 @@ def json_text(data: object, indent: int | None = None) -> str:
     return json.dumps(_finite(data), indent=indent, ensure_ascii=indent is None, allow_nan=False)
 
 
-def _finite(data: Any) -> Any:
+def _finite(data: object) -> object:
     match data:
         case None | bool() | str() | int():
             return data
@@ -257,7 +252,7 @@ def value_text(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _key(key: Any, path: Path) -> str:
+def _key(key: object, path: Path) -> str:
     if not isinstance(key, str):
         raise SpecError(f"the key {value_text(key)} is not text; put it in quotes", key=path_text(path))
     return key

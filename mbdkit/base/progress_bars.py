@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Protocol
+from typing import Protocol
 
 from mbdkit.base.text import counted, shown
 
@@ -174,7 +174,7 @@ class _NotebookBar:
         display = importlib.import_module("IPython.display").display
         self._handle = display(self._content(None, ""), raw=True, display_id=True)
 
-    def _content(self, share: float | None, note: str) -> dict[str, Any]:
+    def _content(self, share: float | None, note: str) -> dict[str, object]:
         value = "" if share is None else f' value="{share:.4f}"'
         text = " ".join(filter(None, (self._what, note)))
         bar = f'<progress{value} max="1" style="width: 20em; vertical-align: middle"></progress>'

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import (
     BaseModel,
@@ -23,6 +23,9 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticKnownError
 
+if TYPE_CHECKING:
+    from pydantic.json_schema import JsonSchemaValue
+
 # For its first schema, Pydantic reads the entry points of all distributions, and fails if one of them is damaged. Later
 # schemas have no plugins of Pydantic then.
 with suppress(Exception):
@@ -34,7 +37,7 @@ text or booleans to numbers.
 """
 
 
-def _accept_lists(schema: Any, owner: type[BaseModel]) -> None:
+def _accept_lists(schema: object, owner: type[BaseModel]) -> None:
     """Let the tuples in a schema accept lists, but not those in other models than `owner`, which have their own."""
     if isinstance(schema, list):
         for part in schema:
@@ -68,7 +71,7 @@ class StrictModel(BaseModel):
     """Key after which the `further_keys` are listed if they are sections; by default, they come last."""
 
     @classmethod
-    def chosen_unit(cls, name: str, data: Mapping[str, Any]) -> str:
+    def chosen_unit(cls, name: str, data: Mapping[str, object]) -> str:
         """Return the unit of the field `name` if it depends on other keys of `data`, which need not be valid.
 
         The result is empty if the unit is always that in the description of the field.
@@ -93,7 +96,7 @@ class StrictModel(BaseModel):
         return schema
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Return the JSON schema with the docstrings of the attributes as descriptions."""
         schema = handler(core_schema)
         properties = handler.resolve_ref_schema(schema).get("properties", {})
@@ -116,14 +119,14 @@ def description(model: type[BaseModel], name: str) -> str:
 @cache
 def _docstrings(model: type[BaseModel]) -> Mapping[str, str]:
     """Return the docstrings of the attributes of a model and of its bases, by name of the attribute."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if issubclass(base, StrictModel) and (definition := _definition(base)) is not None:
             for statement, following in pairwise(definition.body):
                 match statement, following:
                     case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                        found[name] = inspect.cleandoc(text)
-    return found
+                        texts[name] = inspect.cleandoc(text)
+    return texts
 
 
 def _definition(model: type) -> ast.ClassDef | None:

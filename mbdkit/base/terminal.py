@@ -34,10 +34,7 @@ class PlainStream:
     """A text stream that escapes control characters, so that titles, names and messages from files cannot control the
     terminal.
 
-    Parameters
-    ----------
-    stream
-        The stream to write to. Progress bars need its control characters and use it directly.
+    `stream`: the stream to write to. Progress bars need its control characters and use it directly.
     """
 
     def __init__(self, stream: TextIO):
@@ -58,7 +55,7 @@ class PlainStream:
         for line in lines:
             self.write(line)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self.stream, name)
 
 
@@ -74,7 +71,7 @@ class Commands(TyperGroup):
         parsed: list[str] = super().parse_args(ctx, args)
         return parsed
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: Any) -> object:
         """Run the selected command."""
         with _results_apart() as results:
             try:
@@ -133,10 +130,7 @@ def guard(command: Any, words: tuple[str, ...]) -> None:
     """Wrap the functions of a command and its subcommands: while they run, stdout goes to stderr, and the command is
     recorded for archives.
 
-    Parameters
-    ----------
-    words
-        The names with which the command is called.
+    `words`: the names with which the command is called.
     """
     for name, subcommand in getattr(command, "commands", {}).items():
         guard(subcommand, (*words, name))
@@ -145,7 +139,7 @@ def guard(command: Any, words: tuple[str, ...]) -> None:
         return
 
     @functools.wraps(function)
-    def guarded(*arguments: Any, **options: Any) -> Any:
+    def guarded(*arguments: object, **options: object) -> object:
         with redirect_stdout(sys.stderr), executing([*words, *_files(command, options)]):
             return function(*arguments, **options)
 
@@ -184,12 +178,12 @@ def show_json(data: object, indent: int | None = None) -> None:
 def _json_error(message: str, status: int, error: BaseException | None = None) -> str:
     from mbdkit.base.plain_data import json_text
 
-    place = {}
+    location = {}
     if isinstance(error, SpecError):
-        place = {"key": error.key or None, "file": error.file, "line": error.line}
+        location = {"key": error.key or None, "file": error.file, "line": error.line}
     elif isinstance(error, ArchiveError):
-        place = {"key": None, "file": error.file, "line": None}
-    return json_text({"error": message, "exit_status": status, **place})
+        location = {"key": None, "file": error.file, "line": None}
+    return json_text({"error": message, "exit_status": status, **location})
 
 
 def open_streams() -> None:

@@ -87,21 +87,18 @@ def cited(text: object) -> str:
 def shown(text: object, *, lines: bool = False) -> str:
     r"""Return text from files with control characters, such as those of a terminal, escaped as ``\u001b``.
 
-    Parameters
-    ----------
-    lines
-        Whether line feeds and tabulators remain unescaped.
+    `lines`: whether line feeds and tabulators remain unescaped.
     """
     return _HARMFUL.sub(_kept_lines if lines else _escaped, str(text))
 
 
-def _kept_lines(found: re.Match[str]) -> str:
-    return found[0] if found[0] in "\n\t" else _escaped(found)
+def _kept_lines(match: re.Match[str]) -> str:
+    return match[0] if match[0] in "\n\t" else _escaped(match)
 
 
-def _escaped(found: re.Match[str]) -> str:
+def _escaped(match: re.Match[str]) -> str:
     """Return a character as it is escaped in JSON; all characters of `_HARMFUL` are below U+10000."""
-    return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(found[0], f"\\u{ord(found[0]):04x}")
+    return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(match[0], f"\\u{ord(match[0]):04x}")
 
 
 _MARKED = str.maketrans({char: f"\\{char}" for char in "\\`*_[]|#~$"} | {"<": "&lt;", ">": "&gt;", "&": "&amp;"})

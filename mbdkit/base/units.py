@@ -26,18 +26,11 @@ LARGEST_EXPONENT = 99
 class Unit:
     """A unit. Two units can be compared and added if their `exponents` are equal.
 
-    Parameters
-    ----------
-    text
-        The unit as it is shown, such as ``N m``.
-    exponents
-        Exponents of metre, kilogram and second. Angles are pure numbers, as in the SI.
-    factor
-        Size of the unit in SI units.
-    counts
-        Exponents of angle, cycle and percent. In the SI these are pure numbers, but `fits` distinguishes them.
-    si
-        The SI unit of the same kind, such as ``N m/rad`` for ``N mm/deg``.
+    - `text`: the unit as it is shown, such as ``N m``.
+    - `exponents`: exponents of metre, kilogram and second. Angles are pure numbers, as in the SI.
+    - `factor`: size of the unit in SI units.
+    - `counts`: exponents of angle, cycle and percent. In the SI these are pure numbers, but `fits` distinguishes them.
+    - `si`: the SI unit of the same kind, such as ``N m/rad`` for ``N mm/deg``.
     """
 
     text: str
@@ -172,40 +165,37 @@ def read_unit(text: str) -> Unit:
     """Parse the text of a unit: symbols with powers in halves such as m^1.5, multiplied by blanks or ``*``, divided
     by ``/``.
 
-    Raises
-    ------
-    SpecError
-        If the text is not a unit.
+    Raises SpecError if the text is not a unit.
     """
     exponents, factor, counts, si = list(_NONE), 1.0, list(_NONE), ""
-    sign, place, written = 1, 0, _RPM.sub(_in_revolutions, text.strip())
+    sign, position, written = 1, 0, _RPM.sub(_in_revolutions, text.strip())
     if not written:
         raise SpecError("should be a unit such as N, N m, mm or deg, not an empty text")
-    while place < len(written):
-        found = _PART.match(written, place)
-        if found is None:
+    while position < len(written):
+        match = _PART.match(written, position)
+        if match is None:
             raise SpecError(f"'{_short(text)}' is not a unit; units are written such as N m, m/s^2, mm or deg")
-        symbol, power = found[1], sign * Fraction(found[2] or 1)
+        symbol, power = match[1], sign * Fraction(match[2] or 1)
         if symbol not in _SYMBOLS:
             apart = (f" (did you mean '{symbol[:i]} {symbol[i:]}'?)" for i in range(1, len(symbol))
                      if symbol[0] == "N" and symbol[:i] in _SYMBOLS and symbol[i:] in _SYMBOLS)  # fmt: skip
             hint = next(apart, "") or did_you_mean(symbol, known := [*_SYMBOLS, "rpm"]) or f"; known: {listed(known)}"
             raise SpecError(f"'{_short(symbol)}' is not a known unit{hint}")
         of_symbol, size = _SYMBOLS[symbol]
-        exponents = [total + power * one for total, one in zip(exponents, of_symbol, strict=True)]
+        exponents = [total + power * exponent for total, exponent in zip(exponents, of_symbol, strict=True)]
         if any(abs(total) > LARGEST_EXPONENT for total in exponents):
             raise SpecError(f"'{_short(text)}' has an exponent larger than {LARGEST_EXPONENT}")
         factor *= float(size**power)
-        counts = [total + power * one for total, one in zip(counts, _COUNTS.get(symbol, (0, 0, 0)), strict=True)]
+        counts = [total + power * count for total, count in zip(counts, _COUNTS.get(symbol, (0, 0, 0)), strict=True)]
         plain = symbol[1:] if len(symbol) > 1 and symbol[1:] in _SYMBOLS else symbol
-        si += _SI.get(symbol, plain) + written[found.end(1) : found.end()]
-        between = re.compile(r"\s*([*/])\s*|\s+|$").match(written, found.end())
+        si += _SI.get(symbol, plain) + written[match.end(1) : match.end()]
+        between = re.compile(r"\s*([*/])\s*|\s+|$").match(written, match.end())
         if between is None or (between.end() == len(written) and between[1]):
             raise SpecError(f"'{_short(text)}' is not a unit; units are written such as N m, m/s^2, mm or deg")
-        si += written[found.end() : between.end()]
+        si += written[match.end() : between.end()]
         sign = -1 if between[1] == "/" else 1
-        place = between.end()
-        if place == found.end():
+        position = between.end()
+        if position == match.end():
             break
     return Unit(
         " ".join(text.split()),
@@ -216,28 +206,21 @@ def read_unit(text: str) -> Unit:
     )
 
 
-def _in_revolutions(found: re.Match[str]) -> str:
+def _in_revolutions(match: re.Match[str]) -> str:
     """Return the text of a power of rpm in terms of rev/min; the match includes a preceding ``/``."""
-    slash, power = found[1] or "", found[2] or ""
+    slash, power = match[1] or "", match[2] or ""
     return f"{slash}rev{power}{'*' if slash else '/'}min{power}"
 
 
 def read_quantity(text: object, names: Container[str] = ()) -> tuple[float, Unit] | None:
     """Return the number in SI units and the unit of a text such as ``2 N/mm``; None if it is not a number with a unit.
 
-    Parameters
-    ----------
-    names
-        Names that may occur in expressions. A text with such a name in place of a unit is not a number with a unit.
-
-    Raises
-    ------
-    SpecError
-        If the unit is not known, or not separated from the number.
+    `names`: names that may occur in expressions. A text with such a name in place of a unit is not a number with a
+    unit. Raises SpecError if the unit is not known, or not separated from the number.
     """
-    if not isinstance(text, str) or len(text) > _LONGEST or (found := _QUANTITY.fullmatch(text)) is None:
+    if not isinstance(text, str) or len(text) > _LONGEST or (match := _QUANTITY.fullmatch(text)) is None:
         return None
-    number, space, written = found.groups()
+    number, space, written = match.groups()
     try:
         unit = read_unit(written)
     except SpecError as error:

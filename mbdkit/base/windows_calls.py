@@ -112,15 +112,8 @@ def _opened(path: str, access: int, disposition: int) -> int:
 def open_file(path: str | os.PathLike[str], flags: int) -> int:
     """Open a file as `os.open` does, such that it may be renamed and removed while it is open.
 
-    Parameters
-    ----------
-    flags
-        ``os.O_RDONLY`` or ``os.O_RDWR``, with ``os.O_CREAT`` or both ``os.O_CREAT`` and ``os.O_EXCL`` to create it.
-
-    Returns
-    -------
-    int
-        A file descriptor, for bytes. It is not inherited by child processes.
+    `flags`: ``os.O_RDONLY`` or ``os.O_RDWR``, with ``os.O_CREAT`` or both ``os.O_CREAT`` and ``os.O_EXCL`` to create
+    it. Returns a file descriptor, for bytes. It is not inherited by child processes.
     """
     access = _GENERIC_READ | (_GENERIC_WRITE if flags & os.O_RDWR else 0)
     disposition = _OPEN_EXISTING if not flags & os.O_CREAT else _CREATE_NEW if flags & os.O_EXCL else _OPEN_ALWAYS

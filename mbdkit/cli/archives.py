@@ -52,12 +52,16 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
     from mbdkit.archive.reader import load
 
     with load(first) as one, load(second) as two:
-        found = compare(one, two)
+        comparison = compare(one, two)
     if as_json:
-        told = {"same_data": found.same_data, "same_spec": found.same_spec, "differences": found.differences}
-        more = {"falsified": found.falsified, "versions": found.versions}
-        show_json({**told, **more})
+        values = {
+            "same_data": comparison.same_data,
+            "same_spec": comparison.same_spec,
+            "differences": comparison.differences,
+        }
+        more = {"falsified": comparison.falsified, "versions": comparison.versions}
+        show_json({**values, **more})
     else:
-        show(found)
-    if not found.same_data or found.falsified:
+        show(comparison)
+    if not comparison.same_data or comparison.falsified:
         raise typer.Exit(terminal.DIFFERS)

@@ -69,7 +69,9 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command for which each field of a dataclass parameter is a separate option."""
     signature = inspect.signature(command, eval_str=True)
     groups: dict[str, Any] = {
-        name: one.annotation for name, one in signature.parameters.items() if is_dataclass(one.annotation)
+        name: parameter.annotation
+        for name, parameter in signature.parameters.items()
+        if is_dataclass(parameter.annotation)
     }
     parameters: list[inspect.Parameter] = []
     for name, one in signature.parameters.items():
@@ -83,7 +85,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
             parameters.append(one)
 
     @wraps(command)
-    def called(**given: Any) -> None:
+    def called(**given: object) -> None:
         for name, group in groups.items():
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         command(**given)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -25,10 +25,10 @@ def tell(result: Run, printing: Printing) -> None:
             show_json(_outcome(result))
         elif not printing.quiet:
             show(result.summary())
-        told = not (printing.as_json or printing.quiet)
-        if not told and result.status == "complete" and result.verdict in ("doubtful", "bad"):
+        verbose = not (printing.as_json or printing.quiet)
+        if not verbose and result.status == "complete" and result.verdict in ("doubtful", "bad"):
             say(f"verdict {result.verdict}: {' '.join(result.verdict_reasons)}")
-        exit_with(result, told=told)
+        exit_with(result, told=verbose)
 
 
 def exit_with(result: Run, *, told: bool = False) -> None:
@@ -49,7 +49,7 @@ def exit_with(result: Run, *, told: bool = False) -> None:
     raise typer.Exit(terminal.PLUGIN_FAILED if failed_plugin else terminal.STOPPED_EARLY)
 
 
-def _measures(result: Run) -> dict[str, Any]:
+def _measures(result: Run) -> dict[str, object]:
     return {name: measure["value"] for name, measure in result.measures.to_dict().items()}
 
 
@@ -57,7 +57,7 @@ def _errors(result: Run) -> dict[str, float]:
     return {name: error for name, error in result.measure_errors.items() if math.isfinite(error)}
 
 
-def _outcome(result: Run) -> dict[str, Any]:
+def _outcome(result: Run) -> dict[str, object]:
     return {
         "path": None if result.path is None else str(result.path),
         "status": result.status,
@@ -76,7 +76,7 @@ def _outcome(result: Run) -> dict[str, Any]:
     }
 
 
-def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
+def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, object]:
     """Return the estimated errors in numbers; None where they are unknown."""
     import numpy as np  # importing NumPy, like SciPy, would delay --help
 
@@ -104,7 +104,7 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
     }
 
 
-def _asked(accuracy: Accuracy) -> dict[str, Any]:
+def _asked(accuracy: Accuracy) -> dict[str, object]:
     """Return the requested accuracy, the accuracy reached (None if unknown), and the choice of method and step."""
     return {
         "asked": accuracy.asked,

@@ -31,11 +31,11 @@ class RegisteredCommands(TyperGroup):
         super().__init__(**attributes)
         self.imported: dict[str, Any] = {}
 
-    def list_commands(self, ctx: Any) -> list[str]:
+    def list_commands(self, ctx: object) -> list[str]:
         """Return the names of the commands; where distributions clash, ``distribution:name``."""
         return list(self._listed())
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+    def get_command(self, ctx: object, cmd_name: str) -> Any:
         """Import and return a command; raise SpecError if several distributions use the name."""
         if cmd_name in self.imported:
             return self.imported[cmd_name]

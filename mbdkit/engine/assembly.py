@@ -38,18 +38,14 @@ velocity times the largest lever arm."""
 class AssembledState:
     """An initial state that satisfies the constraints.
 
-    Attributes
-    ----------
-    q, v
-        (B, 3) positions (x, y, theta) and velocities [m, rad, m/s, rad/s].
-    changed
-        Whether any value changed; if not, `q` and `v` are bitwise equal to the given values.
-    moved_position, moved_angle
-        Displacement of each body's centre of mass [m] and rotation of each body [rad], as absolute values.
-    changed_velocity, changed_rate
-        Change of each body's velocity [m/s] and angular velocity [rad/s], as absolute values.
-    residual, velocity_residual
-        Largest remaining |Phi| [m, rad] and |Phi_q v + Phi_t| [m/s, rad/s] of the constraints Phi(q, t) = 0.
+    - `q`, `v`: (B, 3) positions (x, y, theta) and velocities [m, rad, m/s, rad/s].
+    - `changed`: whether any value changed; if not, `q` and `v` are bitwise equal to the given values.
+    - `moved_position`, `moved_angle`: displacement of each body's centre of mass [m] and rotation of each body [rad],
+      as absolute values.
+    - `changed_velocity`, `changed_rate`: change of each body's velocity [m/s] and angular velocity [rad/s], as absolute
+      values.
+    - `residual`, `velocity_residual`: largest remaining |Phi| [m, rad] and |Phi_q v + Phi_t| [m/s, rad/s] of the
+      constraints Phi(q, t) = 0.
     """
 
     q: np.ndarray
@@ -77,8 +73,8 @@ class AssembledState:
             if most:
                 more = f" and {len(most) - 3} more" if len(most) > 3 else ""
                 parts.append(", ".join(f"{name} {moved[name]:.3g} {unit}" for name in most[:3]) + more)
-        told = "; ".join(parts) or "none above 1e-9"
-        return f"The start was made consistent; changes: {told}."
+        changes = "; ".join(parts) or "none above 1e-9"
+        return f"The start was made consistent; changes: {changes}."
 
 
 def search_for(mechanism: Mechanism, compiled: CompiledMechanism, t0: float) -> LeastChange:
@@ -100,27 +96,11 @@ def assemble(
     subject to Phi_q v + Phi_t = 0, a linear problem. Bodies named in ``assembly.fix`` keep their position and velocity.
     Positions and velocities whose residuals are within the tolerance are not changed, not even in the last bit.
 
-    Parameters
-    ----------
-    mechanism
-        Validated mechanism. Its initial values may be approximate.
-    t0
-        Start time [s].
-    compiled
-        The compiled mechanism, if it is available already.
-    search
-        The result of `search_for`, if it is available already.
-
-    Returns
-    -------
-    AssembledState
-        The consistent initial state and the changes that were made.
-
-    Raises
-    ------
-    SpecError
-        If a driver, a load or a moving center is not finite at the start, or if the constraints cannot be satisfied.
-        In the latter case, the message names the joints with the largest remaining residuals.
+    `mechanism`: validated mechanism. Its initial values may be approximate. `t0`: start time [s]. `compiled`: the
+    compiled mechanism, if it is available already. `search`: the result of `search_for`, if it is available already.
+    Returns the consistent initial state and the changes that were made. Raises SpecError if a driver, a load or a
+    moving center is not finite at the start, or if the constraints cannot be satisfied. In the latter case, the message
+    names the joints with the largest remaining residuals.
     """
     compiled = compiled or compile_mechanism(mechanism)
     return _Assembly(mechanism, search or search_for(mechanism, compiled, t0)).run()

@@ -56,11 +56,6 @@ class Lowering:
     """Collects the force elements on pathways, loads and first-order states of a mechanism in flat lists.
 
     Kinds of elements of plugins add theirs with `force`, `state`, `wrench`, `law`, `pair` and `expression`.
-
-    Attributes
-    ----------
-    mechanism
-        The mechanism.
     """
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: CompiledMotions):
@@ -162,12 +157,8 @@ class Lowering:
     def force(self, kind: str, key: str, name: str, force: LawForce) -> ActingForce:
         """Add a force element with a law along a pathway, and its states.
 
-        Parameters
-        ----------
-        kind, key
-            Word for the kind of element, and its key in the model.
-        name, force
-            Name of the element, and the force element.
+        `kind`, `key`: word for the kind of element, and its key in the model. `name`, `force`: name of the element, and
+        the force element.
         """
         acting = ActingForce(kind, name, force, len(self.elements), len(self.states))
         self._add_law(name, force, key)
@@ -185,11 +176,11 @@ class Lowering:
         names = [parameter for parameter, _ in compiled.parameters]
         for number, state in enumerate(law.states, len(self.laws) + 1):
             self.states.append(ElementState(f"{name}.{state.name}", state.unit))
-            place = begin + 1 + names.index(state.name)
-            self.state_places.append(rows.StateUse(len(self.state_rows), place))
-            self.state_rows.append(rows.StateRow(segment, place, number))
-        for one in (compiled, *rates):
-            self._add_law_row(name, one, begin)
+            index = begin + 1 + names.index(state.name)
+            self.state_places.append(rows.StateUse(len(self.state_rows), index))
+            self.state_rows.append(rows.StateRow(segment, index, number))
+        for part in (compiled, *rates):
+            self._add_law_row(name, part, begin)
         self.law_parameters += block
 
     def _add_friction(self, number: int, friction: FrictionForce | FollowingForce) -> None:
@@ -212,16 +203,8 @@ class Lowering:
     def pair(self, name: str, bodies: tuple[int, int], laws: Sequence[CompiledLaw], numbers: Sequence[float]) -> int:
         """Add a force between two bodies that depends on their poses and velocities; return the index of its law.
 
-        Parameters
-        ----------
-        name
-            Name in messages.
-        bodies
-            Indices of the bodies.
-        laws
-            The law of the forces and the law of their slopes.
-        numbers
-            Parameters of the laws, preceded by their number.
+        `name`: name in messages. `bodies`: indices of the bodies. `laws`: the law of the forces and the law of their
+        slopes. `numbers`: parameters of the laws, preceded by their number.
         """
         begin, first = len(self.law_parameters), len(self.laws)
         self.pairs.append(rows.InteractionRow(*bodies, first))
@@ -253,17 +236,11 @@ class Lowering:
     def wrench(self, name: str, body: int, laws: Sequence[int]) -> None:
         """Add a force at the centre of mass of a body, and a torque if there is a third law.
 
-        Parameters
-        ----------
-        name
-            Name of the load in messages.
-        body
-            Index of the body.
-        laws
-            Indices of the laws of the components x and y, and of the torque.
+        `name`: name of the load in messages. `body`: index of the body. `laws`: indices of the laws of the components x
+        and y, and of the torque.
         """
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
-            motions = [self.motions.add(f'loads["{name}"].{len(self.loads)}.{one}') for one in components]
+            motions = [self.motions.add(f'loads["{name}"].{len(self.loads)}.{component}') for component in components]
             self.load_places.append(len(self.elements))
             self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
             self.load_values += [
@@ -280,13 +257,18 @@ class Lowering:
         These are values of loads, expressions of further kinds of elements, rates of the first-order states that the
         mechanism defines, and outputs and states of sampled controllers.
         """
-        held = [(name, value, 0.0) for name, one in mechanism.controllers.items() for value in one.outputs]
+        held = [
+            (name, value, 0.0) for name, controller in mechanism.controllers.items() for value in controller.outputs
+        ]
         held += [
             (name, value, state.initial)
-            for name, one in mechanism.controllers.items()
-            for value, state in one.states.items()
+            for name, controller in mechanism.controllers.items()
+            for value, state in controller.states.items()
         ]
-        names = [one.name for one in self.states] + [*mechanism.states, *(f"{name}.{value}" for name, value, _ in held)]
+        names = [state.name for state in self.states] + [
+            *mechanism.states,
+            *(f"{name}.{value}" for name, value, _ in held),
+        ]
         places = {name: i for i, name in enumerate(names)}
         numbering = self.numbering = Numbering(mechanism, self.bodies, self.first_segments, places)
         loads = [name for name, force in mechanism.forces.items() if isinstance(force, Torque | PointForce)]
@@ -322,21 +304,14 @@ class Lowering:
     def state(self, name: str, unit: str, initial: float, law: int = -1, *, by_method: bool = False) -> int:
         """Add a first-order state, and return its index.
 
-        Parameters
-        ----------
-        name, unit
-            Name, such as ``element.state``, and unit.
-        initial
-            Initial value.
-        law
-            Index of the law of its rate, see `expression`; -1 for a state that is constant during each step.
-        by_method
-            Whether the method of the run sets its values.
+        `name`, `unit`: name, such as ``element.state``, and unit. `initial`: initial value. `law`: index of the law of
+        its rate, see `expression`; -1 for a state that is constant during each step. `by_method`: whether the method of
+        the run sets its values.
         """
-        place = len(self.law_parameters) + 1
+        index = len(self.law_parameters) + 1
         self.law_parameters += [1.0, initial]
-        self.state_places.append(rows.StateUse(len(self.states), place))
-        self.state_rows.append(rows.StateRow(-1, place, law))
+        self.state_places.append(rows.StateUse(len(self.states), index))
+        self.state_rows.append(rows.StateRow(-1, index, law))
         self.states.append(ElementState(name, unit, by_method))
         return len(self.states) - 1
 
@@ -354,12 +329,8 @@ class Lowering:
     def expression(self, key: str, name: str, text: str) -> int:
         """Add an expression of the state as a law, and return its index; only in an `expression_lowering`.
 
-        Parameters
-        ----------
-        key, name
-            Key path of the expression in a spec, and name of its element, for messages.
-        text
-            The expression.
+        `key`, `name`: key path of the expression in a spec, and name of its element, for messages. `text`: the
+        expression.
         """
         return self._add_expression(key, name, text)[0]
 
@@ -400,10 +371,7 @@ class Lowering:
 def lowering(elements: Never, lowering: Lowering, forces: tuple[ActingForce, ...], /) -> object:
     """Add forces and states of elements, given by name, whose force elements along pathways have been added.
 
-    Returns
-    -------
-    object
-        The handle of the elements: what `CompiledMechanism.extensions` holds under their key.
+    Returns the handle of the elements: what `CompiledMechanism.extensions` holds under their key.
     """
     raise NotImplementedError
 

@@ -6,7 +6,7 @@ import marshal
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Never
+from typing import Never
 
 import numpy as np
 
@@ -56,15 +56,8 @@ MOST_DISTANCES = 1 << 16
 def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     """Compile a validated mechanism to flat arrays.
 
-    Parameters
-    ----------
-    mechanism
-        Bodies, joints and forces by name.
-
-    Returns
-    -------
-    CompiledMechanism
-        The flat arrays. Pairs of constraint rows are numbered in order of elimination.
+    `mechanism`: bodies, joints and forces by name. Returns the flat arrays. Pairs of constraint rows are numbered in
+    order of elimination.
     """
     bodies = tuple(mechanism.bodies)
     number = {name: i for i, name in enumerate(bodies)}
@@ -158,7 +151,9 @@ def recorded_members(handle: Never, /) -> Iterable[tuple[str, tuple[str, ...]]]:
     raise NotImplementedError
 
 
-def _members(mechanism: Mechanism, extensions: Mapping[str, Any]) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
+def _members(
+    mechanism: Mechanism, extensions: Mapping[str, object]
+) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
     members, kinds = {}, element_kinds()
     for key, handle in extensions.items():
         own = kinds[key].acts.members

@@ -63,16 +63,9 @@ class ForceElement:
 class ActingForce:
     """A compiled force element with a law along a pathway.
 
-    Attributes
-    ----------
-    kind, name
-        Word for the kind of element, such as ``force``, and name of the element.
-    force
-        The element.
-    place
-        Index among all force elements, along the second axis of `mbdkit.plugin.Observed.forces`.
-    state
-        Index of its first state among the first-order states.
+    `kind`, `name`: word for the kind of element, such as ``force``, and name of the element. `force`: the element.
+    `place`: index among all force elements, along the second axis of `mbdkit.plugin.Observed.forces`. `state`: index of
+    its first state among the first-order states.
     """
 
     kind: str
@@ -86,12 +79,8 @@ class ActingForce:
 class ElementState:
     """A first-order state of a force element or of the mechanism.
 
-    Attributes
-    ----------
-    name, unit
-        Name, such as ``element.state``, and unit.
-    by_method
-        Whether the method of the run itself sets its value, such as those of reactions of a plugin's elements.
+    `name`, `unit`: name, such as ``element.state``, and unit. `by_method`: whether the method of the run itself sets
+    its value, such as those of reactions of a plugin's elements.
     """
 
     name: str
@@ -103,17 +92,9 @@ class ElementState:
 class SampledController:
     """A sampled controller.
 
-    Attributes
-    ----------
-    name
-        Its name.
-    period
-        Time between two samples [s].
-    delay
-        Time from a sample until its outputs apply [s].
-    outputs, states
-        For each output and each state, its index among the first-order states, and the row of ``topology.laws`` that
-        computes its value at a sample.
+    `period`: time between two samples [s]. `delay`: time from a sample until its outputs apply [s]. `outputs`,
+    `states`: for each output and each state, its index among the first-order states, and the row of ``topology.laws``
+    that computes its value at a sample.
     """
 
     name: str
@@ -127,14 +108,9 @@ class SampledController:
 class Redundancy:
     """Redundant constraints of a mechanism; none by default.
 
-    Attributes
-    ----------
-    rows
-        Number of redundant constraint rows. They are excluded from the equations that are solved.
-    joints
-        Joints that the redundant rows belong to, drivers included, in the order of the mechanism.
-    not_unique
-        Joints whose reactions are not uniquely determined by the motion.
+    `rows`: number of redundant constraint rows. They are excluded from the equations that are solved. `joints`: joints
+    that the redundant rows belong to, drivers included, in the order of the mechanism. `not_unique`: joints whose
+    reactions are not uniquely determined by the motion.
     """
 
     rows: int = 0
@@ -157,65 +133,38 @@ class Redundancy:
 class CompiledMechanism:
     """A mechanism in the form used by the kernels. It is immutable and can be shared by any number of runs.
 
-    Attributes
-    ----------
-    topology
-        Flat arrays for the kernels.
-    bodies, joints
-        Names, in the order of the mechanism.
-    joint_bodies
-        (J,) names of the first and the second body of each joint.
-    rows
-        Constraint rows in the order of the mechanism's joints, redundant ones included.
-    joint_pairs
-        (J,) numbers of the pairs of rows of each joint.
-    joint_units
-        (J,) unit of the coordinate of each joint, m for a travel and rad for an angle.
-    forces
-        Force elements and loads, in the order of the mechanism.
-    acting
-        All force elements with laws along pathways, except friction. Kernels number those of further kinds after the
-        force elements and loads.
-    friction
-        Indices of the joints with friction.
-    first_friction
-        Index of the first friction force among all force elements.
-    following
-        Side forces of joints, which follow their reactions; their force elements come after those of friction.
-    extensions
-        What further kinds of elements need in runs, by their key in the model; see `mbdkit.plugin.ElementKind`.
-    beams
-        Name and number of elements of each beam.
-    markers
-        Name and body of each marker.
-    drivers
-        Names of the joints that are drivers.
-    coordinates
-        Number of coordinates: 3 for each body, 2 for each point mass, whose angle is not counted.
-    length
-        Characteristic length [m]; see `mbdkit.engine.compile_mechanism.characteristic_length`.
-    motions
-        Each motion as given in the model: a number, an expression or a table.
-    laws
-        Name of the element and compiled law, in the order of ``topology.laws``: for each force element with a law, this
-        law and those of the rates of its states; and laws of forces between two bodies and of expressions of the state.
-        Linear springs have no law.
-    order, below
-        Order of elimination of the pairs, and the resulting fill, as returned by `sparse_order`.
-    well_scaled
-        Whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
-    redundancy
-        Constraints that are excluded because the other constraints imply them.
-    states
-        First-order states of elements and of the mechanism, and values that are constant during a step: those that
-        the method sets, and outputs and states of sampled controllers.
-    controllers
-        Sampled controllers.
-    members
-        Names and bodies of the elements, for each kind that has no attribute above; an element may have several
-        entries.
-    treatments
-        Treatments of elements in a run.
+    - `topology`: flat arrays for the kernels.
+    - `bodies`, `joints`: names, in the order of the mechanism.
+    - `joint_bodies`: (J,) names of the first and the second body of each joint.
+    - `rows`: constraint rows in the order of the mechanism's joints, redundant ones included.
+    - `joint_pairs`: (J,) numbers of the pairs of rows of each joint.
+    - `joint_units`: (J,) unit of the coordinate of each joint, m for a travel and rad for an angle.
+    - `forces`: force elements and loads, in the order of the mechanism.
+    - `acting`: all force elements with laws along pathways, except friction. Kernels number those of further kinds
+      after the force elements and loads.
+    - `friction`: indices of the joints with friction.
+    - `first_friction`: index of the first friction force among all force elements.
+    - `following`: side forces of joints, which follow their reactions; their force elements come after those of
+      friction.
+    - `extensions`: what further kinds of elements need in runs, by their key in the model; see
+      `mbdkit.plugin.ElementKind`.
+    - `beams`: name and number of elements of each beam.
+    - `markers`: name and body of each marker.
+    - `drivers`: names of the joints that are drivers.
+    - `coordinates`: number of coordinates: 3 for each body, 2 for each point mass, whose angle is not counted.
+    - `length`: characteristic length [m]; see `mbdkit.engine.compile_mechanism.characteristic_length`.
+    - `motions`: each motion as given in the model: a number, an expression or a table.
+    - `laws`: name of the element and compiled law, in the order of ``topology.laws``: for each force element with a
+      law, this law and those of the rates of its states; and laws of forces between two bodies and of expressions of
+      the state. Linear springs have no law.
+    - `order`, `below`: order of elimination of the pairs, and the resulting fill, as returned by `sparse_order`.
+    - `well_scaled`: whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
+    - `redundancy`: constraints that are excluded because the other constraints imply them.
+    - `states`: first-order states of elements and of the mechanism, and values that are constant during a step: those
+      that the method sets, and outputs and states of sampled controllers.
+    - `members`: names and bodies of the elements, for each kind that has no attribute above; an element may have
+      several entries.
+    - `treatments`: treatments of elements in a run.
     """
 
     topology: Topology
@@ -271,7 +220,7 @@ class CompiledMechanism:
         """The treatment of elements whose reactions the steps of a run determine; None if there are none."""
         return reacting_among(self.treatments)
 
-    def kinds(self) -> list[tuple[Any, ElementKind]]:
+    def kinds(self) -> list[tuple[object, ElementKind]]:
         """Return the objects of `extensions`, each with its kind of elements."""
         return [(handle, element_kinds()[key]) for key, handle in self.extensions.items()]
 

@@ -56,32 +56,14 @@ def workspace_at_start(
 ) -> tuple[Workspace, AssembledState]:
     """Compile a mechanism, assemble its initial state and determine its independent constraint rows.
 
-    Parameters
-    ----------
-    mechanism
-        The validated mechanism.
-    t0, end
-        Start and end of the run [s]; `end` defaults to `t0`. If there are drivers, redundancy is analysed at the start
-        and at times of the run.
-    formulation, stabilization
-        Formulation of the equations of motion, and their stabilization.
-    starts
-        Cache of compiled mechanisms, if given.
-
-    Returns
-    -------
-    Workspace
-        The compiled mechanism at its initial state, with its own working arrays.
-    AssembledState
-        The initial state, and the changes made by assembly.
-
-    Raises
-    ------
-    SpecError
-        If, at the start, the constraints cannot be satisfied, a driver, load or moving center is not finite, the table
-        of a moving center does not cover the angle, the two ends of a spring coincide, an element does not allow the
-        positions, redundant joints are inconsistent or make the friction of a joint undetermined, the position is
-        singular, or numbers are too large or too small for double precision.
+    `mechanism`: the validated mechanism. `t0`, `end`: start and end of the run [s]; `end` defaults to `t0`. If there
+    are drivers, redundancy is analysed at the start and at times of the run. `formulation`, `stabilization`:
+    formulation of the equations of motion, and their stabilization. `starts`: cache of compiled mechanisms, if given.
+    Returns the compiled mechanism at its initial state, with its own working arrays, and the initial state with the
+    changes made by assembly. Raises SpecError if, at the start, the constraints cannot be satisfied, a driver, load or
+    moving center is not finite, the table of a moving center does not cover the angle, the two ends of a spring
+    coincide, an element does not allow the positions, redundant joints are inconsistent or make the friction of a joint
+    undetermined, the position is singular, or numbers are too large or too small for double precision.
     """
     start = (starts or Starts()).at_start(mechanism, t0, end)
     workspace = Workspace(start.mechanism, t0, start.q0, start.v0, formulation=formulation, stabilization=stabilization)
@@ -92,12 +74,8 @@ def workspace_at_start(
 class MechanismAtStart:
     """A compiled mechanism with independent constraint rows, and its consistent initial state.
 
-    Attributes
-    ----------
-    q0, v0
-        (3 (B + 1),) positions and velocities, ground last.
-    assembled
-        The same state, with the changes made by assembly.
+    `q0`, `v0`: (3 (B + 1),) positions and velocities, ground last. `assembled`: the same state, with the changes made
+    by assembly.
     """
 
     mechanism: CompiledMechanism
@@ -111,10 +89,7 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
 
     Parameters and errors are those of `workspace_at_start`.
 
-    Returns
-    -------
-    MechanismAtStart
-        The mechanism and its start, without working arrays.
+    Returns the mechanism and its start, without working arrays.
     """
     return Starts().at_start(mechanism, t0, end)
 
@@ -145,10 +120,7 @@ MOST_MECHANISMS = 8
 class CompiledForStarts:
     """A compiled mechanism with the solver of assembly, shared by mechanisms that differ only in their initial state.
 
-    Attributes
-    ----------
-    has_loops
-        Whether constraint rows may be redundant.
+    `has_loops`: whether constraint rows may be redundant.
     """
 
     mechanism: CompiledMechanism
@@ -203,13 +175,13 @@ class Starts:
         """Return a mechanism compiled for a start at time `t0` [s]; raise the errors of `mechanism_at_start`."""
         content = compiled_content(mechanism)
         key = content, t0
-        found = None if content is None else self._compiled.pop(key, None)
-        if found is None:
+        compiled = None if content is None else self._compiled.pop(key, None)
+        if compiled is None:
             with within_double_precision():
-                found = CompiledForStarts.of(mechanism, t0)
+                compiled = CompiledForStarts.of(mechanism, t0)
         if content is None:
-            return found
-        self._compiled[key] = found
+            return compiled
+        self._compiled[key] = compiled
         if len(self._compiled) > MOST_MECHANISMS:
             self._compiled.pop(next(iter(self._compiled)))
-        return found
+        return compiled

@@ -60,19 +60,9 @@ def neighbours(pairs: Sequence[tuple[int, int]], ground: int) -> list[set[int]]:
 def minimum_degree(adjacent: Sequence[set[int]], rank: Sequence[int] | None = None) -> tuple[list[int], list[set[int]]]:
     """Order the nodes of a graph by minimum degree.
 
-    Parameters
-    ----------
-    adjacent
-        For each node, the adjacent nodes.
-    rank
-        Nodes of lower rank are eliminated before all nodes of higher rank; by default, all have the same rank.
-
-    Returns
-    -------
-    order : list of int
-        Nodes in order of elimination.
-    below : list of set
-        For each node, the adjacent nodes at the time of its elimination: the rows of its column in the factor.
+    `adjacent`: for each node, the adjacent nodes. `rank`: nodes of lower rank are eliminated before all nodes of higher
+    rank; by default, all have the same rank. Returns nodes in order of elimination, and for each node, the adjacent
+    nodes at the time of its elimination: the rows of its column in the factor.
     """
     graph = [set(others) for others in adjacent]
     rank = rank or [0] * len(graph)
@@ -101,17 +91,11 @@ def schur_schedule(
 ) -> Schur:
     """Allocate the block LDL^T decomposition and precompute its sequence of operations.
 
-    Parameters
-    ----------
-    pairs
-        First and second body of each pair of rows, already numbered in elimination order.
-    ground
-        Number of the ground body.
-    order, below
-        Result of `sparse_order`, in the numbering before reordering.
+    `pairs`: first and second body of each pair of rows, already numbered in elimination order. `ground`: number of the
+    ground body. `order`, `below`: result of `sparse_order`, in the numbering before reordering.
     """
-    place = {node: k for k, node in enumerate(order)}
-    columns = [sorted(place[other] for other in below[node]) for node in order]
+    position = {node: k for k, node in enumerate(order)}
+    columns = [sorted(position[other] for other in below[node]) for node in order]
     start = np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64)
     block = {(i, k): int(start[k]) + e for k, rows in enumerate(columns) for e, i in enumerate(rows)}
     update = [block[i, j] for rows in columns for e, i in enumerate(rows) for j in rows[:e]]
@@ -163,27 +147,15 @@ def pivot_order(
 
     The equilibrated matrix is factorized with each of `PIVOT_STRATEGIES`; the sparsest accurate factors are used.
 
-    Parameters
-    ----------
-    n
-        Number of unknowns.
-    row, column, values
-        (nnz,) row, column and value of each entry.
-    natural
-        (n,) order of the unknowns that causes little fill if the diagonal pivots in this order are acceptable.
-    scales
-        Symmetric scalings (n,), each a starting point of the equilibration. The first one that gives a well-conditioned
-        matrix is used, otherwise the best one. Small inertias require a different scaling than small masses.
+    - `n`: number of unknowns.
+    - `row`, `column`, `values`: (nnz,) row, column and value of each entry.
+    - `natural`: (n,) order of the unknowns that causes little fill if the diagonal pivots in this order are acceptable.
+    - `scales`: symmetric scalings (n,), each a starting point of the equilibration. The first one that gives a
+      well-conditioned matrix is used, otherwise the best one. Small inertias require a different scaling than small
+      masses.
 
-    Returns
-    -------
-    PivotChoice
-        Row and column at each pivot position, and the scaling.
-
-    Raises
-    ------
-    SingularSystemError
-        If the matrix is singular or its condition number is not below `WORST_CONDITION`.
+    Returns row and column at each pivot position, and the scaling. Raises SingularSystemError if the matrix is singular
+    or its condition number is not below `WORST_CONDITION`.
     """
     place = np.empty(n, dtype=np.int64)
     place[natural] = np.arange(n)
@@ -266,10 +238,7 @@ def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) 
 
     The factors are powers of two, so that scaling does not cause rounding errors.
 
-    Raises
-    ------
-    SingularSystemError
-        If a row or column is empty or an entry is not finite.
+    Raises SingularSystemError if a row or column is empty or an entry is not finite.
     """
     if not np.all(np.isfinite(sizes)):
         raise SingularSystemError
@@ -296,12 +265,7 @@ def power_of_two(x: np.ndarray) -> np.ndarray:
 def symbolic_lu(n: int, row: np.ndarray, column: np.ndarray, choice: PivotChoice) -> tuple[Pattern, np.ndarray]:
     """Compute the sparsity pattern of the factors for a fixed pivot sequence.
 
-    Returns
-    -------
-    Pattern
-        Patterns of A and of its factors in pivot order.
-    position : (nnz,) int array
-        Index of each given entry among the values of A.
+    Returns patterns of A and of its factors in pivot order, and index of each given entry among the values of A.
     """
     row_of, column_of, row_scale, column_scale = choice
     row_place, column_place = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)

@@ -105,12 +105,7 @@ class EquationsOfMotion(EvaluatedEquations):
     def of(cls, mechanism: Mechanism, t0: float = 0.0) -> EquationsOfMotion:
         """Return the equations of motion of a mechanism at its consistent initial state, for example to test a method.
 
-        Parameters
-        ----------
-        mechanism
-            The validated mechanism.
-        t0
-            Start time [s].
+        `mechanism`: the validated mechanism. `t0`: start time [s].
         """
         return cls(workspace_at_start(mechanism, t0)[0])
 
@@ -142,11 +137,11 @@ class EquationsOfMotion(EvaluatedEquations):
         a, lam, _ = self._derivatives(t, q, v, z)
         self._evaluate_tangents(t, q, v, a, lam)
         try:
-            found = self._forms.jacobian(q, v, z, partial(self._derivatives, t))
+            jacobian = self._forms.jacobian(q, v, z, partial(self._derivatives, t))
         except np.linalg.LinAlgError:
             raise StepError("singular", "the system of equations is singular") from None
         self.hold(z)
-        return found
+        return jacobian
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
         """Return Phi_q, a sparse (m, n) array."""
@@ -164,8 +159,8 @@ class EquationsOfMotion(EvaluatedEquations):
         """
         if z is not None:
             self.hold(z)
-        found = self._sparse_tangents(t, q, v, a, lam)
-        return found if z is None else replace(found, states=self._state_tangents(t, q, v, a, lam, z))
+        tangents = self._sparse_tangents(t, q, v, a, lam)
+        return tangents if z is None else replace(tangents, states=self._state_tangents(t, q, v, a, lam, z))
 
     def evaluated_terms(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the values of all terms of the tangents at a state, in the order of the workspace's list of terms."""
@@ -209,15 +204,10 @@ class EquationsOfMotion(EvaluatedEquations):
         ``[-damping rates_v - stiffness rates_q, 0, mass - damping rates_z]`` (see `StateTangents`). Its `solve` takes
         and returns a third vector (Z,), which is empty if the mechanism has no such states.
 
-        Parameters
-        ----------
-        t, q, v, a, lam
-            Time [s], state, accelerations and multipliers at which the tangents are evaluated.
-        z
-            (Z,) first-order states; if left out, the matrix has no rows for them, and those last used are held.
-        coefficients
-            `mass` (default 1), `damping`, `stiffness`, `gamma_v`, `residual_q` (default 0). The matrix is complex if
-            any of them is complex.
+        - `t`, `q`, `v`, `a`, `lam`: time [s], state, accelerations and multipliers at which the tangents are evaluated.
+        - `z`: (Z,) first-order states; if left out, the matrix has no rows for them, and those last used are held.
+        - `coefficients`: `mass` (default 1), `damping`, `stiffness`, `gamma_v`, `residual_q` (default 0). The matrix is
+          complex if any of them is complex.
         """
         factors = coefficients_of(coefficients)
         if z is None:
@@ -306,9 +296,9 @@ class EquationsOfMotion(EvaluatedEquations):
             self.hold(x)
             return self._residual(t, q, v, a, lam)
 
-        found = self._forms.tangents(q, v, z, residual, lambda *state: self._derivatives(t, *state)[2])
+        tangents = self._forms.tangents(q, v, z, residual, lambda *state: self._derivatives(t, *state)[2])
         self.hold(z)
-        return found
+        return tangents
 
     @cached_property
     def _jacobian_part(self) -> SparseParts:
@@ -318,7 +308,7 @@ class EquationsOfMotion(EvaluatedEquations):
     def _tangent_parts(self) -> SparseParts:
         return SparseParts(self._workspace, [STIFFNESS, DAMPING, GAMMA_V, RESIDUAL_Q])
 
-    def stored_pivots(self) -> list[dict[str, Any]]:
+    def stored_pivots(self) -> list[dict[str, object]]:
         """Return the pivots of all iteration matrices used so far, as plain values for a checkpoint."""
         return self._matrices.stored()
 

@@ -77,15 +77,8 @@ class EvaluatedEquations:
 
         Counts as one evaluation of the right-hand side. Later calls without `z` use the states `z` too.
 
-        Parameters
-        ----------
-        t, q, v, z
-            Time [s], position and velocity (n,), and first-order states (Z,).
-
-        Returns
-        -------
-        a, lam, rates
-            (n,), (m,) and (Z,) arrays; rates in the units of the states per second.
+        `t`, `q`, `v`, `z`: time [s], position and velocity (n,), and first-order states (Z,). Returns (n,), (m,) and
+        (Z,) arrays; rates in the units of the states per second.
         """
         self.counters.rhs_evaluations += 1
         return self._derivatives(t, q, v, z)
@@ -102,12 +95,7 @@ class EvaluatedEquations:
     def potential(self, t: float, q: np.ndarray, z: np.ndarray | None = None) -> float:
         """Return the potential energy of gravity, springs and beams [J], as recorded in the archive.
 
-        Parameters
-        ----------
-        t, q
-            Time [s] and position (n,).
-        z
-            (Z,) first-order states; if left out, those last used.
+        `t`, `q`: time [s] and position (n,). `z`: (Z,) first-order states; if left out, those last used.
         """
         if z is not None:
             self.hold(z)
@@ -124,17 +112,8 @@ class EvaluatedEquations:
     def solve(self, t: float, q: np.ndarray, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at the position `q`.
 
-        Parameters
-        ----------
-        t, q
-            Time [s] and position (n,).
-        force, rows
-            (n,) and (m,) right-hand sides.
-
-        Returns
-        -------
-        x, mu
-            (n,) and (m,) solution.
+        `t`, `q`: time [s] and position (n,). `force`, `rows`: (n,) and (m,) right-hand sides. Returns (n,) and (m,)
+        solution.
         """
         calls = self._calls
         put(calls.q, q)
@@ -212,10 +191,10 @@ class EvaluatedEquations:
         if not len(self.z0):
             self._at(q, v)
             return *self._solved(self._calls.accelerations, t), vector(z, 0).copy()
-        found = self._forms.evaluated(t, q, v, z, self.solved_by)
-        if found is None:
+        rates = self._forms.evaluated(t, q, v, z, self.solved_by)
+        if rates is None:
             raise self._not_finite()
-        return found
+        return rates
 
     def _solved(self, solve: Callable[[float], int], t: float) -> tuple[np.ndarray, np.ndarray]:
         self.solved_by(solve, t)
@@ -276,24 +255,14 @@ class EvaluatedEquations:
 class EquationCalls:
     """Kernels that read vectors of fixed storage, which takes half the time of calls with new arrays.
 
-    Parameters
-    ----------
-    workspace
-        The workspace of the equations of motion.
-
-    Attributes
-    ----------
-    address
-        Address of the data for the kernels.
-    q, v, a, force, lam, right
-        (n,) arguments, and (m,) multipliers and right-hand side of the constraint rows.
-    x, mu, phi, rate, gamma
-        (n,) and (m,) results.
-    accelerations, solution, residual, constraint_forces, rows, constraints, tangents
-        The kernels; each takes the time and returns a status. Velocities are zero in `solution`, `constraint_forces`
-        and `constraints`.
-    arrive
-        Kernel that takes the time, q, v, and the maxima (P,) of squared misalignments.
+    - `workspace`: the workspace of the equations of motion.
+    - `address`: address of the data for the kernels.
+    - `q`, `v`, `a`, `force`, `lam`, `right`: (n,) arguments, and (m,) multipliers and right-hand side of the constraint
+      rows.
+    - `x`, `mu`, `phi`, `rate`, `gamma`: (n,) and (m,) results.
+    - `accelerations`, `solution`, `residual`, `constraint_forces`, `rows`, `constraints`, `tangents`: the kernels; each
+      takes the time and returns a status. Velocities are zero in `solution`, `constraint_forces` and `constraints`.
+    - `arrive`: kernel that takes the time, q, v, and the maxima (P,) of squared misalignments.
     """
 
     def __init__(self, workspace: Workspace):

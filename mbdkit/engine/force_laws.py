@@ -48,24 +48,17 @@ _COMPILED: dict[tuple[ForceLaw | NativeLaw, tuple[str, ...]], CompiledLaw] = {}
 class CompiledLaw:
     """A force law that kernels can call.
 
-    Parameters
-    ----------
-    address
-        Address of the C function.
-    program
-        Address that the function gets as first argument; 0 if it needs none.
-    claims
-        The properties `HAS_POTENTIAL` and `PASSIVE`, as bits.
-    keeper
-        Object that keeps the program and the machine code in memory.
-    law, parameters
-        The law, and the names and example values of its parameters.
+    - `address`: address of the C function.
+    - `program`: address that the function gets as first argument; 0 if it needs none.
+    - `claims`: the properties `HAS_POTENTIAL` and `PASSIVE`, as bits.
+    - `keeper`: object that keeps the program and the machine code in memory.
+    - `law`, `parameters`: the law, and the names and example values of its parameters.
     """
 
     address: int
     program: int
     claims: int
-    keeper: Any = field(compare=False)
+    keeper: object = field(compare=False)
     law: ForceLaw | NativeLaw
     parameters: tuple[tuple[str, float], ...]
 
@@ -74,18 +67,12 @@ class CompiledLaw:
 class NativeLaw:
     """A law that consists of machine code and integers of its own, which the code finds at the address of its program.
 
-    Parameters
-    ----------
-    function
-        The code, declared by `mbdkit.kernels.law_function`.
-    program
-        The integers.
-    parameters
-        Function from an element to the numbers that the code finds behind their count, in this order; needed by the
-        `force_law` of a kind of elements.
-    potential, passive
-        Whether the fourth result is a potential, and whether all power that is not stored is dissipated, as in
-        `FunctionLaw`.
+    - `function`: the code, declared by `mbdkit.kernels.law_function`.
+    - `program`: the integers.
+    - `parameters`: function from an element to the numbers that the code finds behind their count, in this order;
+      needed by the `force_law` of a kind of elements.
+    - `potential`, `passive`: whether the fourth result is a potential, and whether all power that is not stored is
+      dissipated, as in `FunctionLaw`.
     """
 
     function: LawFunction
@@ -109,22 +96,11 @@ def _integers(program: tuple[int, ...]) -> np.ndarray:
     return np.array(program, dtype=np.int64)
 
 
-def bind_law(law: ForceLaw | NativeLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
+def bind_law(law: ForceLaw | NativeLaw, options: object, name: str) -> tuple[CompiledLaw, list[float]]:
     """Return a law that kernels can call, and the parameters of one element: first their number, then their values.
 
-    Parameters
-    ----------
-    law
-        The law.
-    options
-        Instance of the law's options.
-    name
-        Name of the law in error messages.
-
-    Raises
-    ------
-    PluginError
-        If the law cannot be compiled, does not return derivatives, or fails to compute its parameters.
+    `options`: instance of the law's options. `name`: name of the law in error messages. Raises PluginError if the law
+    cannot be compiled, does not return derivatives, or fails to compute its parameters.
     """
     names, values = law_parameters(cast("ForceLaw", law), options, name)
     if (law, names) not in _COMPILED:
@@ -147,10 +123,7 @@ def _compile(law: ForceLaw | NativeLaw, example: dict[str, float], name: str) ->
 def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
     """Return a law for dual numbers; `name` is the name of the force element in error messages.
 
-    Raises
-    ------
-    PluginError
-        If the law cannot be compiled for dual numbers.
+    Raises PluginError if the law cannot be compiled for dual numbers.
     """
     law, example = compiled_law.law, dict(compiled_law.parameters)
     try:
@@ -162,7 +135,7 @@ def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
     return CompiledLaw(address, program, compiled_law.claims, keeper, law, compiled_law.parameters)
 
 
-def _code_of(law: ForceLaw | NativeLaw, example: dict[str, float], *, duals: bool) -> tuple[int, int, Any]:
+def _code_of(law: ForceLaw | NativeLaw, example: dict[str, float], *, duals: bool) -> tuple[int, int, object]:
     """Return the addresses of a law's function and of its program, and an object that keeps them in memory."""
     if isinstance(law, NativeLaw):
         block = _integers(law.program)

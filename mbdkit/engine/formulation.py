@@ -18,15 +18,11 @@ LoopsName = Literal["index-1", "index-2", "index-3", "ggl"]
 class Formulation:
     """One formulation.
 
-    Parameters
-    ----------
-    name
-        Its name in messages and in the claims of integrators; see `formulation_name`.
-    holds
-        Levels at which the integrated equations impose the constraints, in joint coordinates those of the cut joints.
-    coordinates
-        Coordinates that are integrated: those of all bodies, or those of the joints of a spanning tree
-        (`mbdkit.engine.spanning_tree`). In the latter case the constraints of these joints hold exactly in every state.
+    - `name`: its name in messages and in the claims of integrators; see `formulation_name`.
+    - `holds`: levels at which the integrated equations impose the constraints, in joint coordinates those of the cut
+      joints.
+    - `coordinates`: coordinates that are integrated: those of all bodies, or those of the joints of a spanning tree
+      (`mbdkit.engine.spanning_tree`). In the latter case the constraints of these joints hold exactly in every state.
     """
 
     name: str
@@ -59,13 +55,13 @@ _HOLDS: dict[LoopsName, tuple[Level, ...]] = {
 }
 
 FORMULATIONS: dict[str, Formulation] = {
-    one.name: one
-    for one in (
+    formulation.name: formulation
+    for formulation in (
         *(Formulation(name, holds) for name, holds in _HOLDS.items()),
         *(Formulation(formulation_name("joint-coordinates", name), holds, "joint") for name, holds in _HOLDS.items()),
     )
 }
 """All formulations by name. The stage equations of each are those of `mbdkit.integrators.stages.collocation`."""
 
-ORDINARY = tuple(name for name, one in FORMULATIONS.items() if not one.solves_multipliers)
+ORDINARY = tuple(name for name, formulation in FORMULATIONS.items() if not formulation.solves_multipliers)
 """Formulations whose equations are ordinary differential equations."""

@@ -26,14 +26,7 @@ REACTIONS = ("reaction_0", "reaction_1")
 class FrictionForce:
     """Friction in a joint as a force element along the coordinate of the joint. This object is also the pathway.
 
-    Attributes
-    ----------
-    name, joint
-        Name of the joint, and the joint.
-    number
-        Index of the joint.
-    friction
-        Friction of the joint.
+    `name`, `joint`: name of the joint, and the joint. `number`: index of the joint.
     """
 
     name: str
@@ -150,7 +143,7 @@ def _slide(rate: Any, p: Mapping[str, Any]) -> Any:
     return _against(np.absolute(half + couple) + np.absolute(half - couple), rate, p)
 
 
-def _against(normal: Any, slip: Any, p: Mapping[str, Any]) -> Any:
+def _against(normal: object, slip: object, p: Mapping[str, object]) -> Any:
     numbers = p["static"], p["kinetic"], p["transition"]
     return -regularised_friction(normal, slip, numbers, lambda x, a, b: np.where(x > 0.0, a, b))
 
@@ -163,11 +156,11 @@ def friction_law(force: Law) -> TracedLaw:
 
 def friction_forces(mechanism: Mechanism) -> list[FrictionForce]:
     """Return the friction of all joints that have friction, as force elements."""
-    found = []
+    forces = []
     for number, (name, joint) in enumerate(mechanism.joints.items()):
         if (friction := getattr(joint, "friction", None)) is not None:
-            found.append(FrictionForce(name, joint, number, friction))
-    return found
+            forces.append(FrictionForce(name, joint, number, friction))
+    return forces
 
 
 def following_forces(mechanism: Mechanism) -> list[FollowingForce]:

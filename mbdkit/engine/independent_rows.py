@@ -39,20 +39,10 @@ def choose_spare(
 ) -> list[tuple[int, np.ndarray]]:
     """Choose the rows to remove. Rows that come later in the mechanism are preferred.
 
-    Parameters
-    ----------
-    stresses
-        (m, r) orthonormal self-stresses at each of K positions.
-    pair, place
-        (m,) pair of each row and its index in the pair, in the order of the joints.
-    last_resort
-        (m,) whether a row may be removed only if no other row is suitable.
-
-    Returns
-    -------
-    list of (int, ndarray)
-        For each of the r redundant directions: its pair, and the direction (K, 2) in the plane of the pair's rows at
-        each position. A pair of two rows can occur twice.
+    `stresses`: (m, r) orthonormal self-stresses at each of K positions. `pair`, `place`: (m,) pair of each row and its
+    index in the pair, in the order of the joints. `last_resort`: (m,) whether a row may be removed only if no other row
+    is suitable. Returns for each of the r redundant directions: its pair, and the direction (K, 2) in the plane of the
+    pair's rows at each position. A pair of two rows can occur twice.
     """
     pairs, unit = np.unique(pair, return_inverse=True)
     rows = np.full((len(pairs), 2), len(pair))  # index of a row of zeros that is appended below
@@ -107,23 +97,16 @@ def direction_frames(
 ) -> list[Spare]:
     """Find the frame in which each redundant direction is fixed.
 
-    Parameters
-    ----------
-    chosen
-        Result of `choose_spare`.
-    rows
-        (P,) number of rows of each pair.
-    pairs
-        (P, 4) for each pair its kind, first body, second body and motion.
-    angles
-        (K, B + 1) angle of each body at each position, ground last [rad].
+    `chosen`: result of `choose_spare`. `rows`: (P,) number of rows of each pair. `pairs`: (P, 4) for each pair its
+    kind, first body, second body and motion. `angles`: (K, B + 1) angle of each body at each position, ground last
+    [rad].
     """
     ground = angles.shape[1] - 1
     spare: list[Spare] = []
     times = np.bincount([pair for pair, _ in chosen], minlength=len(rows))
     for pair, directions in chosen:
         if times[pair] == rows[pair]:  # the whole pair is redundant, so any basis is suitable
-            second = any(one.pair == pair for one in spare)
+            second = any(direction.pair == pair for direction in spare)
             spare.append(Spare(pair, ground, (0.0, 1.0) if second else (1.0, 0.0)))
             continue
         near = [int(pairs[pair, PAIR.first]), int(pairs[pair, PAIR.second]), ground]

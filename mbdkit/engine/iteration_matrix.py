@@ -60,7 +60,7 @@ def coefficients_of(given: Coefficients) -> np.ndarray:
     return np.array([known.pop("mass"), 1.0, *known.values()], dtype=dtype)
 
 
-def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
+def vector(x: np.ndarray, size: int, dtype: np.dtype = REAL) -> np.ndarray:
     """Return `x` as a contiguous vector of the given dtype; raise ValueError unless its shape is ``(size,)``."""
     if type(x) is np.ndarray and x.dtype is dtype and x.flags.carray and x.shape == (size,):
         return x
@@ -96,7 +96,7 @@ class Pivots:
     free: list[Storage] = field(default_factory=list)
     """Storage of matrices that are no longer in use."""
 
-    def take(self, dtype: np.dtype[Any]) -> Storage:
+    def take(self, dtype: np.dtype) -> Storage:
         """Return storage for a matrix, reusing that of an earlier one if possible."""
         return self.free.pop() if self.free else Storage(self, dtype)
 
@@ -104,17 +104,11 @@ class Pivots:
 class Storage:
     """Storage for a matrix and for the vectors of its solution, with the kernels that use them.
 
-    Attributes
-    ----------
-    force, rows, x, mu
-        (n,) and (m,) right-hand side and solution.
-    factorize
-        Takes the values of all terms and the coefficients; see `factorize_real`.
-    solve
-        Solves the system and returns the largest relative residual.
+    `force`, `rows`, `x`, `mu`: (n,) and (m,) right-hand side and solution. `factorize`: takes the values of all terms
+    and the coefficients; see `factorize_real`. `solve`: solves the system and returns the largest relative residual.
     """
 
-    def __init__(self, pivots: Pivots, dtype: np.dtype[Any]):
+    def __init__(self, pivots: Pivots, dtype: np.dtype):
         factors = new_factors(pivots.pattern, dtype.type)._replace(reference=pivots.reference)
         self._pinned = PinnedBundle(new_matrix(pivots.pattern, factors, pivots.scatter))
         n, m = pivots.shape
@@ -154,24 +148,9 @@ class IterationMatrix:
     def solve(self, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve the system, with one step of refinement; counts as one Newton iteration.
 
-        Parameters
-        ----------
-        force
-            (n,) upper right-hand side, in the order of the coordinates.
-        rows
-            (m,) lower right-hand side, in the order of the constraints.
-
-        Returns
-        -------
-        x : (n,) array
-            Change of the coordinates.
-        mu : (m,) array
-            Change of the multipliers.
-
-        Raises
-        ------
-        StepError
-            If the right-hand side is not finite, or if the matrix is so close to singular that a residual remains.
+        `force`: (n,) upper right-hand side, in the order of the coordinates. `rows`: (m,) lower right-hand side, in the
+        order of the constraints. Returns the changes of the coordinates and of the multipliers. Raises StepError if
+        the right-hand side is not finite, or if the matrix is so close to singular that a residual remains.
         """
         storage = self._storage
         put(storage.force, force)
@@ -210,16 +189,8 @@ class IterationMatrixWithStates:
         [ A                                                    damping force_z      ]   A: the matrix without states
         [ -damping rates_v - stiffness rates_q,  0             mass - damping rates_z ]
 
-    Parameters
-    ----------
-    matrix
-        The factorized matrix A.
-    states
-        Derivatives that involve the states.
-    coefficients
-        (6,) coefficients; see `coefficients_of`.
-    m
-        Number of multipliers.
+    `matrix`: the factorized matrix A. `states`: derivatives that involve the states. `coefficients`: (6,) coefficients;
+    see `coefficients_of`. `m`: number of multipliers.
     """
 
     def __init__(self, matrix: IterationMatrix, states: StateTangents, coefficients: np.ndarray, m: int):
@@ -238,22 +209,9 @@ class IterationMatrixWithStates:
     def solve(self, force: np.ndarray, rows: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, ...]:
         """Solve the system; counts as one Newton iteration.
 
-        Parameters
-        ----------
-        force, rows
-            (n,) and (m,) right-hand sides; see `IterationMatrix.solve`.
-        rates
-            (Z,) right-hand side of the rows of the states.
-
-        Returns
-        -------
-        x, mu, r
-            (n,) change of the coordinates, (m,) of the multipliers and (Z,) of the states.
-
-        Raises
-        ------
-        StepError
-            See `IterationMatrix.solve`.
+        `force`, `rows`: (n,) and (m,) right-hand sides; see `IterationMatrix.solve`. `rates`: (Z,) right-hand side of
+        the rows of the states. Returns (n,) change of the coordinates, (m,) of the multipliers and (Z,) of the states.
+        Raises StepError: see `IterationMatrix.solve`.
         """
         x, mu = self._matrix.solve(force, rows)
         r = product(self._inverse, rates + product(self._lower, x))
@@ -263,15 +221,8 @@ class IterationMatrixWithStates:
 class IterationMatrices:
     """The iteration matrices of one mechanism, and the pivots for each choice of coefficients that are not zero.
 
-    Parameters
-    ----------
-    workspace
-        The workspace that evaluates the terms of the matrices.
-
-    Attributes
-    ----------
-    classes
-        Class of each term; see `classes_of`.
+    `workspace`: the workspace that evaluates the terms of the matrices. `classes`: class of each term; see
+    `classes_of`.
     """
 
     def __init__(self, workspace: Workspace):
@@ -290,19 +241,10 @@ class IterationMatrices:
         The first pivots are chosen from the values at the start, if possible. This choice does not depend on where the
         run was interrupted, so that a resumed run has the same pivots as an uninterrupted one.
 
-        Parameters
-        ----------
-        coefficients
-            (6,) coefficient of each class of terms, real or complex.
-        evaluate_at_start, evaluate
-            Functions that evaluate the terms at the start, and where the matrix is wanted.
-        factorize
-            Function that factorizes the terms last evaluated, for given pivots and coefficients.
-
-        Raises
-        ------
-        SingularSystemError
-            If the matrix is singular.
+        `coefficients`: (6,) coefficient of each class of terms, real or complex. `evaluate_at_start`, `evaluate`:
+        functions that evaluate the terms at the start, and where the matrix is wanted. `factorize`: function that
+        factorizes the terms last evaluated, for given pivots and coefficients. Raises SingularSystemError if the matrix
+        is singular.
         """
         key = (coefficients.dtype == COMPLEX, *(coefficients != 0).tolist())
         if key not in self._pivots:
@@ -324,23 +266,28 @@ class IterationMatrices:
             raise matrix.lost()
         return matrix
 
-    def stored(self) -> list[dict[str, Any]]:
+    def stored(self) -> list[dict[str, object]]:
         """Return all pivots as plain values for a checkpoint."""
         return [
-            {"matrix": list(key), "pattern": stored(one.pattern), "scatter": one.scatter, "reference": one.reference}
-            for key, one in self._pivots.items()
+            {
+                "matrix": list(key),
+                "pattern": stored(pivots.pattern),
+                "scatter": pivots.scatter,
+                "reference": pivots.reference,
+            }
+            for key, pivots in self._pivots.items()
         ]
 
     def restore(self, state: Any) -> None:
         """Use stored pivots; raise ValueError if they are not valid."""
         workspace = self._workspace
         unknowns, sources, n = workspace.unknowns, len(workspace.scratch.source), 3 * len(workspace.mechanism.bodies)
-        for one in state:
-            pattern = pattern_of(one["pattern"], unknowns)
-            scatter, reference = np.zeros((len(one["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
+        for entry in state:
+            pattern = pattern_of(entry["pattern"], unknowns)
+            scatter, reference = np.zeros((len(entry["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
             restore(
-                {"scatter": scatter, "reference": reference}, {name: one[name] for name in ("scatter", "reference")}
+                {"scatter": scatter, "reference": reference}, {name: entry[name] for name in ("scatter", "reference")}
             )
             if np.any(scatter >= [sources, len(pattern.a_column), len(_DEFAULTS) + 1]):
                 raise ValueError("a term of a matrix does not exist")
-            self._pivots[tuple(map(bool, one["matrix"]))] = Pivots((n, unknowns - n), pattern, scatter, reference)
+            self._pivots[tuple(map(bool, entry["matrix"]))] = Pivots((n, unknowns - n), pattern, scatter, reference)

@@ -13,15 +13,8 @@ from mbdkit.engine.kernels.misalignment import squared_misalignment
 class JointSums:
     """Computes values of joints from values of pairs.
 
-    Parameters
-    ----------
-    mechanism
-        The compiled mechanism. Both rows of a pair have the same unit.
-
-    Attributes
-    ----------
-    joint : (P,) int array
-        Index of the joint of each pair.
+    `mechanism`: the compiled mechanism. Both rows of a pair have the same unit. `joint` ((P,) int array): index of the
+    joint of each pair.
     """
 
     def __init__(self, mechanism: CompiledMechanism):
@@ -30,8 +23,8 @@ class JointSums:
         pairs = len(mechanism.topology.pairs)
         longest = max(map(len, mechanism.joint_pairs), default=0)
         self._rounds = [
-            np.array([sorted(members)[place] for members in mechanism.joint_pairs if place < len(members)])
-            for place in range(longest)
+            np.array([sorted(members)[index] for members in mechanism.joint_pairs if index < len(members)])
+            for index in range(longest)
         ]
         #: Pairs of the first round in the order of the joints; None if some joint has no pair.
         self._first = None

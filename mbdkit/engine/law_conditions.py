@@ -24,14 +24,8 @@ class LawCondition(Protocol):
     def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
         """Return g in T states.
 
-        Parameters
-        ----------
-        forces
-            (T, F, 5) values of the force elements; see `mbdkit.engine.kernels.acting.force_values`.
-        q, v
-            (T, n) positions and velocities.
-        numbers
-            (L,) parameters of all laws.
+        `forces`: (T, F, 5) values of the force elements; see `mbdkit.engine.kernels.acting.force_values`. `q`, `v`: (T,
+        n) positions and velocities. `numbers`: (L,) parameters of all laws.
         """
 
     def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:

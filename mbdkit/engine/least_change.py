@@ -36,14 +36,8 @@ LEAST_PIVOT = 0.01
 class LeastChange:
     """Newton iterations that make states of a mechanism satisfy its constraints at a given time.
 
-    Parameters
-    ----------
-    compiled
-        The mechanism, with n = 3 B coordinates and m constraint rows.
-    t0
-        Time [s].
-    fixed
-        (n,) whether a coordinate is kept constant.
+    `compiled`: the mechanism, with n = 3 B coordinates and m constraint rows. `t0`: time [s]. `fixed`: (n,) whether a
+    coordinate is kept constant.
     """
 
     def __init__(self, compiled: CompiledMechanism, t0: float, fixed: np.ndarray):
@@ -74,10 +68,7 @@ class LeastChange:
     def residuals(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return Phi and ``Phi_q v + Phi_t`` of N states, both (N, m).
 
-        Parameters
-        ----------
-        q, v
-            (N, n + 3) positions and velocities, ground last.
+        `q`, `v`: (N, n + 3) positions and velocities, ground last.
         """
         w = self.scratch
         pair, place = self.rows[:, 0], self.rows[:, 1]

@@ -31,20 +31,10 @@ ROOM = 4
 class SparseFactors:
     """LU factors of a real or complex sparse matrix.
 
-    Parameters
-    ----------
-    row, column, value
-        (nnz,) row, column and value of each entry; values of the same entry are added.
-    order
-        (n,) order in which the columns are eliminated.
-    threshold
-        Entries of the diagonal are preferred as pivots if they have at least this share of the largest entry of their
-        column; with 0, always unless they are zero.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is singular, or an entry is not a number.
+    `row`, `column`, `value`: (nnz,) row, column and value of each entry; values of the same entry are added. `order`:
+    (n,) order in which the columns are eliminated. `threshold`: entries of the diagonal are preferred as pivots if they
+    have at least this share of the largest entry of their column; with 0, always unless they are zero. Raises
+    numpy.linalg.LinAlgError if the matrix is singular, or an entry is not a number.
     """
 
     def __init__(self, row: np.ndarray, column: np.ndarray, value: np.ndarray, order: np.ndarray, threshold: float):
@@ -107,11 +97,11 @@ class SparseFactors:
             largest = norm
             slope = np.conj(np.where(size > 0.0, y / np.where(size > 0.0, size, 1.0), 1.0))
             (solve_complex_transposed if self._is_complex else solve_transposed)(self._pinned.address, slope)
-            place = int(np.argmax(np.abs(slope)))
-            if np.abs(slope[place]) <= np.abs(np.sum(slope * x)):
+            index = int(np.argmax(np.abs(slope)))
+            if np.abs(slope[index]) <= np.abs(np.sum(slope * x)):
                 break
             x = np.zeros(n)
-            x[place] = 1.0
+            x[index] = 1.0
         # A second vector detects matrices for which the first ones fail by coincidence.
         other = np.where(np.arange(n) % 2, -1.0, 1.0) * (1.0 + np.arange(n) / max(n - 1, 1))
         return max(largest, 2.0 * float(np.sum(np.abs(self.solve(other[None])))) / (3.0 * n))
@@ -120,10 +110,7 @@ class SparseFactors:
 def factors_of(matrix: np.ndarray) -> SparseFactors:
     """Return the factors of a dense matrix (n, n) by partial pivoting.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is singular, or an entry is not a number.
+    Raises numpy.linalg.LinAlgError if the matrix is singular, or an entry is not a number.
     """
     row, column = np.nonzero(matrix)
     return SparseFactors(row, column, matrix[row, column], np.arange(len(matrix)), 1.0)
@@ -132,10 +119,7 @@ def factors_of(matrix: np.ndarray) -> SparseFactors:
 def inverse_of(matrix: np.ndarray) -> np.ndarray:
     """Return the inverse of a real or complex matrix (n, n).
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is singular, or an entry is not a number.
+    Raises numpy.linalg.LinAlgError if the matrix is singular, or an entry is not a number.
     """
     return np.ascontiguousarray(factors_of(matrix).solve(np.eye(len(matrix))).T)
 
@@ -143,12 +127,8 @@ def inverse_of(matrix: np.ndarray) -> np.ndarray:
 def least_norm(matrix: np.ndarray, right: np.ndarray, least: float) -> np.ndarray:
     """Return the least-squares solution (K,) of least norm.
 
-    Parameters
-    ----------
-    matrix, right
-        (I, K) matrix and (I,) right-hand side.
-    least
-        Remainders of columns below this share of the norm of the largest column count as zero.
+    `matrix`, `right`: (I, K) matrix and (I,) right-hand side. `least`: remainders of columns below this share of the
+    norm of the largest column count as zero.
     """
     return least_norms(matrix[None], right[None], least)[0]
 

@@ -34,14 +34,8 @@ CONSTANT, RATE, MINUS_RATE, RATE_SQUARED = range(4)
 class MatrixTerms:
     """The N terms of the stage matrix.
 
-    Attributes
-    ----------
-    source : (N,) int array
-        Index of the value in ``Scratch.source``.
-    row, column : (N,) int arrays
-        Position in the matrix.
-    factor : (N,) int array
-        Class of the factor: CONSTANT, RATE, MINUS_RATE or RATE_SQUARED.
+    `source` ((N,) int array): index of the value in ``Scratch.source``. `row`, `column` ((N,) int arrays): position in
+    the matrix. `factor` ((N,) int array): class of the factor: CONSTANT, RATE, MINUS_RATE or RATE_SQUARED.
     """
 
     source: np.ndarray
@@ -65,14 +59,8 @@ class MatrixTerms:
 def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabilized: bool) -> MatrixTerms:
     """Return every term of the stage matrix.
 
-    Parameters
-    ----------
-    mechanism
-        The compiled mechanism.
-    offsets
-        Index in ``Scratch.source`` at which each array of terms begins.
-    stabilized
-        Whether gamma includes Baumgarte's terms. The pattern of its derivatives then includes that of the Jacobian.
+    `offsets`: index in ``Scratch.source`` at which each array of terms begins. `stabilized`: whether gamma includes
+    Baumgarte's terms. The pattern of its derivatives then includes that of the Jacobian.
     """
     top = mechanism.topology
     tables = (
@@ -201,17 +189,12 @@ class _Terms:
     ) -> None:
         """Add the tangents of one kind of force with respect to positions and velocities.
 
-        Parameters
-        ----------
-        name
-            Its arrays are `name` with ``_stiff`` and ``_damp``.
-        first
-            Index at which the tangent of each element begins in these arrays; a row of a tangent has `width` numbers.
-        bodies
-            For each element, the bodies on which the force acts, and the bodies with respect to whose coordinates the
-            force is differentiated.
-        entries
-            Indices of the coordinates that occur.
+        - `name`: its arrays are `name` with ``_stiff`` and ``_damp``.
+        - `first`: index at which the tangent of each element begins in these arrays; a row of a tangent has `width`
+          numbers.
+        - `bodies`: for each element, the bodies on which the force acts, and the bodies with respect to whose
+          coordinates the force is differentiated.
+        - `entries`: indices of the coordinates that occur.
         """
         for i, j in product(entries, repeat=2):
             place = first + width * i + j

@@ -42,10 +42,7 @@ def nearest_positions(p: ConstrainedSystem, t: float, q: np.ndarray) -> np.ndarr
 
     The counter of projections is not increased.
 
-    Raises
-    ------
-    StepError
-        ``newton-failed`` if the iteration does not converge.
+    Raises StepError: ``newton-failed`` if the iteration does not converge.
     """
     return converged(p, q, lambda at: p.solve(t, at, p.mass * (q - at), -p.constraints(t, at))[0])
 

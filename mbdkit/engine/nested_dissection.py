@@ -46,10 +46,7 @@ def sparse_order(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[int]
 
     The result has the format of `minimum_degree`.
 
-    Parameters
-    ----------
-    adjacent
-        For each node, the adjacent nodes.
+    `adjacent`: for each node, the adjacent nodes.
     """
     order, below = minimum_degree(adjacent)
     nodes = len(order)
@@ -76,7 +73,7 @@ def dissection(adjacent: Sequence[set[int]]) -> list[int]:
             separator, *rest = _divided(adjacent, part)
             for node in separator:
                 rank[node] = -depth
-            parts += [(one, depth + 1) for one in rest]
+            parts += [(part, depth + 1) for part in rest]
     return rank
 
 
@@ -112,8 +109,8 @@ def _halves(adjacent: Sequence[set[int]], part: set[int]) -> Iterator[tuple[set[
     """
 
     def across(root: int) -> tuple[dict[int, int], dict[int, int]]:
-        one = _distances(adjacent, part, root)
-        return one, _distances(adjacent, part, max(part, key=lambda node: (one[node], -node)))
+        distances = _distances(adjacent, part, root)
+        return distances, _distances(adjacent, part, max(part, key=lambda node: (distances[node], -node)))
 
     first = _distances(adjacent, part, min(part))
     a, b = across(max(part, key=lambda node: (first[node], -node)))

@@ -31,12 +31,8 @@ class GivenForces:
     """Given accelerations and constraint forces, used if they do not follow from the mechanism alone, as with
     actuators.
 
-    Attributes
-    ----------
-    acceleration
-        (T, 3 (B + 1)), ground last.
-    lam, reactions
-        (T, P, 2) and (T, P, 3), as in `Observed`; those of redundant joints are distributed afterwards.
+    `acceleration`: (T, 3 (B + 1)), ground last. `lam`, `reactions`: (T, P, 2) and (T, P, 3), as in `Observed`; those of
+    redundant joints are distributed afterwards.
     """
 
     acceleration: np.ndarray
@@ -58,15 +54,8 @@ class StateObserver:
     The distance to singularity is computed by an iteration that starts from the result of the previous state. Therefore
     the states of a run should be passed in order of time.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism and its solver.
-
-    Attributes
-    ----------
-    gaps, gap_uncertainty : (T, D) arrays
-        Result of `unexplained_gaps` for the redundant directions of the states last observed.
+    `workspace`: the mechanism and its solver. `gaps`, `gap_uncertainty` ((T, D) arrays): result of `unexplained_gaps`
+    for the redundant directions of the states last observed.
     """
 
     def __init__(self, workspace: Workspace):
@@ -102,28 +91,14 @@ class StateObserver:
 
         If the elimination with the current pivots fails at a state, that state is tried again with new pivots.
 
-        Parameters
-        ----------
-        times
-            (T,) times [s].
-        q, v
-            (T, 3 (B + 1)) positions and velocities, ground last; C-contiguous.
-        out
-            Receives the values of T states.
-        given
-            Accelerations and constraint forces of the states, if they do not follow from the mechanism alone.
-        z
-            (T, Z) first-order states; may be left out if the mechanism has none.
+        - `times`: (T,) times [s].
+        - `q`, `v`: (T, 3 (B + 1)) positions and velocities, ground last; C-contiguous.
+        - `out`: receives the values of T states.
+        - `given`: accelerations and constraint forces of the states, if they do not follow from the mechanism alone.
+        - `z`: (T, Z) first-order states; may be left out if the mechanism has none.
 
-        Raises
-        ------
-        mbdkit.base.errors.SpecError
-            If the mechanism has first-order states and they are not given.
-
-        Returns
-        -------
-        SingularState or None
-            The state that could not be evaluated. In `out`, the rows of this state and all later ones are not valid.
+        Raises mbdkit.base.errors.SpecError if the mechanism has first-order states and they are not given. Returns the
+        state that could not be evaluated. In `out`, the rows of this state and all later ones are not valid.
         """
         if z is None:
             self.workspace.mechanism.refuse_states("the evaluation of positions and velocities alone")
@@ -161,8 +136,8 @@ class StateObserver:
 
     def _note_gaps(self, rows: slice, q: np.ndarray, observed: Observed, stress: SelfStress) -> None:
         distance = observed.singularity_distance
-        found = unexplained_gaps(self.workspace.mechanism, q, observed.phi, distance, stress.lam)
-        self.gaps[rows], self.gap_uncertainty[rows] = found
+        gaps = unexplained_gaps(self.workspace.mechanism, q, observed.phi, distance, stress.lam)
+        self.gaps[rows], self.gap_uncertainty[rows] = gaps
 
     def _share(self, observed: Observed, stress: SelfStress) -> None:
         mechanism = self.workspace.mechanism

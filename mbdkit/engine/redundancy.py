@@ -81,19 +81,9 @@ def without_redundancy(
 
     Rows of drivers are kept if possible, then rows of joints that come first in the mechanism.
 
-    Parameters
-    ----------
-    compiled
-        The compiled mechanism with all constraint rows.
-    t0, end
-        Start and end of the run [s].
-    q0, v0
-        (3 B,) consistent positions and velocities at the start.
-
-    Raises
-    ------
-    SpecError
-        If redundant joints are inconsistent, or the start is a singular position. The message names the joints.
+    `compiled`: the compiled mechanism with all constraint rows. `t0`, `end`: start and end of the run [s]. `q0`, `v0`:
+    (3 B,) consistent positions and velocities at the start. Raises SpecError if redundant joints are inconsistent, or
+    the start is a singular position. The message names the joints.
     """
     rows = looped_rows(compiled)
     if len(rows) == 0:
@@ -131,9 +121,9 @@ class _Analysis:
         self.check_accelerations(start, v0)
         step = self.freedom(start)
         around = ([] if step is None else self.moved(start, step)) + self.later(start, v0)
-        if any(place.stresses.shape[1] < spare for place in around):
+        if any(position.stresses.shape[1] < spare for position in around):
             raise self.singular(start)
-        places = [start] + [place for place in around if place.stresses.shape[1] == spare]
+        places = [start] + [position for position in around if position.stresses.shape[1] == spare]
         number = min(FAR, FAR_COORDINATES // self.n)
         if step is not None:
             places += self.wandered(start, step, number // 2) + self.wandered(start, -step, number // 2)
@@ -214,15 +204,15 @@ class _Analysis:
         q, step = start.q, FAR_MOVE * step
         places: list[_Place] = []
         for _ in range(number):
-            found = self.place_from(self.search, q + step, start)
-            if found is None:
+            position = self.place_from(self.search, q + step, start)
+            if position is None:
                 break
-            places.append(found)
-            step = self.allowed(found.q, found.q - q)
+            places.append(position)
+            step = self.allowed(position.q, position.q - q)
             largest = float(np.max(np.abs(step * self.unit)))
             if not largest > 1e-3 * size:
                 break  # the mechanism cannot move further in this direction
-            q, step = found.q, step * (size / largest)
+            q, step = position.q, step * (size / largest)
         return places
 
     def driven(self, start: _Place, number: int) -> list[_Place]:
@@ -230,10 +220,10 @@ class _Analysis:
         q = start.q
         places: list[_Place] = []
         for k in range(1, number + 1):
-            found = self.place_from(self.at(self.t0 + (self.end - self.t0) * k / number), q, start)
-            if found is not None:
-                places.append(found)
-                q = found.q
+            position = self.place_from(self.at(self.t0 + (self.end - self.t0) * k / number), q, start)
+            if position is not None:
+                places.append(position)
+                q = position.q
         return places
 
     def place_from(self, search: LeastChange, q: np.ndarray, start: _Place) -> _Place | None:
@@ -242,8 +232,8 @@ class _Analysis:
         if not self.gap(search, q) <= CLOSED:
             return None
         spare = start.stresses.shape[1]
-        place = self.place_at(search, q, spare)
-        return place if place.stresses.shape[1] == spare else None
+        position = self.place_at(search, q, spare)
+        return position if position.stresses.shape[1] == spare else None
 
     def later(self, start: _Place, v0: np.ndarray) -> list[_Place]:
         """Return positions a short time after the start; raises SpecError if drivers are inconsistent there."""
@@ -310,20 +300,20 @@ class _Analysis:
     def reduced(self, places: list[_Place]) -> CompiledMechanism:
         compiled, top = self.compiled, self.compiled.topology
         driven = np.array([compiled.joints[self.joint_of_pair[p]] in compiled.drivers for p in self.pair.tolist()])
-        chosen = choose_spare([place.stresses for place in places], self.pair, self.place, driven)
-        angles = np.array([[*place.q[2::3], 0.0] for place in places])
+        chosen = choose_spare([position.stresses for position in places], self.pair, self.place, driven)
+        angles = np.array([[*position.q[2::3], 0.0] for position in places])
         spares = direction_frames(chosen, top.rows, top.pairs, angles)
         rows = top.rows.copy()
-        for one in spares:
-            rows[one.pair] -= 1
-        stresses = np.max([np.linalg.norm(place.stresses, axis=1) for place in places], axis=0)
-        held = sorted({self.joint_of_pair[one.pair] for one in spares})
+        for spare in spares:
+            rows[spare.pair] -= 1
+        stresses = np.max([np.linalg.norm(position.stresses, axis=1) for position in places], axis=0)
+        held = sorted({self.joint_of_pair[spare.pair] for spare in spares})
         return replace(
             compiled,
             topology=top._replace(
                 rows=rows,
-                spare=np.array([(one.pair, one.frame) for one in spares], dtype=np.int64),
-                spare_axes=np.array([one.axis for one in spares]),
+                spare=np.array([(spare.pair, spare.frame) for spare in spares], dtype=np.int64),
+                spare_axes=np.array([spare.axis for spare in spares]),
             ),
             redundancy=Redundancy(
                 rows=len(spares),
@@ -341,11 +331,8 @@ def _named(names: list[str], kind: str = "joint") -> str:
 def require_unique_start(workspace: Workspace) -> None:
     """Raise SpecError if the accelerations at the start are not unique or not finite.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism at its start, with independent rows. If its solver is pivoted, it has pivots for the start
-        afterwards.
+    `workspace`: the mechanism at its start, with independent rows. If its solver is pivoted, it has pivots for the
+    start afterwards.
     """
     mechanism = workspace.mechanism
     acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))

@@ -34,24 +34,11 @@ def unexplained_gaps(
     """Return the residuals in D redundant directions that would remain if the other rows were satisfied, with their
     uncertainty.
 
-    Parameters
-    ----------
-    mechanism
-        The mechanism.
-    q : (T, 3 (B + 1)) array
-        Positions, ground last.
-    phi : (T, P, 2) array
-        Residuals.
-    distance : (T,) array
-        Distance to singularity.
-    self_stress : (T, D, P, 2) array
-        Multipliers of the self-stresses, 1 in the redundant direction itself.
-
-    Returns
-    -------
-    gap, uncertainty : (T, D) arrays
-        Relative to `units_of_pairs`. The uncertainty is of second order in the misalignment of the other rows: the sum
-        of the absolute multipliers times the square of the displacement that satisfies these rows.
+    `q` ((T, 3 (B + 1)) array): positions, ground last. `phi` ((T, P, 2) array): residuals. `distance` ((T,) array):
+    distance to singularity. `self_stress` ((T, D, P, 2) array): multipliers of the self-stresses, 1 in the redundant
+    direction itself. Both results are (T, D) and relative to `units_of_pairs`. The uncertainty is of second order in
+    the misalignment of the other rows: the sum of the absolute multipliers times the square of the displacement that
+    satisfies these rows.
     """
     top, units = mechanism.topology, units_of_pairs(mechanism)
     relative = phi / units[:, None]
@@ -79,18 +66,12 @@ def share_evenly(
 
     The generalized constraint forces are preserved: only a linear combination of self-stresses is added.
 
-    Parameters
-    ----------
-    lam : (T, P, 2) array
-        Multipliers of any solution; overwritten by the result.
-    reactions : (T, P, 3) array
-        Force (x, y) [N] and torque [N m] of each pair of rows; overwritten by the result.
-    self_stress, its_reactions : (T, D, P, 2) and (T, D, P, 3) arrays
-        D linearly independent self-stresses, which are multipliers without generalized forces, and their reactions.
-    joint : (P,) int array
-        The joint of each pair. The reaction of a joint is the sum over its pairs.
-    length
-        Characteristic length of the mechanism [m].
+    - `lam` ((T, P, 2) array): multipliers of any solution; overwritten by the result.
+    - `reactions` ((T, P, 3) array): force (x, y) [N] and torque [N m] of each pair of rows; overwritten by the result.
+    - `self_stress`, `its_reactions` ((T, D, P, 2) and (T, D, P, 3) arrays): D linearly independent self-stresses, which
+      are multipliers without generalized forces, and their reactions.
+    - `joint` ((P,) int array): the joint of each pair. The reaction of a joint is the sum over its pairs.
+    - `length`: characteristic length of the mechanism [m].
     """
     rows, spare = self_stress.shape[:2]
     order = np.argsort(joint, kind="stable")

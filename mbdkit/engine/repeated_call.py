@@ -22,13 +22,8 @@ _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
 class RepeatedCall:
     """A kernel with fixed arguments, for calls from one thread at a time.
 
-    Parameters
-    ----------
-    kernel
-        The kernel; it returns no result, or one number.
-    arguments
-        All arguments: integers, arrays and bundles, and None for each one that is given anew in each call. The arrays
-        must not be replaced while this object is in use.
+    `kernel`: the kernel; it returns no result, or one number. `arguments`: all arguments: integers, arrays and bundles,
+    and None for each one that is given anew in each call. The arrays must not be replaced while this object is in use.
     """
 
     def __init__(self, kernel: Kernel, *arguments: Any):
@@ -41,30 +36,30 @@ class RepeatedCall:
             return self._ordinary(given)
         if not self._address:
             self._prepare()
-        for place, one in zip(self._open, given, strict=True):
-            if isinstance(one, float):
-                self._numbers[place] = one
+        for position, value in zip(self._open, given, strict=True):
+            if isinstance(value, float):
+                self._numbers[position] = value
             else:
-                self._words[place] = id(one) + HEAD
+                self._words[position] = id(value) + HEAD
         if self._call(self._address) != 0:
             return self._ordinary(given)  # raises the error with its reason
         return self._results[-1]
 
-    def _ordinary(self, given: tuple[Any, ...]) -> Any:
+    def _ordinary(self, given: tuple[object, ...]) -> object:
         rest = iter(given)
-        return self.kernel(*(next(rest) if one is None else one for one in self.arguments))
+        return self.kernel(*(next(rest) if argument is None else argument for argument in self.arguments))
 
     def _prepare(self) -> None:
         words: list[int] = []
         self._open = []
-        for one in self.arguments:
-            if one is None:
+        for argument in self.arguments:
+            if argument is None:
                 self._open.append(len(words))
                 words.append(0)
-            elif isinstance(one, tuple):
-                words += words_of(one)
+            elif isinstance(argument, tuple):
+                words += words_of(argument)
             else:
-                words.append(id(one) + HEAD if isinstance(one, np.ndarray) else int(one))
+                words.append(id(argument) + HEAD if isinstance(argument, np.ndarray) else int(argument))
         words += [*map(id, DTYPES), 0]
         self._words = (ctypes.c_int64 * len(words))(*words)
         self._numbers = (ctypes.c_double * len(words)).from_buffer(self._words)

@@ -85,15 +85,11 @@ def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray
 def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
     """Return an orthonormal basis (m, r) of the left null space of a matrix.
 
-    Parameters
-    ----------
-    jacobian
-        (m, n) matrix as returned by `scaled_matrix`, with rows of norm about 1. For a dense matrix a triangular
-        decomposition with column pivoting is computed, and the singular values of what is nearly dependent. For a
-        sparse matrix inverse iteration with sparse factors is used; its cost is linear in m for chains of loops with
-        few self-stresses.
-    expected
-        Expected number r of basis vectors; determines the initial size of the sparse iteration only.
+    - `jacobian`: (m, n) matrix as returned by `scaled_matrix`, with rows of norm about 1. For a dense matrix a
+      triangular decomposition with column pivoting is computed, and the singular values of what is nearly dependent.
+      For a sparse matrix inverse iteration with sparse factors is used; its cost is linear in m for chains of loops
+      with few self-stresses.
+    - `expected`: expected number r of basis vectors; determines the initial size of the sparse iteration only.
     """
     m, n = jacobian.shape
     if m == 0:

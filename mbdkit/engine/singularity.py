@@ -40,23 +40,10 @@ def new_vectors(mechanism: CompiledMechanism) -> np.ndarray:
 def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[float, str]:
     """Return the distance of a position to singularity and the joint with the largest component in the singular vector.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism.
-    t
-        Time [s].
-    q
-        (3 (B + 1),) position, ground last, or (3 B,) without it.
-
-    Returns
-    -------
-    distance : float
-        Smallest singular value of the scaled Jacobian, accurate to round-off; 1 with fewer than two rows, 0 if the
-        Jacobian is not finite.
-    joint : str
-        Name of the joint whose rows have the largest component in the left singular vector; empty without rows. If the
-        Jacobian is not finite, a joint whose rows are not.
+    `workspace`: the mechanism. `t`: time [s]. `q`: (3 (B + 1),) position, ground last, or (3 B,) without it. Returns
+    smallest singular value of the scaled Jacobian, accurate to round-off; 1 with fewer than two rows, 0 if the Jacobian
+    is not finite, and name of the joint whose rows have the largest component in the left singular vector; empty
+    without rows. If the Jacobian is not finite, a joint whose rows are not.
     """
     mechanism = workspace.mechanism
     top, w, rows = mechanism.topology, workspace.scratch, mechanism.solved_rows
@@ -88,14 +75,7 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
 def describe_nearness(workspace: Workspace, t: float, q: np.ndarray) -> str:
     """Return a clause stating that a position is nearly singular, and at which joint; empty if it is not.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism.
-    t
-        Time [s].
-    q
-        (3 (B + 1),) position, as in `nearest_singularity`.
+    `workspace`: the mechanism. `t`: time [s]. `q`: (3 (B + 1),) position, as in `nearest_singularity`.
     """
     try:
         distance, joint = nearest_singularity(workspace, t, q)

@@ -33,10 +33,7 @@ def spanning_tree(top: Topology) -> np.ndarray:
     a tie, the one closest to ground. Bodies that no joint can connect to the tree have three free coordinates.
     Redundant constraints, which are not solved for, are not part of the tree.
 
-    Returns
-    -------
-    (B, 5) array of int
-        See `mbdkit.engine.kernels.tree`.
+    See `mbdkit.engine.kernels.tree`.
     """
     ground = len(top.mass) - 1
     placing: list[list[tuple[int, int]]] = [[] for _ in range(ground + 1)]
@@ -55,7 +52,7 @@ def spanning_tree(top: Topology) -> np.ndarray:
         """Return the pair that determines the angle of a body relative to a body in the tree, and the side of `body` in
         this pair; (-1, 0) if there is no such pair.
         """
-        known = (one for one in turning[body] if depth[int(top.pairs[one[0], PAIR.second - one[1]])] >= 0)
+        known = (joint for joint in turning[body] if depth[int(top.pairs[joint[0], PAIR.second - joint[1]])] >= 0)
         return next(known, (-1, 0))
 
     def put(body: int, place: int, side: int, level: int) -> None:

@@ -14,21 +14,15 @@ Kind = Literal["none", "baumgarte", "projection"]
 class Stabilization:
     """Stabilization against drift of the constraints.
 
-    Parameters
-    ----------
-    kind
-        ``none``; ``baumgarte``: the constraints are replaced by Phi'' + 2 alpha Phi' + beta^2 Phi = 0; ``projection``:
-        positions and velocities are projected onto the constraints, with the least change in the mass metric.
-    alpha, beta
-        Coefficients of Baumgarte's terms [1/s].
-    every
-        Number of steps between projections, or between checks of the residuals if `bound` is given.
-    bound
-        Project only if the residual of a constraint [m, rad] or its time derivative [m/s, rad/s] exceeds this bound.
-        None: project in any case.
-    symmetric
-        Whether each step is projected symmetrically (Hairer 2000): the state is displaced before the step and projected
-        after it with the same multipliers.
+    - `kind`: ``none``; ``baumgarte``: the constraints are replaced by Phi'' + 2 alpha Phi' + beta^2 Phi = 0;
+      ``projection``: positions and velocities are projected onto the constraints, with the least change in the mass
+      metric.
+    - `alpha`, `beta`: coefficients of Baumgarte's terms [1/s].
+    - `every`: number of steps between projections, or between checks of the residuals if `bound` is given.
+    - `bound`: project only if the residual of a constraint [m, rad] or its time derivative [m/s, rad/s] exceeds this
+      bound. None: project in any case.
+    - `symmetric`: whether each step is projected symmetrically (Hairer 2000): the state is displaced before the step
+      and projected after it with the same multipliers.
     """
 
     kind: Kind = "none"

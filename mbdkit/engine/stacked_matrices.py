@@ -38,10 +38,7 @@ def complete_qr(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def solve_triangles(triangles: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
     """Return the solutions (T, M) of systems of upper triangular matrices (T, M, M), or of their transposes.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a matrix is singular.
+    Raises numpy.linalg.LinAlgError if a matrix is singular.
     """
     x: np.ndarray = np.array(right, dtype=float, order="C")
     if not (solve_upper_transposed_each if transposed else solve_upper_each)(_contiguous(triangles), x):
@@ -52,12 +49,8 @@ def solve_triangles(triangles: np.ndarray, right: np.ndarray, *, transposed: boo
 def least_norms(matrices: np.ndarray, right: np.ndarray, least: float) -> np.ndarray:
     """Return the least-squares solutions (T, K) of least norm.
 
-    Parameters
-    ----------
-    matrices, right
-        (T, I, K) matrices and (T, I) right-hand sides.
-    least
-        Remainders of columns below this share of the norm of the largest column count as zero.
+    `matrices`, `right`: (T, I, K) matrices and (T, I) right-hand sides. `least`: remainders of columns below this share
+    of the norm of the largest column count as zero.
     """
     frames, rows, count = matrices.shape
     x, padded = np.zeros((frames, count)), np.zeros((frames, max(rows, count)))
@@ -70,10 +63,10 @@ def least_norms(matrices: np.ndarray, right: np.ndarray, least: float) -> np.nda
 
 def pseudoinverses(matrices: np.ndarray, least: float) -> np.ndarray:
     """Return the pseudoinverses (T, K, I) of matrices (T, I, K); see `least_norms` for `least`."""
-    found = np.empty((len(matrices), *matrices.shape[:0:-1]))
+    solution = np.empty((len(matrices), *matrices.shape[:0:-1]))
     for row, unit in enumerate(np.eye(matrices.shape[1])):
-        found[:, :, row] = least_norms(matrices, unit, least)
-    return found
+        solution[:, :, row] = least_norms(matrices, unit, least)
+    return solution
 
 
 def singular_values(matrices: np.ndarray) -> np.ndarray:

@@ -41,33 +41,30 @@ def time_difference(values: Callable[[float], np.ndarray], t: float, sides: np.n
         start = max(t, sides[0]) if t - h < sides[0] else min(t, sides[1])
         h = h if t - h < sides[0] else -h
         first, second = start + h, start + 2 * h
-        one, two = first - start, second - start
+        near, far = first - start, second - start
         here = values(start)
-        difference: np.ndarray = (values(first) - here) * (two / one) - (values(second) - here) * (one / two)
-        return difference / (two - one)
+        difference: np.ndarray = (values(first) - here) * (far / near) - (values(second) - here) * (near / far)
+        return difference / (far - near)
     before, after = t - h, t + h
     return (values(after) - values(before)) / (after - before)
 
 
 def differences(values: Callable[[np.ndarray], np.ndarray], y: np.ndarray, columns: range) -> np.ndarray:
     """Return the derivatives of a vector (N,) with respect to some components of `y`, (N, columns)."""
-    found = []
+    tangents = []
     for j in columns:
         h = SHARE * max(LEAST, abs(y[j]))
         before, after = y.copy(), y.copy()
         before[j] -= h
         after[j] += h
-        found.append((values(after) - values(before)) / (after[j] - before[j]))
-    return np.array(found).T
+        tangents.append((values(after) - values(before)) / (after[j] - before[j]))
+    return np.array(tangents).T
 
 
 class StateDerivatives:
     """What is constant in the derivatives of the first-order form of one mechanism.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism and its working arrays.
+    `workspace`: the mechanism and its working arrays.
     """
 
     def __init__(self, workspace: Workspace):
@@ -114,8 +111,8 @@ class StateDerivatives:
         n, m = len(self._q), len(self._row_places)
         if not self._may_change:
             return np.zeros(n), np.zeros(m), np.zeros(len(self._z))
-        found = time_difference(lambda at: np.concatenate(derivatives(at)), t, self._workspace.scratch.sides)
-        return found[:n], found[n : n + m], found[n + m :]
+        derivative = time_difference(lambda at: np.concatenate(derivatives(at)), t, self._workspace.scratch.sides)
+        return derivative[:n], derivative[n : n + m], derivative[n + m :]
 
     def tangents(
         self,
@@ -142,10 +139,7 @@ class StateDerivatives:
     ) -> np.ndarray:
         """Return the derivatives of (v, a, z') with respect to (q, v, z); requires the tangents at this state.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the system is singular.
+        Raises numpy.linalg.LinAlgError if the system is singular.
         """
         n, y = len(q), np.concatenate([q, v, z])
 

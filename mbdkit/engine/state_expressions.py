@@ -42,16 +42,9 @@ class Input(NamedTuple):
 class StateExpression:
     """A compiled expression of the state.
 
-    Parameters
-    ----------
-    law
-        The expression as a law.
-    inputs
-        Its inputs, in the order of the parameters that stand for them, which come first.
-    slopes
-        Its derivatives with respect to the inputs, except states.
-    parameters
-        Number of its parameters, followed by their values; those that stand for inputs are zero.
+    `law`: the expression as a law. `inputs`: its inputs, in the order of the parameters that stand for them, which come
+    first. `slopes`: its derivatives with respect to the inputs, except states. `parameters`: number of its parameters,
+    followed by their values; those that stand for inputs are zero.
     """
 
     law: CompiledLaw
@@ -64,16 +57,9 @@ class StateExpression:
 class Numbering:
     """Indices of the elements, in a mechanism that is being compiled, to which expressions can refer.
 
-    Parameters
-    ----------
-    mechanism
-        The mechanism.
-    bodies
-        Index of each body by name, ground included.
-    springs
-        Index of the first segment of each force element on a pathway, by its key and name, such as ``forces.NAME``.
-    states
-        Index of each first-order state, and of each output and state of a controller, ``controller.output``.
+    `bodies`: index of each body by name, ground included. `springs`: index of the first segment of each force element
+    on a pathway, by its key and name, such as ``forces.NAME``. `states`: index of each first-order state, and of each
+    output and state of a controller, ``controller.output``.
     """
 
     mechanism: Mechanism
@@ -84,10 +70,8 @@ class Numbering:
     def expression(self, text: str, name: str) -> StateExpression:
         """Compile an expression; `name` is the name of its element in error messages.
 
-        Raises
-        ------
-        SpecError
-            If the expression is invalid, or contains a quantity of a load, which kernels cannot evaluate here.
+        Raises SpecError if the expression is invalid, or contains a quantity of a load, which kernels cannot evaluate
+        here.
         """
         program, quantities = higher_layers.state_program(text, self.mechanism)
         terms = _Terms(self)
@@ -162,7 +146,7 @@ class _Terms:
         return self._input(kind, 3 * self.numbering.bodies[name] + places[attribute])
 
     def _of_point(self, body: str, point: Sequence[float], attribute: str) -> str:
-        px, py = (self._constant(one) for one in point)
+        px, py = (self._constant(coordinate) for coordinate in point)
         angle, spin = self._of_body(body, "angle"), self._of_body(body, "angular_velocity")
         x = f"({px}*cos({angle}) - {py}*sin({angle}))"
         y = f"({px}*sin({angle}) + {py}*cos({angle}))"

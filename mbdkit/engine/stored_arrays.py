@@ -22,7 +22,7 @@ _PIVOTED = ("pivoted", "pattern", "factors", "scatter")
 """Parts of a solver that change during a run; all others are constant or scratch arrays."""
 
 
-def stored(bundle: Any) -> dict[str, Any]:
+def stored(bundle: Any) -> dict[str, object]:
     """Return the arrays of a bundle by name, nested as in the bundle; they are not copied."""
     return {name: stored(value) if isinstance(value, tuple) else value for name, value in bundle._asdict().items()}
 
@@ -100,7 +100,7 @@ def scatter_of(state: object, sources: int, places: int) -> Scatter:
     return Scatter(**state)
 
 
-def stored_solver(solver: Solver) -> dict[str, Any]:
+def stored_solver(solver: Solver) -> dict[str, object]:
     """Return the parts of a solver that change during a run."""
     return {name: stored(solver)[name] for name in _PIVOTED}
 

@@ -41,12 +41,7 @@ class Tangents:
 class SparseParts:
     """Sparse arrays that are sums of terms of some classes: (n, n), or (m, n) for classes of constraint rows.
 
-    Parameters
-    ----------
-    workspace
-        The workspace that evaluates the terms.
-    classes
-        Class of the terms of each array.
+    `workspace`: the workspace that evaluates the terms. `classes`: class of the terms of each array.
     """
 
     def __init__(self, workspace: Workspace, classes: Iterable[int]):
@@ -56,9 +51,9 @@ class SparseParts:
         sources, places = [], []
         self._patterns: list[tuple[slice, csr_array]] = []
         self._count = 0
-        for one in classes:
-            first, rows = (n, workspace.unknowns - n) if one in (JACOBIAN, GAMMA_V, RESIDUAL_Q) else (0, n)
-            terms = workspace.terms.kept((class_of == one) & (workspace.terms.row >= first))
+        for of_class in classes:
+            first, rows = (n, workspace.unknowns - n) if of_class in (JACOBIAN, GAMMA_V, RESIDUAL_Q) else (0, n)
+            terms = workspace.terms.kept((class_of == of_class) & (workspace.terms.row >= first))
             entries, which = np.unique((terms.row - first) * n + terms.column, return_inverse=True)
             pattern = csr_array((np.zeros(len(entries)), (entries // n, entries % n)), shape=(rows, n))
             assert pattern.has_canonical_format
@@ -72,9 +67,9 @@ class SparseParts:
     def arrays(self, source: np.ndarray) -> list[csr_array]:
         """Return the arrays for the values `source` of all terms."""
         values = np.bincount(self._place, source[self._source], self._count)
-        found = []
+        arrays = []
         for part, pattern in self._patterns:
             array = copy(pattern)  # shares its indices; a tenth of the time of a new array, which checks them
             array.data = values[part]
-            found.append(array)
-        return found
+            arrays.append(array)
+        return arrays

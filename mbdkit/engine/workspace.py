@@ -51,18 +51,9 @@ from mbdkit.mechanism.mechanism import Mechanism
 class Workspace:
     """A compiled mechanism with the arrays and the solver of one run.
 
-    Parameters
-    ----------
-    mechanism
-        The compiled mechanism.
-    t0
-        Start time [s].
-    q0, v0
-        (3 (B + 1),) consistent start: positions and velocities, ground last.
-    formulation
-        Name of the formulation of the stepped equations.
-    stabilization
-        Stabilization against drift of the constraints.
+    `t0`: start time [s]. `q0`, `v0`: (3 (B + 1),) consistent start: positions and velocities, ground last.
+    `formulation`: name of the formulation of the stepped equations. `stabilization`: stabilization against drift of the
+    constraints.
     """
 
     mechanism: CompiledMechanism
@@ -157,20 +148,9 @@ class Workspace:
     def choose_pivots(self, rate: complex | None = None) -> tuple[Pattern, Factors, Scatter]:
         """Choose pivots for the current values in ``scratch.source``.
 
-        Parameters
-        ----------
-        rate
-            ``h mu`` of a stage matrix, real or complex; None for the matrix of the index-1 system.
-
-        Returns
-        -------
-        Pattern, Factors, Scatter
-            Arguments of `mbdkit.engine.kernels.lu` and of `gather_values`.
-
-        Raises
-        ------
-        SingularSystemError
-            If the matrix is singular.
+        `rate`: ``h mu`` of a stage matrix, real or complex; None for the matrix of the index-1 system. Returns
+        arguments of `mbdkit.engine.kernels.lu` and of `gather_values`. Raises SingularSystemError if the matrix is
+        singular.
         """
         terms = self.terms.chosen(tangents=rate is not None)
         pattern, position = self.pivots_of(terms, terms.coefficients(0.0 if rate is None else rate))
@@ -180,17 +160,8 @@ class Workspace:
         """Choose pivots for the sum of `terms` with their `coefficients`, using the current values in
         ``scratch.source``.
 
-        Returns
-        -------
-        Pattern
-            Patterns of the matrix and of its factors.
-        position : int array
-            Index of each term among the values of the matrix.
-
-        Raises
-        ------
-        SingularSystemError
-            If the matrix is singular.
+        Returns patterns of the matrix and of its factors, and index of each term among the values of the matrix. Raises
+        SingularSystemError if the matrix is singular.
         """
         self.pivotings += 1
         n = self.unknowns
@@ -220,11 +191,8 @@ class Workspace:
     def is_finite(self, *, tangents: bool = True) -> bool:
         """Return whether the matrix terms, gamma and forces of the last evaluation are finite.
 
-        Parameters
-        ----------
-        tangents
-            Whether the derivatives of forces and constraints are checked as well. They are not part of the index-1
-            system, and may belong to an earlier state.
+        `tangents`: whether the derivatives of forces and constraints are checked as well. They are not part of the
+        index-1 system, and may belong to an earlier state.
         """
         w = self.scratch
         terms = w.source if tangents else w.source[self.terms.chosen(tangents=False).source]
@@ -240,8 +208,8 @@ class Workspace:
 
     def take_states(self, z: np.ndarray) -> None:
         """Use the values `z` (Z,) of first-order states in later evaluations of forces."""
-        state, place = self.mechanism.topology.state_places.T
-        self.scratch.law_values[place] = z[state]
+        state, index = self.mechanism.topology.state_places.T
+        self.scratch.law_values[index] = z[state]
 
     def motions_are_finite(self) -> bool:
         """Return whether drivers, loads and moving centers were finite in the last evaluation."""
@@ -301,10 +269,7 @@ class Workspace:
     def for_another_run(self, formulation: str, stabilization: Stabilization) -> Workspace:
         """Return a workspace with the same mechanism and start, and its own arrays and solver.
 
-        Parameters
-        ----------
-        formulation, stabilization
-            See `Workspace`.
+        `formulation`, `stabilization`: see `Workspace`.
         """
         return replace(self, formulation=formulation, stabilization=stabilization)
 
@@ -332,21 +297,9 @@ class Workspace:
     def retry_with_new_pivots(self, solve: Callable[[], int]) -> int:
         """Call `solve`; if it fails because of unsuitable pivots, choose new ones and call it again.
 
-        Parameters
-        ----------
-        solve
-            Solves a system with ``engine`` or ``stepping_engine``, read anew in each call, and returns a status of
-            `mbdkit.engine.kernels.system`.
-
-        Returns
-        -------
-        int
-            The last status. If the index-1 system is not finite, new pivots cannot help, and `solve` is called once.
-
-        Raises
-        ------
-        SingularSystemError
-            If no pivots can be found.
+        `solve`: solves a system with ``engine`` or ``stepping_engine``, read anew in each call, and returns a status of
+        `mbdkit.engine.kernels.system`. Returns the last status. If the index-1 system is not finite, new pivots cannot
+        help, and `solve` is called once. Raises SingularSystemError if no pivots can be found.
         """
         status = solve()
         if status in (OK, NOT_FINITE) or not self.is_finite(tangents=False):
@@ -422,11 +375,8 @@ def _new_reacting(size: int, pairs: int) -> Reacting:
 def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scratch]) -> Scratch:
     """Return working arrays of dual numbers or of lanes.
 
-    Parameters
-    ----------
-    converted
-        Function that returns an array of such numbers for a given array, with an additional last axis for the parts of
-        a number.
+    `converted`: function that returns an array of such numbers for a given array, with an additional last axis for the
+    parts of a number.
     """
     plain, offsets = new_scratch(mechanism)
     scratch = converted(plain)

@@ -68,28 +68,11 @@ def crossings(
     before, because the state has jumped there, this is a crossing at the start. A scalar without a finite value at an
     end of the step, such as at a pole there, has the value close to this end instead.
 
-    Parameters
-    ----------
-    before
-        Last non-zero sign of the scalar; 0 if there has been none.
-    shown
-        Points (position in the step, value) in increasing order; the ends are exact, the others from dense output.
-    dense, exact
-        The scalar as a function of the position in the step, from dense output and from the method itself.
-    accuracy
-        Accuracy of the position of a crossing.
-
-    Returns
-    -------
-    crossings : list of Crossing
-        Crossings in increasing order.
-    sign : int
-        Last non-zero sign so far; 0 if there has been none.
-
-    Raises
-    ------
-    UndefinedError
-        If the scalar has no finite value close to an end of the step, or where a crossing is located.
+    `before`: last non-zero sign of the scalar; 0 if there has been none. `shown`: points (position in the step, value)
+    in increasing order; the ends are exact, the others from dense output. `dense`, `exact`: the scalar as a function of
+    the position in the step, from dense output and from the method itself. `accuracy`: accuracy of the position of a
+    crossing. Returns crossings in increasing order, and last non-zero sign so far; 0 if there has been none. Raises
+    UndefinedError if the scalar has no finite value close to an end of the step, or where a crossing is located.
     """
     first, last = (0.0, _at_end(shown[0], BESIDE, exact)), (1.0, _at_end(shown[-1], 1.0 - BESIDE, exact))
     inner = [point for point in shown[1:-1] if math.isfinite(point[1])]
@@ -154,11 +137,11 @@ def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
         bend = (right - left) / (c - a)
         if bend == 0.0:
             continue
-        place = 0.5 * (a + b) - 0.5 * left / bend
-        if a < place < c and place != b and sign(fb) * (fb + (left + bend * (place - a)) * (place - b)) < LOW * abs(fb):
-            value = dense(place)
+        x = 0.5 * (a + b) - 0.5 * left / bend
+        if a < x < c and x != b and sign(fb) * (fb + (left + bend * (x - a)) * (x - b)) < LOW * abs(fb):
+            value = dense(x)
             if math.isfinite(value) and sign(value) == -sign(fb):
-                more.append((place, value))
+                more.append((x, value))
     return sorted({*points, *more}) if more else points
 
 
@@ -184,20 +167,10 @@ def bracket_root(function: Scalar, left: Point, right: Point, accuracy: float) -
     https://doi.org/10.1145/3423597). It converges superlinearly to simple zeros, and needs only a few evaluations more
     than bisection for any function, such as one with a multiple zero, around which its values are rounding errors.
 
-    Parameters
-    ----------
-    function
-        The function.
-    left, right
-        Points with a value of different sign; the value on the left may be zero. The sign changes to that of `right`:
-        zeros count as the sign of `left`, so that the last zero is located if the function is zero for a while.
-    accuracy
-        Largest distance of the points; rounding errors of positions of about 1 limit it.
-
-    Raises
-    ------
-    UndefinedError
-        If the function has no finite value at a position and at two beside it.
+    `left`, `right`: points with a value of different sign; the value on the left may be zero. The sign changes to that
+    of `right`: zeros count as the sign of `left`, so that the last zero is located if the function is zero for a while.
+    `accuracy`: largest distance of the points; rounding errors of positions of about 1 limit it. Raises UndefinedError
+    if the function has no finite value at a position and at two beside it.
     """
     (a, fa), (b, fb) = left, right
     new, width, whole = sign(fb), max(accuracy, _ROUNDING), b - a

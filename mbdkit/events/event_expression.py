@@ -47,17 +47,11 @@ Function = Callable[[Sequence[Any]], Any]
 class CompiledExpression(NamedTuple):
     """An expression as a function, with functions that determine how densely it must be sampled.
 
-    Attributes
-    ----------
-    value
-        The expression.
-    phases
-        Arguments of the periodic functions in the expression.
-    breaks
-        Functions at whose zeros the expression has kinks, zeros or poles: arguments of ``abs``, differences of the
-        operands of ``min`` and ``max``, and the factors of a product or quotient.
-    is_product
-        Whether the expression is a product or quotient, whose sign changes are those of `breaks`.
+    - `value`: the expression.
+    - `phases`: arguments of the periodic functions in the expression.
+    - `breaks`: functions at whose zeros the expression has kinks, zeros or poles: arguments of ``abs``, differences of
+      the operands of ``min`` and ``max``, and the factors of a product or quotient.
+    - `is_product`: whether the expression is a product or quotient, whose sign changes are those of `breaks`.
     """
 
     value: Function
@@ -70,15 +64,9 @@ class CompiledExpression(NamedTuple):
 class RunExpression:
     """A scalar function of the state and time of a run, whose zero crossings are events.
 
-    Attributes
-    ----------
-    text
-        The expression as written by the user.
-    program
-        Instructions as in `mbdkit.expressions.program`, and ``get``, which pushes the quantity with the given index in
-        `quantities`.
-    quantities
-        Quantities in the expression, except time.
+    `text`: the expression as written by the user. `program`: instructions as in `mbdkit.expressions.program`, and
+    ``get``, which pushes the quantity with the given index in `quantities`. `quantities`: quantities in the expression,
+    except time.
     """
 
     text: str
@@ -93,10 +81,8 @@ class RunExpression:
 
         If `crosses` is set, the expression must be able to cross zero.
 
-        Raises
-        ------
-        SpecError
-            If the syntax is wrong, a quantity does not exist, or the expression cannot cross zero although it must.
+        Raises SpecError if the syntax is wrong, a quantity does not exist, or the expression cannot cross zero although
+        it must.
         """
         compiler = RunCompiler(text, mechanism, parameters)
         program = tuple(compiler.program())
@@ -107,10 +93,7 @@ class RunExpression:
     def function(self, places: Mapping[Quantity, int]) -> Callable[[Sequence[float]], float]:
         """Return a function that evaluates the expression; it returns nan where the expression is undefined.
 
-        Parameters
-        ----------
-        places
-            Index of each quantity in the argument of the function; index 0 is the time.
+        `places`: index of each quantity in the argument of the function; index 0 is the time.
         """
         return self.compiled(places).value
 
@@ -160,7 +143,7 @@ def _total(function: Function) -> Function:
     a number that is too large.
     """
 
-    def evaluated(values: Sequence[Any]) -> Any:
+    def evaluated(values: Sequence[object]) -> Any:
         try:
             value = function(values)
         except (ArithmeticError, ValueError):
@@ -197,12 +180,7 @@ def check_state(name: str, mechanism: Mechanism) -> None:
 class WordsOfKinds(Mapping[str, Sequence[str]]):
     """Names of the quantities of each kind by its word; plugins are imported for the words that are looked up.
 
-    Parameters
-    ----------
-    names
-        Function that returns the names of a kind.
-    more
-        Names by further words.
+    `names`: function that returns the names of a kind. `more`: names by further words.
     """
 
     def __init__(
@@ -228,10 +206,7 @@ class WordsOfKinds(Mapping[str, Sequence[str]]):
 class RunCompiler(Compiler):
     """Compiles one expression with the quantities of a run.
 
-    Attributes
-    ----------
-    attributes
-        Names of the quantities of each kind of element.
+    `attributes`: names of the quantities of each kind of element.
     """
 
     attributes: ClassVar[Mapping[str, Sequence[str]]] = WordsOfKinds(
@@ -284,8 +259,8 @@ class RunCompiler(Compiler):
             case ast.Name(id=name) if any(name in names for names in self.known.values()):
                 kind = next(kind for kind, names in self.known.items() if name in names)
                 example = f"{'' if kind in _BARE else f'{kind}.'}{name}.{kind_of_word(kind).example}"
-                one = kind_of_word(kind).one
-                self.refuse(f"'{name}' is a {one}, not a number; use one of its quantities, such as {example}", node)
+                noun = kind_of_word(kind).one
+                self.refuse(f"'{name}' is a {noun}, not a number; use one of its quantities, such as {example}", node)
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
             case ast.Attribute() if right := self.with_quotes(ast.unparse(node)):
@@ -410,7 +385,7 @@ class RunCompiler(Compiler):
         """Raise SpecError for an unknown name."""
         few = f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}" if known else "; there are none"
         hint = did_you_mean(name, known) or few
-        for meant in (one for one in known if not one.isidentifier() and f"'{one}'" in hint):
+        for meant in (word for word in known if not word.isidentifier() and f"'{word}'" in hint):
             kind = next((kind for kind, names in self.known.items() if meant in names), "")
             hint = f" (did you mean {kind}[{meant!r}]?)" if kind else hint
         self.refuse(

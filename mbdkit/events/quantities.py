@@ -25,10 +25,7 @@ MOST_KEPT = 8
 class _WatchedStates(States):
     """States whose joint angles are computed as differences of the angles of bodies, without the engine.
 
-    Parameters
-    ----------
-    travels
-        Whether the coordinates of slides are needed as well.
+    `travels`: whether the coordinates of slides are needed as well.
     """
 
     is_for_events: ClassVar[bool] = True
@@ -49,12 +46,7 @@ class _WatchedStates(States):
 class QuantityEvaluator:
     """Evaluates quantities at states. The engine is called only if a quantity is not an entry of the state.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism and the solver of the run.
-    quantities
-        The quantities to evaluate.
+    `workspace`: the mechanism and the solver of the run. `quantities`: the quantities to evaluate.
     """
 
     def __init__(self, workspace: Workspace, quantities: Sequence[Quantity]):
@@ -76,14 +68,8 @@ class QuantityEvaluator:
 
         Vectors are replaced by their norms.
 
-        Parameters
-        ----------
-        times
-            (K,) times [s].
-        q, v
-            (K, 3 (B + 1)) positions and velocities, ground last.
-        z
-            (K, Z) first-order states.
+        `times`: (K,) times [s]. `q`, `v`: (K, 3 (B + 1)) positions and velocities, ground last. `z`: (K, Z) first-order
+        states.
         """
         columns = (column.tolist() for column in self.columns(np.array(times), q, v, z))
         return [list(row) for row in zip(*columns, strict=True)]

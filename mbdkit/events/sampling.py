@@ -80,21 +80,14 @@ def refined(
 ) -> list[tuple[float, float]]:
     """Return samples (position in the step, value) of a scalar in order, with samples added where they are needed.
 
-    Parameters
-    ----------
-    points
-        Positions in the step, from 0 to 1, with the values of the quantities there.
-    values_at
-        Function that evaluates the quantities at a position, by dense output.
-    scalar
-        The scalar of the event as a function of the quantities.
-    phases, breaks
-        Arguments of the periodic functions in the scalar; and scalars at whose sign changes the derivative of the
-        scalar is discontinuous: arguments of its `abs`, and differences of the operands of its `min` and `max`.
-    largest
-        Largest absolute value of the scalar so far.
-    is_product
-        Whether the scalar changes its sign only where one of `breaks` does.
+    - `points`: positions in the step, from 0 to 1, with the values of the quantities there.
+    - `values_at`: function that evaluates the quantities at a position, by dense output.
+    - `scalar`: the scalar of the event as a function of the quantities.
+    - `phases`, `breaks`: arguments of the periodic functions in the scalar; and scalars at whose sign changes the
+      derivative of the scalar is discontinuous: arguments of its `abs`, and differences of the operands of its `min`
+      and `max`.
+    - `largest`: largest absolute value of the scalar so far.
+    - `is_product`: whether the scalar changes its sign only where one of `breaks` does.
     """
     known = dict(points)
 
@@ -132,25 +125,25 @@ def _sample_between_kinks(
 
     `known` are the quantities at positions, to which `at` adds. The same five samples are refined `deepest` times.
     """
-    samples = {place: scalar(known[place]) for place in known}
+    samples = {position: scalar(known[position]) for position in known}
 
-    def value(place: float) -> float:
-        if place not in samples:
-            samples[place] = scalar(at(place))
-        return samples[place]
+    def value(position: float) -> float:
+        if position not in samples:
+            samples[position] = scalar(at(position))
+        return samples[position]
 
     stack: list[tuple[list[float], int]] = []
     ends = sorted({0.0, *kinks, 1.0})
     for begin, end in pairwise(ends):
         if end - begin <= SHORTEST:
             continue
-        places = [place for place in sorted(known) if begin <= place <= end]
+        places = [position for position in sorted(known) if begin <= position <= end]
         stack += [(places[max(0, min(k, len(places) - 5)) :][:5], 0) for k in range(0, max(1, len(places) - 1), 4)]
     while stack and len(samples) < MOST_SAMPLES:
         five, depth = stack.pop()
         if len(five) < 5:
             five = np.linspace(five[0], five[-1], 5).tolist()
-        values = [value(place) for place in five]
+        values = [value(position) for position in five]
         largest = max(largest, *(abs(x) for x in values if math.isfinite(x)), 0.0)
         if not all(map(math.isfinite, values)) or max(map(abs, values)) <= NOISE * largest:
             continue
@@ -159,8 +152,8 @@ def _sample_between_kinks(
             nine = sorted({*five, *(0.5 * (a + b) for a, b in pairwise(five))})
             stack += [(nine[:5], depth + 1), (nine[4:], depth + 1)]
         else:
-            for place in more:
-                value(place)
+            for position in more:
+                value(position)
     return sorted(samples.items())
 
 
@@ -173,8 +166,8 @@ def _divide(known: dict[float, Values], at: Callable[[float], Values], phase: Sc
         parts = min(math.ceil(turn), MOST_SAMPLES - len(known)) if math.isfinite(turn) else 1
         if parts > 1 and b - a > 1e-9:
             places = [a, *(a + (b - a) * k / parts for k in range(1, parts)), b]
-            for place in places[1:-1]:
-                at(place)
+            for position in places[1:-1]:
+                at(position)
             todo += pairwise(places)
 
 
@@ -212,7 +205,7 @@ def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bo
     or if the derivative may vanish near a root.
     """
     begin, width = five[0], five[-1] - five[0]
-    nodes = [round((place - begin) / width, 9) for place in five]
+    nodes = [round((position - begin) / width, 9) for position in five]
     if min(b - a for a, b in pairwise(nodes)) < 1e-6:
         return True, []
     inverse, error = interpolation(tuple(nodes))
@@ -221,21 +214,21 @@ def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bo
     coefficients: list[float] = product(inverse, f).tolist()
     slope = _derivative(coefficients)
     places = sorted({*nodes, *_quadratic_roots(*_derivative(slope))})  # the slope is monotone between these places
-    rates = [_polynomial(slope, place) for place in places]
+    rates = [_polynomial(slope, position) for position in places]
     more = []
     for (a, left), (b, right) in pairwise(zip(places, rates, strict=True)):
         if left * right < 0.0:
-            place = _extremum(slope, a, b, left, right)
+            position = _extremum(slope, a, b, left, right)
         elif min(abs(left), abs(right)) <= slope_error:
-            place = a if abs(left) <= abs(right) else b
+            position = a if abs(left) <= abs(right) else b
         else:
             continue
-        value = _polynomial(coefficients, place)
+        value = _polynomial(coefficients, position)
         if abs(value) <= value_error:
             return False, []
-        k = min(bisect_right(nodes, place), 4)
+        k = min(bisect_right(nodes, position), 4)
         if value * values[k - 1] < 0.0 or value * values[k] < 0.0:
-            more.append(begin + width * place)
+            more.append(begin + width * position)
     return True, more
 
 
@@ -263,14 +256,14 @@ def _polynomial(coefficients: Sequence[float], x: float) -> float:
 def _extremum(slope: Sequence[float], a: float, b: float, left: float, right: float) -> float:
     """Return the root between `a` and `b` of a polynomial whose values there are `left` and `right`."""
     for _ in range(4):  # regula falsi with bisection
-        for place in (a - left * (b - a) / (right - left), 0.5 * (a + b)):
-            if not a < place < b:
+        for position in (a - left * (b - a) / (right - left), 0.5 * (a + b)):
+            if not a < position < b:
                 continue
-            rate = _polynomial(slope, place)
+            rate = _polynomial(slope, position)
             if rate * left > 0.0:
-                a, left = place, rate
+                a, left = position, rate
             elif rate == 0.0:
-                return place
+                return position
             else:
-                b, right = place, rate
+                b, right = position, rate
     return a - left * (b - a) / (right - left)

@@ -46,14 +46,8 @@ _ERRORS = interpolation(_PLACES)[1][::2]
 class Screen:
     """Counts the steps before the first one that may contain an event.
 
-    Parameters
-    ----------
-    workspace
-        The workspace of the run. Pivots are chosen independently of it.
-    expressions
-        Expressions of the events.
-    places
-        Index of each of their quantities, from 1.
+    `workspace`: the workspace of the run. Pivots are chosen independently of it. `expressions`: expressions of the
+    events. `places`: index of each of their quantities, from 1.
     """
 
     def __init__(self, workspace: Workspace, expressions: Sequence[RunExpression], places: Mapping[Quantity, int]):
@@ -64,13 +58,9 @@ class Screen:
     def clear_steps(self, states: ConsecutiveSteps, signs: list[int], largest: list[float]) -> int:
         """Return the number of steps before the first one that may contain an event.
 
-        Parameters
-        ----------
-        states
-            States at the start of the first step, and at the shares `INSIDE` and the end of each step.
-        signs, largest
-            Last non-zero sign and largest absolute value of each expression so far. They are replaced by those at the
-            end of the clear steps.
+        `states`: states at the start of the first step, and at the shares `INSIDE` and the end of each step. `signs`,
+        `largest`: last non-zero sign and largest absolute value of each expression so far. They are replaced by those
+        at the end of the clear steps.
         """
         self._own.clamp_motions(*self._workspace.scratch.sides)
         columns = self._quantities.columns(*states)
@@ -116,12 +106,7 @@ def _is_even(expression: CompiledExpression, columns: Sequence[np.ndarray]) -> n
 def _is_clear(own: np.ndarray, largest: float) -> np.ndarray:
     """Return whether the scalar of an event stays away from zero in each step (K,); false if it is not finite.
 
-    Parameters
-    ----------
-    own
-        (K, 5) values of the scalar, multiplied by its last non-zero sign.
-    largest
-        Largest absolute value so far.
+    `own`: (K, 5) values of the scalar, multiplied by its last non-zero sign. `largest`: largest absolute value so far.
     """
     largest_in_step = np.max(np.abs(own), axis=1)
     # a polynomial whose values are larger than its error has no double root, nor has it a root between two samples

@@ -41,10 +41,7 @@ class StateCompiler(RunCompiler):
 def state_program(text: str, mechanism: Mechanism) -> tuple[Program, list[tuple[str, str, str]]]:
     """Return the program of an expression, and kind, name and attribute of each quantity that ``get`` pushes.
 
-    Raises
-    ------
-    SpecError
-        For the first error; it contains the position in the text.
+    Raises SpecError for the first error; it contains the position in the text.
     """
     compiler = StateCompiler(text, mechanism)
     program = tuple(compiler.program())

@@ -66,18 +66,12 @@ MOST_AHEAD, MOST_SINGLE = 256, 16
 class Watched:
     """An event to detect.
 
-    Parameters
-    ----------
-    name
-        Name of the event.
-    when
-        Expression whose zero crossings are detected.
-    direction
-        Direction of the crossings that count.
-    action
-        Whether the run continues (``note``) or ends (``stop``) at a crossing.
-    changes
-        New values of first-order states set by a crossing, by name, as expressions of the state before the crossing.
+    - `name`: name of the event.
+    - `when`: expression whose zero crossings are detected.
+    - `direction`: direction of the crossings that count.
+    - `action`: whether the run continues (``note``) or ends (``stop``) at a crossing.
+    - `changes`: new values of first-order states set by a crossing, by name, as expressions of the state before the
+      crossing.
     """
 
     name: str
@@ -152,14 +146,8 @@ class Lookahead:
 
     It depends on earlier steps only, not on wall time, so that a run can be repeated to the bit.
 
-    Attributes
-    ----------
-    steps
-        Number of steps that are taken next.
-    single
-        Number of steps that are taken one by one before.
-    pause
-        The value of `single` after the next step that may contain an event.
+    `steps`: number of steps that are taken next. `single`: number of steps that are taken one by one before. `pause`:
+    the value of `single` after the next step that may contain an event.
     """
 
     steps: int = 8
@@ -180,16 +168,8 @@ class Watch:
     """Wraps a stepper to detect events, to end the run at an event with the action ``stop``, to set states at events,
     and to keep all steps.
 
-    Parameters
-    ----------
-    stepper
-        The stepper, started with ``Timetable.single``; if events set states, it must be a
-        `mbdkit.integrators.run.splitting.Splitting`.
-
-    Attributes
-    ----------
-    stopped
-        Crossing that ended the run, or None.
+    `stepper`: the stepper, started with ``Timetable.single``; if events set states, it must be a
+    `mbdkit.integrators.run.splitting.Splitting`. `stopped`: crossing that ended the run, or None.
     """
 
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
@@ -316,7 +296,7 @@ class Watch:
         steps, self._steps = self._steps, []
         return steps
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, object]:
         """Return the state that is carried from step to step, as plain values for a checkpoint.
 
         All crossings must have been fetched by `taken`.

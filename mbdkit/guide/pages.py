@@ -14,15 +14,7 @@ from mbdkit.registry.manager import registry
 
 @dataclass(frozen=True)
 class Page:
-    """A page of the guide.
-
-    Attributes
-    ----------
-    topic
-        Name of the page: its file name without ``.md``.
-    text
-        The page, as Markdown.
-    """
+    """A page of the guide. `topic`: name of the page: its file name without ``.md``. `text`: the page, as Markdown."""
 
     topic: str
     text: str
@@ -54,7 +46,7 @@ class Hit:
 def search(words: str) -> list[Hit]:
     """Return the sections of the guide that contain all words; sections in which the words are adjacent come first."""
     wanted = _plain(words).split()
-    found: list[tuple[bool, int, Hit]] = []
+    matches: list[tuple[bool, int, Hit]] = []
     for page in pages().values():
         for section in re.split(r"^(?=#+ )", page.text, flags=re.MULTILINE):
             text = _plain(section)
@@ -63,8 +55,8 @@ def search(words: str) -> list[Hit]:
             heading, *lines = section.splitlines()
             best = max(lines or [""], key=lambda line: sum(word in _plain(line) for word in wanted))
             away = sum(word not in _plain(heading) for word in wanted)
-            found.append((" ".join(wanted) not in text, away, Hit(page.topic, heading.lstrip("# "), best.strip())))
-    return [hit for *_, hit in sorted(found, key=lambda one: one[:2])]
+            matches.append((" ".join(wanted) not in text, away, Hit(page.topic, heading.lstrip("# "), best.strip())))
+    return [hit for *_, hit in sorted(matches, key=lambda match: match[:2])]
 
 
 def _plain(text: str) -> str:
@@ -73,13 +65,7 @@ def _plain(text: str) -> str:
 
 
 def find_page(topic: str) -> Page:
-    """Return the page on a topic.
-
-    Raises
-    ------
-    SpecError
-        If there is no such page.
-    """
+    """Return the page on a topic. Raises SpecError if there is no such page."""
     known = pages()
     if topic not in known:
         raise SpecError(

@@ -39,12 +39,8 @@ def step_control(traits: Traits, mechanism: CompiledMechanism) -> Control | None
 def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMethod, Control | None]:
     """Return a compiled method, and its step-size control, which is None for fixed steps.
 
-    Raises
-    ------
-    mbdkit.methods.tableau.TableauError
-        If a tableau cannot be used with the formulation of the workspace.
-    mbdkit.base.errors.UnsupportedMechanismError
-        If the method does not support the mechanism.
+    Raises mbdkit.methods.tableau.TableauError if a tableau cannot be used with the formulation of the workspace. Raises
+    mbdkit.base.errors.UnsupportedMechanismError if the method does not support the mechanism.
     """
     method.require_formulation(FORMULATIONS[workspace.formulation])
     method.require_mechanism(workspace.mechanism)
@@ -69,23 +65,11 @@ def treatment_method(method: Method, section: Never, /) -> Steps:
 def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
     """Return a stepper that runs a method.
 
-    Parameters
-    ----------
-    method
-        The method, as returned by the `create` of an integrator plugin.
-    workspace
-        The mechanism and its start, with formulation and stabilization.
-    timetable
-        Times of the run, and which states are recorded.
-
-    Raises
-    ------
-    mbdkit.engine.elimination_order.SingularSystemError
-        If the equations of the first step are singular.
-    mbdkit.methods.tableau.TableauError
-        If a tableau cannot be used with the formulation of the workspace.
-    mbdkit.base.errors.UnsupportedMechanismError
-        If the method does not support the mechanism.
+    `method`: the method, as returned by the `create` of an integrator plugin. `workspace`: the mechanism and its start,
+    with formulation and stabilization. `timetable`: times of the run, and which states are recorded. Raises
+    mbdkit.engine.elimination_order.SingularSystemError if the equations of the first step are singular. Raises
+    mbdkit.methods.tableau.TableauError if a tableau cannot be used with the formulation of the workspace. Raises
+    mbdkit.base.errors.UnsupportedMechanismError if the method does not support the mechanism.
     """
     traits, chosen = method.traits, workspace.mechanism.reacting
     between: Callable[[CompiledMethod], CompiledMethod] | None = None

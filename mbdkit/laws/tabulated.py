@@ -17,7 +17,7 @@ from mbdkit.mechanism.values import NotNegative, Number, columns_of
 _columns = partial(columns_of, at="lengths", of="forces", shown="length, force")
 
 
-def _check(value: Any) -> Any:
+def _check(value: object) -> object:
     return _columns(value)
 
 

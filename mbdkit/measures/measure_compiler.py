@@ -38,18 +38,12 @@ _OF_VECTORS = ("mean", "final", "integral", "at")
 class _Value:
     """Properties of an operand that are known before a run.
 
-    Parameters
-    ----------
-    unit
-        SI unit of the operand; None if it depends on named parameters, whose units are unknown.
-    is_number
-        Whether the operand consists of numbers in the text only; in sums, numbers have the unit of the other operand.
-    is_series
-        Whether the operand changes over time.
-    is_vector
-        Whether the operand has two components.
-    along
-        Name of the beam if the operand has a value in each of its elements; otherwise empty.
+    - `unit`: SI unit of the operand; None if it depends on named parameters, whose units are unknown.
+    - `is_number`: whether the operand consists of numbers in the text only; in sums, numbers have the unit of the other
+      operand.
+    - `is_series`: whether the operand changes over time.
+    - `is_vector`: whether the operand has two components.
+    - `along`: name of the beam if the operand has a value in each of its elements; otherwise empty.
     """
 
     unit: Unit | None
@@ -149,10 +143,7 @@ class MeasureCompiler(RunCompiler):
     def get(self, quantity: Quantity) -> Code:
         """Return the program that pushes a quantity, which is known to exist.
 
-        Raises
-        ------
-        SpecError
-            If the runs do not record the quantity.
+        Raises SpecError if the runs do not record the quantity.
         """
         if quantity.kind in QUANTITIES and quantity.kind not in self.spec.recorded:
             raise SpecError(
@@ -250,8 +241,8 @@ class MeasureCompiler(RunCompiler):
         unit = self.unit(operation, values, exponent, node)
         value = _Value(
             unit,
-            is_number=all(one.is_number for one in values),
-            is_series=any(one.is_series for one in values),
+            is_number=all(operand.is_number for operand in values),
+            is_series=any(operand.is_series for operand in values),
             is_vector=self.makes_vector(operation, values, node),
             along=self.beam_of(values, node),
         )
@@ -285,10 +276,7 @@ class MeasureCompiler(RunCompiler):
     def unit(self, operation: str, values: Sequence[_Value], exponent: float | None, node: ast.expr) -> Unit | None:
         """Return the unit of the result of an operation; raise SpecError if units do not match.
 
-        Parameters
-        ----------
-        exponent
-            The exponent of a power, if it is a constant.
+        `exponent`: the exponent of a power, if it is a constant.
         """
         dimension, base = OPERATIONS[operation].dimension, values[0].unit
         if dimension in ("common", "angle of common"):

@@ -44,19 +44,12 @@ AT_END_OF_RUN = "{} at the end of the run"
 class MeasureExpression:
     """An expression whose value is one number per run.
 
-    Attributes
-    ----------
-    text
-        The expression as written by the user.
-    program
-        Postfix instructions as in `mbdkit.events.event_expression.RunExpression`, and reductions over time.
-    quantities
-        Quantities in the expression, except time.
-    unit
-        Unit of the value.
-    functionals
-        Integrals and extrema that are computed during the run. A reduction in the program refers to its functional by
-        the index, from 1; the index is 0 if the quantity is known at the recorded times only.
+    - `text`: the expression as written by the user.
+    - `program`: postfix instructions as in `mbdkit.events.event_expression.RunExpression`, and reductions over time.
+    - `quantities`: quantities in the expression, except time.
+    - `unit`: unit of the value.
+    - `functionals`: integrals and extrema that are computed during the run. A reduction in the program refers to its
+      functional by the index, from 1; the index is 0 if the quantity is known at the recorded times only.
     """
 
     text: str
@@ -69,16 +62,9 @@ class MeasureExpression:
     def parse(text: str, spec: ModelSpec, unit: str = "") -> MeasureExpression:
         """Parse an expression for the runs of a spec.
 
-        Parameters
-        ----------
-        unit
-            Unit in which to give the value; by default the SI unit that follows from the expression.
-
-        Raises
-        ------
-        SpecError
-            If the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value is
-            not one number. The key of the error is ``unit`` if the given unit does not match.
+        `unit`: unit in which to give the value; by default the SI unit that follows from the expression. Raises
+        SpecError if the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value
+        is not one number. The key of the error is ``unit`` if the given unit does not match.
         """
         try:
             wanted = read_unit(unit) if unit else None
@@ -133,15 +119,15 @@ class MeasureExpression:
         if not len(run.time) or not any(functional.is_extremum for functional in self.functionals):
             return remarks
 
-        def compared(name: str, found: np.ndarray, values: np.ndarray) -> None:
+        def compared(name: str, extremum: np.ndarray, values: np.ndarray) -> None:
             sign, spread = -1.0 if name == "min" else 1.0, float(np.max(values) - np.min(values))
             row = int(np.argmax(sign * values))
-            if sign * (values[row] - found[0]) > BEYOND * spread:
+            if sign * (values[row] - extremum[0]) > BEYOND * spread:
                 remarks.append(
                     f"the recorded row at t = {run.time[row]:.6g} s has {values[row]:.6g}, beyond the {name} of the "
-                    f"motion between the ends of steps, {found[0]:.6g}: states between steps are less accurate there"
+                    f"motion between the ends of steps, {extremum[0]:.6g}: states between steps are less accurate there"
                 )
-            if sign * (found[0] - values[-1]) <= BEYOND * spread and is_at_end(sign * values):
+            if sign * (extremum[0] - values[-1]) <= BEYOND * spread and is_at_end(sign * values):
                 remarks.append(AT_END_OF_RUN.format(name))
 
         try:
@@ -151,15 +137,12 @@ class MeasureExpression:
         return list(dict.fromkeys(remarks))
 
     def _values(
-        self, run: Run, compared: Callable[[str, np.ndarray, np.ndarray], None] = lambda name, found, values: None
+        self, run: Run, compared: Callable[[str, np.ndarray, np.ndarray], None] = lambda name, extremum, values: None
     ) -> np.ndarray:
         """Return the value of the program for a run, in SI units; see `applied` for its shape.
 
-        Parameters
-        ----------
-        compared
-            Function called for each extremum of the continuous motion with ``max`` or ``min``, the extremum, and the
-            values in the recorded rows.
+        `compared`: function called for each extremum of the continuous motion with ``max`` or ``min``, the extremum,
+        and the values in the recorded rows.
         """
         series = Series(run.time, lambda one: recorded(one, run))
 
@@ -167,13 +150,13 @@ class MeasureExpression:
             if not operation.startswith(REDUCE):
                 return applied(operation, number, operands, self.quantities, series)
             name, values = operation.removeprefix(REDUCE), operands[0]
-            found = run.integrals.get(self.functionals[int(number) - 1].text) if number else None
-            if name == "at" and (found is None or np.any(run.time == operands[1][0])):
+            extremum = run.integrals.get(self.functionals[int(number) - 1].text) if number else None
+            if name == "at" and (extremum is None or np.any(run.time == operands[1][0])):
                 return interpolated(float(operands[1][0]), run.time, values)
             duration = run.time[-1] - run.time[0]
-            if found is None or not duration > 0.0:
+            if extremum is None or not duration > 0.0:
                 return np.asarray(REDUCTIONS[name](run.time, values)[..., None])
-            reduced = from_functional(name, found, duration, values)
+            reduced = from_functional(name, extremum, duration, values)
             if name in EXTREMA:
                 compared(name, reduced, values)
             return reduced
@@ -192,11 +175,8 @@ class SeriesExpression(MeasureExpression):
 
         Named parameters are not available, because their values may differ between runs.
 
-        Raises
-        ------
-        SpecError
-            If the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value is
-            not one number in each row.
+        Raises SpecError if the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or
+        the value is not one number in each row.
         """
         compiler = MeasureCompiler(text, spec, {})
         program, value = compiler.series()

@@ -32,16 +32,13 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
     """Return the SI unit of a quantity of the runs of a spec; None for a first-order state whose unit is not a known
     one.
 
-    Raises
-    ------
-    SpecError
-        If the quantity is the friction of a joint without friction.
+    Raises SpecError if the quantity is the friction of a joint without friction.
     """
     if quantity.kind == "events":
         return read_unit(_EVENTS[quantity.attribute][0])
-    found = quantity.recorded
-    if found.units:
-        return read_unit(found.units)
+    recorded_array = quantity.recorded
+    if recorded_array.units:
+        return read_unit(recorded_array.units)
     if quantity.of.unit_of is None:
         return read_unit(spec.actuator_units[quantity.name])
     mechanism = spec.mechanism()
@@ -54,7 +51,7 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
             return read_unit(of_element if quantity.attribute == "value" else f"{of_element}/s")
         except SpecError:
             return None
-    return read_unit(UNITS_OF_ELEMENT.get(found.array.row_units, {}).get(of_element, of_element))
+    return read_unit(UNITS_OF_ELEMENT.get(recorded_array.array.row_units, {}).get(of_element, of_element))
 
 
 def of_event(quantity: Quantity, times: np.ndarray) -> float:
@@ -67,10 +64,7 @@ def recorded(quantity: Quantity, run: Run) -> np.ndarray:
 
     The shape is (2, T) for a vector, (elements, T) along a beam, and (1,) for an event.
 
-    Raises
-    ------
-    NotRecordedError
-        If the run did not record the quantity.
+    Raises NotRecordedError if the run did not record the quantity.
     """
     if quantity.kind == "events":
         return np.array([of_event(quantity, np.asarray(run.events.of_name(quantity.name).time))])

@@ -19,12 +19,8 @@ from mbdkit.quantities.quantity import Quantity
 class Series:
     """Quantities of a run over time, at the recorded times or at other times of its motion.
 
-    Parameters
-    ----------
-    time
-        (T,) times [s].
-    of
-        Function that returns the values of a quantity: (T,), (2, T) for a vector, or (elements, T) along a beam.
+    `time`: (T,) times [s]. `of`: function that returns the values of a quantity: (T,), (2, T) for a vector, or
+    (elements, T) along a beam.
     """
 
     time: np.ndarray
@@ -68,28 +64,22 @@ EventTimes = Callable[[Quantity], float]
 """Function that returns a quantity of an event, such as the time of its first crossing."""
 
 
-def from_functional(name: str, found: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
+def from_functional(name: str, value: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
     """Return a reduction of values (..., T), given the functional that was computed during the run."""
-    return OF_FUNCTIONAL[name](np.atleast_1d(found), duration).reshape(*values.shape[:-1], 1)
+    return OF_FUNCTIONAL[name](np.atleast_1d(value), duration).reshape(*values.shape[:-1], 1)
 
 
 @dataclass(frozen=True)
 class Functional:
     """An integral over time, an extremum, or a value at a given time, which a measure needs.
 
-    Attributes
-    ----------
-    text
-        Key of the functional: the integrand as an expression, or ``max(...)``, ``min(...)`` or ``at(...)`` of an
-        expression.
-    reduction
-        ``integral``, ``max``, ``min`` or ``at``.
-    program, quantities
-        The quantity over time; see `mbdkit.measures.measure_expression.MeasureExpression`.
-    inner
-        Inner functionals, as in ``x - mean(x)``, to which reductions of the program refer by their index, from 1.
-    when
-        For ``at``, the time of the value, which may depend on inner functionals and on the times of events.
+    - `text`: key of the functional: the integrand as an expression, or ``max(...)``, ``min(...)`` or ``at(...)`` of an
+      expression.
+    - `reduction`: ``integral``, ``max``, ``min`` or ``at``.
+    - `program`, `quantities`: the quantity over time; see `mbdkit.measures.measure_expression.MeasureExpression`.
+    - `inner`: inner functionals, as in ``x - mean(x)``, to which reductions of the program refer by their index, from
+      1.
+    - `when`: for ``at``, the time of the value, which may depend on inner functionals and on the times of events.
     """
 
     text: str
@@ -143,22 +133,16 @@ class Functional:
     def time(self, known: Integrals, span: tuple[float, float], events: EventTimes) -> float:
         """Return the time [s] at which this functional takes the value of its quantity, if it is a value at one time.
 
-        Parameters
-        ----------
-        known
-            Values of the functionals in `inner`, by their source texts.
-        span
-            First and last time of the run [s].
-        events
-            Function that returns quantities of events.
+        `known`: values of the functionals in `inner`, by their source texts. `span`: first and last time of the run
+        [s]. `events`: function that returns quantities of events.
         """
 
         def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
             if operation == REDUCE + "final":  # of t
                 return np.array([span[1]])
             if operation.startswith(REDUCE):
-                found = known[self.inner[int(number) - 1].text]
-                return from_functional(operation.removeprefix(REDUCE), found, span[1] - span[0], operands[0])
+                known_value = known[self.inner[int(number) - 1].text]
+                return from_functional(operation.removeprefix(REDUCE), known_value, span[1] - span[0], operands[0])
             if operation == "get":  # other quantities are operands of functionals
                 quantity = self.quantities[int(number)]
                 return np.array([events(quantity) if quantity.kind == "events" else np.nan])
@@ -170,12 +154,7 @@ class Functional:
     def values(self, series: Series, known: Integrals, duration: float) -> np.ndarray:
         """Return the values at T times: (T,), or (2, T) for a vector.
 
-        Parameters
-        ----------
-        known
-            Values of the functionals in `inner`, by their source texts.
-        duration
-            Duration of the run [s].
+        `known`: values of the functionals in `inner`, by their source texts. `duration`: duration of the run [s].
         """
         return self.values_and_switches(series, known, duration, 1)[0]
 
@@ -184,24 +163,17 @@ class Functional:
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the values at T times, and the scalars at whose sign changes the operations change their form.
 
-        Parameters
-        ----------
-        groups
-            Number G of groups of P = T / G times. Only sign changes within a group count. For the norm of a vector, the
-            scalar is the product of the vector with the first vector of the group.
-
-        Returns
-        -------
-        values, switches
-            (T,) or (2, T), and one array (G, P) for each operation with a switch.
+        `groups`: number G of groups of P = T / G times. Only sign changes within a group count. For the norm of a
+        vector, the scalar is the product of the vector with the first vector of the group. Returns (T,) or (2, T), and
+        one array (G, P) for each operation with a switch.
         """
         switches: list[np.ndarray] = []
         count = len(series.time)
 
         def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
             if operation.startswith(REDUCE):
-                found = known[self.inner[int(number) - 1].text]
-                return from_functional(operation.removeprefix(REDUCE), found, duration, operands[0])
+                known_value = known[self.inner[int(number) - 1].text]
+                return from_functional(operation.removeprefix(REDUCE), known_value, duration, operands[0])
             argument = _switch_of(operation, operands, groups)
             if argument is not None and argument.shape[-1] * groups == count:
                 switches.append(np.broadcast_to(argument, (groups, count // groups)))

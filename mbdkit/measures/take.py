@@ -34,10 +34,7 @@ class Description:
 def describe(measure: DefinedMeasure, spec: ModelSpec) -> Description:
     """Check a measure for the runs of a spec, and return its unit and description.
 
-    Raises
-    ------
-    SpecError
-        If the expression of the measure is not valid for the spec.
+    Raises SpecError if the expression of the measure is not valid for the spec.
     """
     if measure.item is None:
         parsed = MeasureExpression.parse(measure.expression, spec, measure.unit)
@@ -64,15 +61,7 @@ def check_measures(spec: ModelSpec) -> None:
 def take(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> float:
     """Return the value of a measure for a run; nan if only another base spec of the study defines the measure.
 
-    Parameters
-    ----------
-    spec
-        The spec of the run.
-
-    Raises
-    ------
-    PluginError
-        If the measure of a plugin fails.
+    `spec`: the spec of the run. Raises PluginError if the measure of a plugin fails.
     """
     if not is_taken(measure, spec):
         return math.nan

@@ -29,14 +29,9 @@ class Place(NamedTuple):
 class IntegrationPoint(NamedTuple):
     """An integration point of an element.
 
-    Attributes
-    ----------
-    shape
-        Values of the shape functions of the nodes at this point.
-    slope
-        Their derivatives with respect to a coordinate that goes from 0 to 1 along the element.
-    weight
-        Weight of the point; the weights of an element add up to 1.
+    `shape`: values of the shape functions of the nodes at this point. `slope`: their derivatives with respect to a
+    coordinate that goes from 0 to 1 along the element. `weight`: weight of the point; the weights of an element add up
+    to 1.
     """
 
     shape: tuple[float, ...]
@@ -88,10 +83,7 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
     The curve is a cubic spline, with "not-a-knot" end conditions, whose parameter is the length along the polygon
     through the points. Through three points, it is a parabola.
 
-    Parameters
-    ----------
-    points
-        Three or more points (x, y) [m]; neighbours must differ.
+    `points`: three or more points (x, y) [m]; neighbours must differ.
     """
     from scipy.interpolate import CubicSpline
 
@@ -115,7 +107,7 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
         at -= (whole[piece] + lengths(knots[piece], at) - wanted) / elementary.hypot(*rate(at).T)
     dx, dy = rate(at).T
     angles = np.unwrap(elementary.atan2(dy, dx))
-    return [Place(*place) for place in np.column_stack([curve(at), angles]).tolist()], float(whole[-1])
+    return [Place(*point) for point in np.column_stack([curve(at), angles]).tolist()], float(whole[-1])
 
 
 def with_ends(forces: np.ndarray, angles: np.ndarray, length: float) -> np.ndarray:

@@ -57,20 +57,12 @@ class SectionStiffness(NamedTuple):
 class BeamSection(NamedTuple):
     """A cross-section at which an element is integrated.
 
-    Attributes
-    ----------
-    element
-        Number of the element in its beam.
-    nodes
-        Names of the nodes of the element.
-    shape
-        Values of the shape functions of these nodes at the cross-section.
-    slope
-        Derivatives of the shape functions with respect to the arc length [1/m].
-    length
-        Length of the part of the beam that the cross-section represents [m].
-    reference
-        Axial strain plus 1, shear strain and curvature [1/m] of the stress-free beam.
+    - `element`: number of the element in its beam.
+    - `nodes`: names of the nodes of the element.
+    - `shape`: values of the shape functions of these nodes at the cross-section.
+    - `slope`: derivatives of the shape functions with respect to the arc length [1/m].
+    - `length`: length of the part of the beam that the cross-section represents [m].
+    - `reference`: axial strain plus 1, shear strain and curvature [1/m] of the stress-free beam.
     """
 
     element: int
@@ -173,8 +165,8 @@ class Beam(StrictModel):
             for key, end in ends.items():
                 if end is not None:
                     raise SpecError("give the shape either by `a` and `b` or by `points`, not both", key=key)
-            for i, (one, other) in enumerate(zip(self.points, self.points[1:], strict=False)):
-                if one == other:
+            for i, (side, other) in enumerate(zip(self.points, self.points[1:], strict=False)):
+                if side == other:
                     raise SpecError("is the same point as the one before", key=f"points[{i + 1}]")
             return
         for key, end in ends.items():
@@ -320,7 +312,7 @@ class Beam(StrictModel):
         """Return the nodes of the beam `name`."""
         mass, inertia = self.inertia_per_length
         first, omega = self.places[0], self.angular_velocity
-        starts = self.places if self.start is None else [Place(*one) for one in self.start]
+        starts = self.places if self.start is None else [Place(*coordinate) for coordinate in self.start]
         if self.start is not None:
             first = starts[0]
         try:
@@ -422,7 +414,7 @@ def written_key(beams: Mapping[str, Beam], kind: str, name: str, key: str = "") 
 def _strains(places: list[Place], shape: tuple[float, ...], slope: tuple[float, ...]) -> tuple[float, float, float]:
     """Return axial strain plus 1, shear strain and curvature [1/m] of a cross-section with its nodes at `places`."""
     dx, dy, turn = (sum(s * x for s, x in zip(slope, values, strict=True)) for values in zip(*places, strict=True))
-    angle = sum(n * place.angle for n, place in zip(shape, places, strict=True))
+    angle = sum(n * position.angle for n, position in zip(shape, places, strict=True))
     c, s = elementary.cos(angle), elementary.sin(angle)
     return c * dx + s * dy, c * dy - s * dx, turn
 

@@ -126,20 +126,13 @@ class Element(StrictModel):
         return []
 
     @classmethod
-    def unit_along(cls, data: Mapping[str, Any]) -> str:
+    def unit_along(cls, data: Mapping[str, object]) -> str:
         """Return the unit of the length or coordinate of an element, m or rad.
 
         It selects one of the two units in the description of a key, as in ``[N/m or N m/rad]``.
 
-        Parameters
-        ----------
-        data
-            Keys of an element of this class, which need not be valid.
-
-        Returns
-        -------
-        str
-            The unit; empty if the keys do not determine it.
+        `data`: keys of an element of this class, which need not be valid. Returns the unit; empty if the keys do not
+        determine it.
         """
         return ""
 
@@ -147,11 +140,8 @@ class Element(StrictModel):
         """Return the element with its points in the frames of the bodies; `bodies` are at their positions before
         assembly.
 
-        Raises
-        ------
-        SpecError
-            If the element is attached to a point mass at a point other than the position of the mass. The key path of
-            the error begins with `key`.
+        Raises SpecError if the element is attached to a point mass at a point other than the position of the mass. The
+        key path of the error begins with `key`.
         """
         return self
 
@@ -175,7 +165,7 @@ class AtPoint(Element):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_default_beside_at(cls, data: Any) -> Any:
+    def _no_default_beside_at(cls, data: Any) -> object:
         is_placed = isinstance(data, Mapping) and data.get("at") is not None and "point" not in data
         return {**data, "point": None} if is_placed else data
 
@@ -290,7 +280,7 @@ class BetweenPoints(Between):
         """Return the points in the global frame [m], in the order of `GLOBAL`."""
         return ()
 
-    def _once_placed(self) -> dict[str, Any]:
+    def _once_placed(self) -> dict[str, object]:
         """Return new values of the fields with points in the global frame, after these points were converted."""
         return {}
 
@@ -308,7 +298,7 @@ class At(BetweenPoints):
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
         return (self.at,)
 
-    def _once_placed(self) -> dict[str, Any]:
+    def _once_placed(self) -> dict[str, object]:
         return {"at": None}
 
 
@@ -332,17 +322,14 @@ class FromTo(BetweenPoints):
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
         return (self.from_, self.to)
 
-    def _once_placed(self) -> dict[str, Any]:
+    def _once_placed(self) -> dict[str, object]:
         return {"from_": None, "to": None}
 
 
 def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float], key: str) -> tuple[float, float]:
     """Return a global point in the frame of a body at its initial position; (0, 0) for a point mass.
 
-    Raises
-    ------
-    SpecError
-        If the body is a point mass at another position. The error has the key path `key`.
+    Raises SpecError if the body is a point mass at another position. The error has the key path `key`.
     """
     if name == GROUND:
         return point

@@ -37,10 +37,7 @@ def check_mechanism(
 ) -> None:
     """Raise SpecError, with the key path, for the first error in a mechanism.
 
-    Parameters
-    ----------
-    elements
-        All elements by kind and name; its entry ``joints`` is the same mapping as `joints`.
+    `elements`: all elements by kind and name; its entry ``joints`` is the same mapping as `joints`.
     """
     parts = parts_of(beams)
     own = {kind: [name for name in named if name not in parts] for kind, named in elements.items()}
@@ -96,10 +93,7 @@ def check_tables(motions: Iterable[tuple[str, Motion]], start: float, end: float
 def check_centers(joints: Mapping[str, Joint], placed: Callable[[str], Body]) -> None:
     """Raise a SpecError for the first moving center whose table does not cover the angle at the start.
 
-    Parameters
-    ----------
-    placed
-        Function that returns the body with a given name, at its position after assembly.
+    `placed`: function that returns the body with a given name, at its position after assembly.
     """
     for name, joint in joints.items():
         if not isinstance(joint, Revolute) or joint.center is None:
@@ -120,10 +114,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
 
     The direction of such a force is undefined. Spring-dampers whose stiffness or free length is zero are allowed.
 
-    Parameters
-    ----------
-    placed
-        Function that returns the body with a given name, at its position after assembly.
+    `placed`: function that returns the body with a given name, at its position after assembly.
     """
     for name, force in forces.items():
         line = line_of_undefined_direction(force)

@@ -78,7 +78,7 @@ def _function(value: Any) -> Any:
         of = value.get("of")
         if not isinstance(of, str):
             raise SpecError("is missing: the name of the coordinate that the table is a function of", key="of")
-        points = number_or_table({key: one for key, one in value.items() if key != "of"}, _Points, WANTED)
+        points = number_or_table({key: entry for key, entry in value.items() if key != "of"}, _Points, WANTED)
         return CoordinateTable(of=of, **points.model_dump(exclude_unset=True))
     return value
 
@@ -109,12 +109,7 @@ def value_and_slopes(
 
     The derivatives are with respect to those coordinates that the function contains.
 
-    Parameters
-    ----------
-    coordinates
-        Values (T,) of the coordinates by name.
-    frames
-        The number T.
+    `coordinates`: values (T,) of the coordinates by name. `frames`: the number T.
     """
     none = np.zeros(frames)
     if isinstance(function, CoordinateTable):

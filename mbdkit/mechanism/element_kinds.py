@@ -80,13 +80,10 @@ def _blaming(item: Registered, part: Part) -> Part:
     return replace(part, **changed)
 
 
-def kinds_in(data: Mapping[str, Any]) -> list[ElementKind]:
+def kinds_in(data: Mapping[str, object]) -> list[ElementKind]:
     """Return the kinds of elements in the data of a mechanism.
 
-    Raises
-    ------
-    SpecError
-        If the part of mbdkit that adds a kind is not installed.
+    Raises SpecError if the part of mbdkit that adds a kind is not installed.
     """
     kinds = element_kinds()
     for key, part in ELEMENTS_OF_PARTS.items():
@@ -111,7 +108,7 @@ def class_of(kind: ElementKind) -> type[Element]:
 
 
 @cache
-def builder_of(kind: ElementKind) -> Callable[..., Any]:
+def builder_of(kind: ElementKind) -> Callable[..., object]:
     """Return the method of `Mechanism` that adds an element of a kind."""
     if kind.method is not None:
         return cast("Callable[..., None]", kind.method())
@@ -134,10 +131,7 @@ def element_forces(elements: Never, /) -> Mapping[str, LawForce]:
 def forces_of(kind: ElementKind, elements: Mapping[str, object]) -> Mapping[str, LawForce]:
     """Return the force elements with laws by which elements of a kind act, by name; see `element_forces`.
 
-    Raises
-    ------
-    PluginError
-        If they are not objects as `mbdkit.plugin.LawForce` describes.
+    Raises PluginError if they are not objects as `mbdkit.plugin.LawForce` describes.
     """
     own = kind.acts.forces
     if own is None and kind.acts.lower is not None:
@@ -189,14 +183,8 @@ def element_files(elements: Mapping[str, object], folder: Path, /) -> None:
 def check_elements(elements: Mapping[str, Mapping[str, object]], mechanism: ElementsByName, prefix: str = "") -> None:
     """Raise SpecError for the first element of a plugin's kind that does not fit the other elements.
 
-    Parameters
-    ----------
-    elements
-        Elements by key in the model and name.
-    mechanism
-        The mechanism, or its data.
-    prefix
-        Beginning of the key of the error.
+    `elements`: elements by key in the model and name. `mechanism`: the mechanism, or its data. `prefix`: beginning of
+    the key of the error.
     """
     for key, kind in element_kinds().items():
         if elements.get(key) and kind.check_elements is not None:
@@ -229,7 +217,7 @@ def with_kinds(model: type[AnyModel], kinds: tuple[ElementKind, ...]) -> type[An
     return derived
 
 
-def validated(model: type[AnyModel], data: Any, mode: str, context: Any) -> AnyModel:
+def validated(model: type[AnyModel], data: object, mode: str, context: object) -> AnyModel:
     """Validate plain data in a mode of pydantic, ``json`` or ``python``."""
     if mode == "json":  # strict mode accepts a list for a tuple only in JSON
         return model.model_validate_json(json.dumps(data), context=context)

@@ -146,8 +146,8 @@ class ElementMethods(NamedElements):
         >>> m.law("rope", m.ground, ball, law="one-sided", from_=(0, 0), to=(0, -1), stiffness=1e4, acts="tension")
         """
         if along != "line" and (from_ is not None or to is not None):
-            told = f"from_ and to can be given only with along='line', not with along='{along}'"
-            raise SpecError(told, key=f"model.forces.{quoted(name)}")
+            message = f"from_ and to can be given only with along='line', not with along='{along}'"
+            raise SpecError(message, key=f"model.forces.{quoted(name)}")
         types = {"line": {"type": "two-points"}, "angle": {"type": "relative-angle"}}
         where = _given(**{"points": points, "from": from_, "to": to})
         pathway = {"bodies": (a, b), **types.get(along, {"type": "coordinate", "coordinate": along}), **where}

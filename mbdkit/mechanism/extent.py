@@ -20,7 +20,7 @@ def size_if_below(mechanism: Mechanism, limit: float) -> float:
     least = extent(centres) if centres else 0.0
     if limit <= least:
         return least
-    return extent([*centres, *(mechanism.to_global(*one) for one in points_of_elements(mechanism))])
+    return extent([*centres, *(mechanism.to_global(*points) for points in points_of_elements(mechanism))])
 
 
 def extent(points: Sequence[tuple[float, float]]) -> float:

@@ -74,15 +74,9 @@ class ExpressionLaw:
 class LawState:
     """A first-order state z of an element, z' = g(s, s', t, z).
 
-    Parameters
-    ----------
-    name
-        Name of the state. The law has a parameter of this name: its value is the initial value of the state, and its
-        symbol in the law stands for the state.
-    rate
-        Time derivative of the state, in the form of a law with the same parameters.
-    unit
-        Unit of the state.
+    `name`: name of the state. The law has a parameter of this name: its value is the initial value of the state, and
+    its symbol in the law stands for the state. `rate`: time derivative of the state, in the form of a law with the same
+    parameters. `unit`: unit of the state.
     """
 
     name: str

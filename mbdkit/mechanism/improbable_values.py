@@ -65,9 +65,9 @@ def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop for each element whose coefficient of friction is too large."""
     every = ((kind, *item) for kind, elements in mechanism.elements.items() for item in elements.items())
     for kind, name, element in every:
-        largest, place = max(element.friction_coefficients, default=0.0), f"{kind}.{quoted(name)}"
+        largest, where = max(element.friction_coefficients, default=0.0), f"{kind}.{quoted(name)}"
         if largest > ROUGHEST:
-            key = f"model.{place}.friction" if mechanism.name == "mechanism" else f"model, {place}"
+            key = f"model.{where}.friction" if mechanism.name == "mechanism" else f"model, {where}"
             yield (
                 f"the coefficient of friction of {largest:g} at {key} is above {ROUGHEST:g}; if it is in percent, "
                 f"write {largest / 100:g}"
@@ -79,33 +79,33 @@ def improbable_beams(mechanism: Mechanism) -> Iterator[str]:
     is improbable.
     """
     for name, beam in mechanism.beams.items():
-        place = f"model.beams.{quoted(name)}" if mechanism.name == "mechanism" else f"model, beam {name}"
-        yield from _improbable_material(beam, place)
-        yield from _improbable_section(beam, place)
+        where = f"model.beams.{quoted(name)}" if mechanism.name == "mechanism" else f"model, beam {name}"
+        yield from _improbable_material(beam, where)
+        yield from _improbable_section(beam, where)
 
 
 _ADVICE = "if it is in another unit, write it with the unit, for example"
 
 
-def _improbable_material(beam: Beam, place: str) -> Iterator[str]:
+def _improbable_material(beam: Beam, where: str) -> Iterator[str]:
     if beam.E is not None and beam.E < SOFTEST:
         yield (
-            f"Young's modulus of {beam.E:g} Pa at {place}.E is below {SOFTEST:g} Pa, that of the softest tissues; "
+            f"Young's modulus of {beam.E:g} Pa at {where}.E is below {SOFTEST:g} Pa, that of the softest tissues; "
             f"{_ADVICE} `{beam.E:g} GPa`"
         )
     elif beam.E is not None and beam.E < SOFT and (beam.density or 0.0) > METAL:
         yield (
-            f"Young's modulus of {beam.E:g} Pa at {place}.E is that of soft rubber, but the density of "
+            f"Young's modulus of {beam.E:g} Pa at {where}.E is that of soft rubber, but the density of "
             f"{beam.density:g} kg/m^3 is that of a metal; {_ADVICE} `{beam.E:g} MPa`"
         )
     if beam.density is not None and beam.density < LIGHTEST:
         yield (
-            f"the density of {beam.density:g} kg/m^3 at {place}.density is below that of light foams; "
+            f"the density of {beam.density:g} kg/m^3 at {where}.density is below that of light foams; "
             f"{_ADVICE} `{beam.density:g} g/cm^3`"
         )
 
 
-def _improbable_section(beam: Beam, place: str) -> Iterator[str]:
+def _improbable_section(beam: Beam, where: str) -> Iterator[str]:
     """Yield a sentence if the cross-section of a beam is too large for its length, or else if the rotary inertia is."""
     if beam.A is not None and beam.I is not None:
         depth = math.sqrt(12.0 * beam.I / beam.A)
@@ -115,7 +115,7 @@ def _improbable_section(beam: Beam, place: str) -> Iterator[str]:
             units = {"A": f"`A: {beam.A:g} mm^2`", "I": f"`I: {beam.I:g} mm^4`"}
             if max(width, depth) > THINNEST * min(width, depth):
                 units.pop("A" if depth > width else "I")
-            key = f"{place}.{next(iter(units))}" if len(units) == 1 else place
+            key = f"{where}.{next(iter(units))}" if len(units) == 1 else where
             yield (
                 f"a rectangle with A = {beam.A:g} m^2 and I = {beam.I:g} m^4 at {key} is {depth:.3g} m deep and "
                 f"{width:.3g} m wide, but the beam is {beam.length:.3g} m long; check {' and '.join(units)}, "
@@ -128,7 +128,7 @@ def _improbable_section(beam: Beam, place: str) -> Iterator[str]:
         key, value, unit, example = _source_of_inertia(beam)
         source = "" if key == "rotary_inertia" else f"that follows from {value:g} {unit} "
         yield (
-            f"the rotary inertia of {inertia:g} kg m {source}at {place}.{key} is that of {mass:g} kg/m at a distance "
+            f"the rotary inertia of {inertia:g} kg m {source}at {where}.{key} is that of {mass:g} kg/m at a distance "
             f"of {radius:.3g} m, but the beam is {beam.length:.3g} m long; {_ADVICE} `{value:g} {example}`"
         )
 
@@ -149,7 +149,7 @@ def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
     and for the mechanism, for each one-sided spring along a coordinate that is deflected too far at the start, and for
     each element of a plugin with a length that is too large for the mechanism.
     """
-    found = []
+    findings = []
     for name, force in mechanism.forces.items():
         free = getattr(force, "free_length", None)
         if free is None or not isinstance(force, SpringDamper | Law):
@@ -157,24 +157,24 @@ def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
         if force.pathway.is_line:
             length = math.dist(*(mechanism.to_global(body, point) for _, body, point in force.attachments()))
             if free > LONGEST * length:
-                found.append(("forces", name, "free_length", free, free, f" and the spring is {length:.3g} m long"))
+                findings.append(("forces", name, "free_length", free, free, f" and the spring is {length:.3g} m long"))
         elif isinstance(force, Law) and (deflection := _deflection(mechanism, force, free)) > 0.0:
-            told = f" and the spring is deflected by {deflection:.3g} m"
-            found.append(("forces", name, "free_length", free, deflection, told))
-    found += [
+            deflected = f" and the spring is deflected by {deflection:.3g} m"
+            findings.append(("forces", name, "free_length", free, deflection, deflected))
+    findings += [
         (kind, name, key, length, length, "")
         for kind, elements in mechanism.elements.items()
         for name, element in elements.items()
         for key, length in element.lengths_to_check()
     ]
-    size = size_if_below(mechanism, max((length / LARGE for *_, length, _ in found), default=0.0))
-    for kind, name, key, value, length, also in found:
+    size = size_if_below(mechanism, max((length / LARGE for *_, length, _ in findings), default=0.0))
+    for kind, name, key, value, length, also in findings:
         if length > LARGE * size > 0:
             is_given = mechanism.name == "mechanism"
             proposals = listed([f"`{value:g} {unit}`" for unit in smaller_units(abs(value), LARGE * size)], "or")
-            place = f"model.{kind}.{quoted(name)}.{key}" if is_given else f"model, {kind.removesuffix('s')} {name}"
+            where = f"model.{kind}.{quoted(name)}.{key}" if is_given else f"model, {kind.removesuffix('s')} {name}"
             yield (
-                f"the {key.replace('_', ' ')} of {value:g} m at {place} is improbable: at the start, the mechanism has "
+                f"the {key.replace('_', ' ')} of {value:g} m at {where} is improbable: at the start, the mechanism has "
                 f"a size of {size:.3g} m{also}; {_ADVICE} {proposals}"
             )
 
@@ -187,6 +187,6 @@ def _deflection(mechanism: Mechanism, law: Law, free_length: float) -> float:
     if law.law_id != "mbdkit:one-sided" or not isinstance(pathway, Coordinate):
         return 0.0
     first, second = pathway.bodies
-    place = mechanism.to_local(first, mechanism.to_global(second, pathway.point))
-    stretch = place["xy".index(pathway.coordinate)] - free_length
+    anchor = mechanism.to_local(first, mechanism.to_global(second, pathway.point))
+    stretch = anchor["xy".index(pathway.coordinate)] - free_length
     return max(stretch if getattr(law, "acts", "") == "tension" else -stretch, 0.0)

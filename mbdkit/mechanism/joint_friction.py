@@ -18,14 +18,9 @@ def regularised_friction(normal: Any, slip: Any, numbers: Sequence[Any], choose:
     The magnitude of the force is largest, `static` times the normal force, at the slip velocity `transition`. At larger
     slip velocities it approaches `kinetic` times the normal force.
 
-    Parameters
-    ----------
-    normal, slip
-        Normal force [N] and slip velocity [m/s]: numbers, or symbols of any kind with the operators of numbers.
-    numbers
-        The coefficients `static` and `kinetic`, and the slip velocity `transition` [m/s].
-    choose
-        Function ``choose(x, a, b)`` that returns a where x > 0, else b.
+    `normal`, `slip`: normal force [N] and slip velocity [m/s]: numbers, or symbols of any kind with the operators of
+    numbers. `numbers`: the coefficients `static` and `kinetic`, and the slip velocity `transition` [m/s]. `choose`:
+    function ``choose(x, a, b)`` that returns a where x > 0, else b.
     """
     static, kinetic, transition = numbers
     ratio = slip**2 / transition**2

@@ -46,7 +46,7 @@ class Law(Element):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _by_its_law(cls, data: Any, handler: ModelWrapValidatorHandler[Law], info: ValidationInfo) -> Law:
+    def _by_its_law(cls, data: object, handler: ModelWrapValidatorHandler[Law], info: ValidationInfo) -> Law:
         if cls is not Law or not isinstance(data, Mapping) or not isinstance(data.get("law"), str):
             return handler(data)
         element = _plugin_lookup(info.context).law_element(data["law"])
@@ -70,12 +70,15 @@ class Law(Element):
         return [(f"pathway.{key}", name) for key, name in self.pathway.angles()]
 
     @classmethod
-    def unit_along(cls, data: Mapping[str, Any]) -> str:
+    def unit_along(cls, data: Mapping[str, object]) -> str:
         """Return the unit of the length of the pathway; see `Element.unit_along`."""
         pathway = data.get("pathway")
         kind = pathway.get("type") if isinstance(pathway, Mapping) else getattr(pathway, "type", None)
         classes = get_args(get_args(Pathway)[0])
-        return next((one.length_unit for one in classes if kind in get_args(one.model_fields["type"].annotation)), "")
+        return next(
+            (law.length_unit for law in classes if kind in get_args(law.model_fields["type"].annotation)),
+            "",
+        )
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
         """Return the element with the points of its pathway in the frames of the bodies; see `Element.placed`."""
@@ -88,10 +91,7 @@ class PluginLookup(Protocol):
     def law_element(self, name: str) -> type[Law]:
         """Return the element class of the force law with this short or full name.
 
-        Raises
-        ------
-        SpecError
-            If there is no such law. The error has the key ``law``.
+        Raises SpecError if there is no such law. The error has the key ``law``.
         """
 
     def joint_class(self, name: str | int) -> type[BaseModel] | None:
@@ -100,20 +100,11 @@ class PluginLookup(Protocol):
     def joint_types(self) -> list[str]:
         """Return the types of joints that plugins add."""
 
-    def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
+    def selected_options(self, metadata: Sequence[object], item: str | int) -> type[BaseModel] | None:
         """Return the model of the options of a plugin item, such as a force law, that a field selects by name.
 
-        Parameters
-        ----------
-        metadata
-            Metadata of the annotation of the field.
-        item
-            Full id of the item.
-
-        Returns
-        -------
-        type of BaseModel or None
-            The model; None if fields with these metadata do not select an item.
+        `metadata`: metadata of the annotation of the field. `item`: full id of the item. Returns the model; None if
+        fields with these metadata do not select an item.
         """
 
     def owners_of(self, key: str, options: type[BaseModel]) -> str:
@@ -123,7 +114,7 @@ class PluginLookup(Protocol):
         """
 
 
-def _plugin_lookup(context: Any) -> PluginLookup:
+def _plugin_lookup(context: object) -> PluginLookup:
     """Return the lookup in a pydantic validation context, a mapping; by default, that of the installed plugins."""
     given: PluginLookup | None = context.get("plugins") if isinstance(context, Mapping) else None
     return given or higher_layers.installed_plugins()

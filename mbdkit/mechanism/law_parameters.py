@@ -11,20 +11,11 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, TracedLaw
 
 
-def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, ...], list[float]]:
+def law_parameters(law: ForceLaw, options: object, name: str) -> tuple[tuple[str, ...], list[float]]:
     """Return the names and values of a law's parameters; those of functions and of machine code have no names.
 
-    Parameters
-    ----------
-    name
-        Name of the law for error messages.
-
-    Raises
-    ------
-    PluginError
-        If the law fails to compute its parameters, or if they are not usable.
-    SpecError
-        If the law itself raises it for these options.
+    `name`: name of the law for error messages. Raises PluginError if the law fails to compute its parameters, or if
+    they are not usable. Raises SpecError if the law itself raises it for these options.
     """
     with blaming(f"force law {name} failed to compute its parameters"):
         names, values = _parameters(law, options)
@@ -43,26 +34,17 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
     return names, values
 
 
-def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, float]]:
+def law_range(law: ForceLaw, options: object, name: str) -> dict[str, tuple[float, float]]:
     """Return the lowest and the highest value of each argument (length, rate, time) for which a law holds.
 
     The values are infinite for arguments without a bound.
 
-    Parameters
-    ----------
-    name
-        Name of the law for error messages.
-
-    Raises
-    ------
-    PluginError
-        If the law fails to compute its range, or if the result is not a range.
-    SpecError
-        If the law itself raises it for these options.
+    `name`: name of the law for error messages. Raises PluginError if the law fails to compute its range, or if the
+    result is not a range. Raises SpecError if the law itself raises it for these options.
     """
     with blaming(f"force law {name} failed to compute its valid range"):
         given: Any = law.valid_range(options) if callable(law.valid_range) else law.valid_range
-    found = dict.fromkeys(ARGUMENTS, (-inf, inf))
+    ranges = dict.fromkeys(ARGUMENTS, (-inf, inf))
     if not isinstance(given, Mapping) or not set(given) <= set(ARGUMENTS):
         raise PluginError(
             f"force law {name}: its valid range should be a mapping whose keys are {listed(ARGUMENTS, 'or')}"
@@ -76,11 +58,11 @@ def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, 
             raise PluginError(
                 f"force law {name}: its valid range of {argument} should be two numbers, the lower one first"
             )
-        found[argument] = low, high
-    return found
+        ranges[argument] = low, high
+    return ranges
 
 
-def _parameters(law: ForceLaw, options: Any) -> tuple[tuple[str, ...], list[float]]:
+def _parameters(law: ForceLaw, options: object) -> tuple[tuple[str, ...], list[float]]:
     given: Any
     if law.parameters is not None:
         given = law.parameters(options)

@@ -313,7 +313,7 @@ class Mechanism(ElementMethods, HtmlView):
         return spec
 
     @classmethod
-    def from_spec(cls, spec: Mapping[str, Any], parameters: Mapping[str, float | str] | None = None) -> Mechanism:
+    def from_spec(cls, spec: Mapping[str, object], parameters: Mapping[str, float | str] | None = None) -> Mechanism:
         """Return the mechanism described by a `model` mapping, the format of :meth:`to_spec`.
 
         Parameters
@@ -417,17 +417,17 @@ def _with_last(one: NamedCoordinate, last: Mapping[str, str]) -> NamedCoordinate
     return one.model_copy(update=names)
 
 
-def _point(value: Any, key: str) -> tuple[float, float]:
+def _point(value: object, key: str) -> tuple[float, float]:
     try:
         return _POINT.validate_python(value, strict=True)
     except ValidationError as error:
         raise spec_error(error, Point, prefix=key) from None
 
 
-def _with_type(element: Element) -> dict[str, Any]:
+def _with_type(element: Element) -> dict[str, object]:
     """Return an element as plain data, with its type if the kind of element has several types."""
     return {"type": element.type, **_plain(element)} if hasattr(element, "type") else _plain(element)
 
 
-def _plain(element: StrictModel) -> dict[str, Any]:
+def _plain(element: StrictModel) -> dict[str, object]:
     return element.model_dump(mode="json", exclude_defaults=True)

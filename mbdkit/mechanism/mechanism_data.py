@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, model_validator
 from pydantic.fields import FieldInfo
@@ -28,6 +28,9 @@ from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
 from mbdkit.mechanism.values import Number, Point, Positive, sequence
+
+if TYPE_CHECKING:
+    from pydantic.json_schema import JsonSchemaValue
 
 OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
 
@@ -157,7 +160,7 @@ class MechanismData(StrictModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _with_kinds(cls, data: Any, handler: Callable[[Any], MechanismData], info: ValidationInfo) -> MechanismData:
+    def _with_kinds(cls, data: object, handler: Callable[[Any], MechanismData], info: ValidationInfo) -> MechanismData:
         """Validate as a derived class if there are elements of further kinds, so that only their code is imported."""
         kinds = kinds_in(data) if isinstance(data, Mapping) and data.keys() - cls.model_fields.keys() else []
         if further := tuple(kind for kind in kinds if kind.key_in_model not in cls.model_fields):
@@ -181,7 +184,7 @@ class MechanismData(StrictModel):
         return field_of(kinds[key]) if isinstance(key, str) and key in (kinds := element_kinds()) else None
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Return the schema with the elements of all installed kinds, after the markers."""
         schema = super().__get_pydantic_json_schema__(core_schema, handler)
         resolved = handler.resolve_ref_schema(schema)

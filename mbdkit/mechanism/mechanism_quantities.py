@@ -45,10 +45,10 @@ class Point:
         if self.body == GROUND:
             return
         x, y = self.arm(q)
-        place = 3 * self.body
-        out[:, place] += fx
-        out[:, place + 1] += fy
-        out[:, place + 2] += x * fy - y * fx
+        first = 3 * self.body
+        out[:, first] += fx
+        out[:, first + 1] += fy
+        out[:, first + 2] += x * fy - y * fx
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the acceleration (x, y) that the point has if the accelerations of the coordinates are zero, each
@@ -231,5 +231,5 @@ def _point_velocity(point: Point, q: np.ndarray, v: np.ndarray) -> tuple[np.ndar
     if point.body == GROUND:
         return np.zeros(len(q)), np.zeros(len(q))
     x, y = point.arm(q)
-    place = 3 * point.body
-    return v[:, place] - v[:, place + 2] * y, v[:, place + 1] + v[:, place + 2] * x
+    first = 3 * point.body
+    return v[:, first] - v[:, first + 2] * y, v[:, first + 1] + v[:, first + 2] * x

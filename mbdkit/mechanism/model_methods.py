@@ -27,7 +27,7 @@ TEXTS = {
 """Descriptions of arguments that are not fields."""
 
 
-def of_models(*models: type[BaseModel]) -> Callable[[Callable[..., Any]], Any]:
+def of_models(*models: type[BaseModel]) -> Callable[[Callable[..., object]], Any]:
     """Replace the argument ``**keys`` of a method by the fields of these models, except `type`, `bodies` and other
     arguments.
 
@@ -40,21 +40,21 @@ def of_models(*models: type[BaseModel]) -> Callable[[Callable[..., Any]], Any]:
 class _ModelMethod:
     """A method whose signature and docstring are made when they are asked for, because all of them take 30 ms."""
 
-    def __init__(self, function: Callable[..., Any], models: tuple[type[BaseModel], ...]):
+    def __init__(self, function: Callable[..., object], models: tuple[type[BaseModel], ...]):
         update_wrapper(self, function, ("__module__", "__name__", "__qualname__"))
         self.function, self.main = function, models[0]
         self.models = {name: model for model in reversed(models) for name in model.model_fields}
 
-    def __get__(self, owner: Any, cls: type) -> Any:
+    def __get__(self, owner: object, cls: type) -> object:
         return self if owner is None else MethodType(self, owner)
 
-    def __call__(self, *args: Any, **keys: Any) -> Any:
+    def __call__(self, *args: object, **keys: object) -> object:
         return self.function(*args, **keys)
 
     @cached_property
     def __signature__(self) -> inspect.Signature:
         given = inspect.signature(self.function)
-        own, *arguments = [one for name, one in given.parameters.items() if name != "keys"]
+        own, *arguments = [parameter for name, parameter in given.parameters.items() if name != "keys"]
         if "keys" in given.parameters:
             hidden = {"type", "bodies", *given.parameters}
             fields = {name: model.model_fields[name] for name, model in self.models.items() if name not in hidden}
@@ -70,7 +70,7 @@ class _ModelMethod:
         text += " | None" if argument.default is None and "None" not in text else ""
         return argument.replace(annotation=_Unquoted(text))
 
-    def _type(self, name: str) -> Any:
+    def _type(self, name: str) -> object:
         hints = get_type_hints(self.models[name], include_extras=True) if name in self.models else {}
         return hints.get(name, Any if name == "options" else str)
 
@@ -87,7 +87,7 @@ class _ModelMethod:
         return "\n".join([*lines, "", "Examples", "--------", examples] if examples else lines)
 
 
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
     """Yield the models that a type consists of."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
@@ -105,8 +105,8 @@ def accepted(annotation: Any) -> str:
     """Return the annotation of an argument for a field of this type: any sequences, and mappings for models."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        inputs = (one.json_schema_input_type for one in parts[1:] if isinstance(one, BeforeValidator))
-        return accepted(next((one for one in inputs if one is not PydanticUndefined), parts[0]))
+        inputs = (part.json_schema_input_type for part in parts[1:] if isinstance(part, BeforeValidator))
+        return accepted(next((kind for kind in inputs if kind is not PydanticUndefined), parts[0]))
     if origin is Literal:
         return f"Literal[{', '.join(map(json.dumps, parts))}]"
     if origin is dict:

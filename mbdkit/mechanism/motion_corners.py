@@ -60,19 +60,12 @@ The corners of a table with 10 000 points take 6 MB and 0.06 s.
 class Corner:
     """A time at which a motion or one of its derivatives is discontinuous.
 
-    Parameters
-    ----------
-    time
-        The time [s].
-    margin
-        Uncertainty of `time` due to rounding [s]. Only within this distance of `time` is it uncertain whether
-        another time is before or after the corner.
-    is_knot
-        Whether the corner is a point of a table.
-    before, after
-        Value, rate and acceleration of the motion before and after `time`.
-    jumps
-        Whether the value, the rate and the acceleration are discontinuous.
+    - `time`: the time [s].
+    - `margin`: uncertainty of `time` due to rounding [s]. Only within this distance of `time` is it uncertain whether
+      another time is before or after the corner.
+    - `is_knot`: whether the corner is a point of a table.
+    - `before`, `after`: value, rate and acceleration of the motion before and after `time`.
+    - `jumps`: whether the value, the rate and the acceleration are discontinuous.
     """
 
     time: float
@@ -104,20 +97,14 @@ def jet_of(motion: Motion, times: np.ndarray) -> Jet:
 def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES) -> tuple[Corner, ...]:
     """Return the knots and corners of a motion from `start` to `end` [s], both included, in order of time.
 
-    Parameters
-    ----------
-    motion
-        A number, an expression of t or a table.
-    start, end
-        The span of the run [s].
-    samples
-        Number of samples over the span.
+    `motion`: a number, an expression of t or a table. `start`, `end`: the span of the run [s]. `samples`: number of
+    samples over the span.
     """
     rounding = 4.0 * EPS * max(abs(start), abs(end))
     widest = WIDEST_MARGIN * (end - start)
     if isinstance(motion, Table):
-        found = [(t, rounding) for t in _knots(motion, start, end)] if _has_curve(motion) else []
-        return _described(motion, found, start, end, is_knot=True)
+        times = [(t, rounding) for t in _knots(motion, start, end)] if _has_curve(motion) else []
+        return _described(motion, times, start, end, is_knot=True)
     if not isinstance(motion, str):
         return ()
     program = Expression.parse(motion).program
@@ -127,8 +114,8 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     roots = switching_times(program, start, end, samples)
     # A noise above `widest` occurs where the argument crosses zero slowly, as in abs(t**3). Several derivatives then
     # agree on both sides, so the exact time does not matter.
-    found = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
-    corners = _described(motion, found, start, end, is_knot=False)
+    times = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
+    corners = _described(motion, times, start, end, is_knot=False)
     # Not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere.
     wraps = any(operation.jumps for operation in switches)
     return tuple(corner for corner in corners if not wraps or not corner.is_smooth)
@@ -197,14 +184,8 @@ def switching_times(program: Program, start: float, end: float, samples: int = S
 
     Switches whose argument is not finite are left out.
 
-    Parameters
-    ----------
-    program
-        A function of time.
-    start, end
-        The span that is searched [s].
-    samples
-        Number of samples over the span; fewer are taken of long programs.
+    `program`: a function of time. `start`, `end`: the span that is searched [s]. `samples`: number of samples over the
+    span; fewer are taken of long programs.
     """
     times = np.linspace(start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))) + 1)
     found: dict[float, float] = {}

@@ -46,7 +46,7 @@ class NamedElements:
     controllers: dict[str, Controller]
     assembly: Assembly
 
-    def add(self, kind: str, name: str, /, **keys: Any) -> None:
+    def add(self, kind: str, name: str, /, **keys: object) -> None:
         """Add an element with the keys that it has in a spec; the other methods name the keys of one type of element.
 
         Parameters
@@ -114,15 +114,15 @@ class NamedElements:
     def _with_points(self, element: AnyPlaced, key: str) -> AnyPlaced:
         """Return an element with its points in the frames of its bodies, which must exist."""
         last = last_nodes(self.beams)
-        for place, body in element.places():
-            if body in last and not place.startswith(element.KEYS_WITHOUT_LAST):
-                element = with_body(element, parse_path(place), last[body])
+        for attachment, body in element.places():
+            if body in last and not attachment.startswith(element.KEYS_WITHOUT_LAST):
+                element = with_body(element, parse_path(attachment), last[body])
                 continue
-            self._known(body, f"{key}.{place}")
+            self._known(body, f"{key}.{attachment}")
         return element.placed(self.bodies, key)
 
 
-def _validated(kind: Any, key: str, values: Mapping[str, Any]) -> Any:
+def _validated(kind: object, key: str, values: Mapping[str, object]) -> Any:
     """Return an element with these values; raise SpecError, with the element's `key`, if they are not valid."""
     validate = _adapter(kind).validate_python
     try:

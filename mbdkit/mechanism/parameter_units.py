@@ -24,18 +24,9 @@ def unit_of_expression(text: str, units: Mapping[str, Unit], *, of_time: bool = 
     It cannot be derived if no parameter has a unit, and usually not from powers that are not whole numbers, or if other
     parameters have no unit. In functions of time, numbers as factors may have any unit: in ``A*t/0.5``, 0.5 is a time.
 
-    Parameters
-    ----------
-    units
-        Units of the parameters that have one, by name.
-    of_time
-        Whether the name ``t`` is the time.
-
-    Raises
-    ------
-    SpecError
-        If quantities of different kinds are added or subtracted, or if a frequency, such as one in Hz or 1/min, is used
-        as an angular velocity.
+    `units`: units of the parameters that have one, by name. `of_time`: whether the name ``t`` is the time. Raises
+    SpecError if quantities of different kinds are added or subtracted, or if a frequency, such as one in Hz or 1/min,
+    is used as an angular velocity.
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
@@ -46,9 +37,9 @@ def unit_of_expression(text: str, units: Mapping[str, Unit], *, of_time: bool = 
     if not _has_units(tree, units):
         return None
     derived = _Derived(units, is_of_time=of_time and any(_is_time(node) for node in ast.walk(tree)))
-    found = derived.unit(tree)
+    unit = derived.unit(tree)
     derived.check_cycles(tree)
-    return found
+    return unit
 
 
 def unit_of_parts(node: ast.expr, units: Mapping[str, Unit]) -> Unit | None:
@@ -119,12 +110,12 @@ class _Derived:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
         if name in _OF_ANGLE and len(node.args) == 1:
             self.check_cycles(node.args[0])
-        operands = [self.unit(one) for one in node.args]
+        operands = [self.unit(argument) for argument in node.args]
         if name in _PURE:
             return _NUMBER
         if name in _LIKE_OPERANDS:
             first = operands[0] if operands else None
-            is_alike = first is not None and all(one is not None and first.is_like(one) for one in operands)
+            is_alike = first is not None and all(operand is not None and first.is_like(operand) for operand in operands)
             return first if is_alike else None
         return None  # the units of other functions are not derived
 
@@ -143,8 +134,8 @@ class _Derived:
     def check_cycles(self, node: ast.expr) -> None:
         """Raise SpecError for a product of the time and a frequency that is used as an angle in radians."""
         parts = [*outside_pure_functions(node)]
-        names = [one.id for one in parts if isinstance(one, ast.Name)]
-        has_number = "pi" in names or any(isinstance(one, ast.Constant) for one in parts)
+        names = [part.id for part in parts if isinstance(part, ast.Name)]
+        has_number = "pi" in names or any(isinstance(part, ast.Constant) for part in parts)
         cycles = [name for name in names if name in self.units and self.units[name].is_frequency]
         if not self.is_of_time or has_number or not cycles or "t" not in names:
             return

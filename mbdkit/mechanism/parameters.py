@@ -80,19 +80,12 @@ _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[
 """A name that is not part of a quantity such as ``bodies.leg.angle``. Quoted names match, too, but are not changed."""
 
 
-def parameter_values(given: Any) -> ParameterValues:
+def parameter_values(given: object) -> ParameterValues:
     """Return the values of named parameters.
 
-    Parameters
-    ----------
-    given
-        Numbers, and expressions of other parameters in any order, by name.
-
-    Raises
-    ------
-    SpecError
-        If a name is wrong, an expression is not valid or not finite, or a parameter depends on itself. The error has
-        the key path ``parameters.NAME``.
+    `given`: numbers, and expressions of other parameters in any order, by name. Raises SpecError if a name is wrong, an
+    expression is not valid or not finite, or a parameter depends on itself. The error has the key path
+    ``parameters.NAME``.
     """
     if given is None:
         return ParameterValues()
@@ -118,39 +111,29 @@ def parameter_values(given: Any) -> ParameterValues:
 def without_units(parameters: Mapping[Any, Any]) -> dict[Any, Any]:
     """Return named parameters in which numbers with a unit are replaced by numbers in SI units.
 
-    Raises
-    ------
-    SpecError
-        If a unit is not known. The error has the key path.
+    Raises SpecError if a unit is not known. The error has the key path.
     """
     return dict(parameters) | {name: quantity[0] for name, quantity in _quantities(parameters).items()}
 
 
 def _quantities(parameters: Mapping[Any, Any]) -> dict[Any, tuple[float, Unit]]:
     """Return value and unit of the parameters that are numbers with a unit."""
-    found = {}
+    quantities = {}
     for name, value in parameters.items():
         try:
             quantity = read_quantity(value, {"pi", *parameters})
         except SpecError as error:
             raise error.located(prefix=f"parameters.{name}") from None
         if quantity is not None:
-            found[name] = quantity
-    return found
+            quantities[name] = quantity
+    return quantities
 
 
 def evaluate(text: str, values: Values, known: list[str] | None = None) -> float:
     """Return the value of an expression of parameters.
 
-    Parameters
-    ----------
-    known
-        Names that an error message may suggest in place of a misspelled one; by default those in `values`.
-
-    Raises
-    ------
-    SpecError
-        For the first error; it contains the position in the text.
+    `known`: names that an error message may suggest in place of a misspelled one; by default those in `values`. Raises
+    SpecError for the first error; it contains the position in the text.
     """
     (_, value), *_ = _NumberCompiler(text, values, known).program()
     return value
@@ -161,7 +144,7 @@ def names_in(text: object) -> set[str]:
     return set(_NAME.findall(text)) if isinstance(text, str) else set()
 
 
-def parameters_in_use(parameters: Mapping[str, Any], texts: Iterable[Any]) -> set[str]:
+def parameters_in_use(parameters: Mapping[str, object], texts: Iterable[object]) -> set[str]:
     """Return the names of the parameters that expressions use, directly or through other parameters."""
     used: set[str] = set()
     fresh: set[str] = set().union(*map(names_in, texts)) & parameters.keys()
@@ -172,9 +155,9 @@ def parameters_in_use(parameters: Mapping[str, Any], texts: Iterable[Any]) -> se
 
 
 def with_expressions(
-    validate: Callable[[Any], Validated],
-    data: Any,
-    root: Any,
+    validate: Callable[[object], Validated],
+    data: object,
+    root: object,
     values: Values,
     *,
     section: Path = (),
@@ -183,34 +166,16 @@ def with_expressions(
 ) -> tuple[Validated, Written]:
     """Validate plain data whose numbers may be expressions of parameters.
 
-    Parameters
-    ----------
-    validate
-        Function that validates the data and returns the result.
-    data
-        The data; expressions are replaced by their values in place.
-    root
-        The model that is validated.
-    values
-        Values of the parameters by name.
-    section
-        Key path of the part that may contain expressions; numbers with units may be anywhere.
-    prefix
-        Key path of the data in a spec; empty if the data are a whole spec.
-    plugins
-        Lookup of the models that plugins add; by default, of the installed plugins.
+    - `validate`: function that validates the data and returns the result.
+    - `data`: the data; expressions are replaced by their values in place.
+    - `root`: the model that is validated.
+    - `values`: values of the parameters by name.
+    - `section`: key path of the part that may contain expressions; numbers with units may be anywhere.
+    - `prefix`: key path of the data in a spec; empty if the data are a whole spec.
+    - `plugins`: lookup of the models that plugins add; by default, of the installed plugins.
 
-    Returns
-    -------
-    Validated
-        The result of `validate`.
-    Written
-        The expressions that were replaced, by key path; numbers with units are not included.
-
-    Raises
-    ------
-    SpecError
-        For the first error; it contains the key path.
+    Returns the result of `validate`, and the expressions that were replaced, by key path; numbers with units are not
+    included. Raises SpecError for the first error; it contains the key path.
     """
     lookup: PluginLookup = plugins or higher_layers.installed_plugins()
     written: Written = {}
@@ -233,7 +198,7 @@ def with_expressions(
                 holder[path[-1]] = _value(text, kind, values, where) if isinstance(text, str) else text
 
 
-def insert(data: Any, written: Written) -> Any:
+def insert(data: object, written: Written) -> Any:
     """Replace values in plain data by the expressions at the same key paths, and return the data.
 
     Key paths that do not exist in the data are ignored.
@@ -301,7 +266,7 @@ def _in_order_of_use(uses: Mapping[str, set[str]]) -> Iterator[str]:
 
 
 def _replacements(
-    error: ValidationError, data: Any, root: Any, plugins: PluginLookup, values: Values
+    error: ValidationError, data: object, root: object, plugins: PluginLookup, values: Values
 ) -> Iterator[tuple[Path, str | float, Kind]]:
     """Yield the key path of each rejected text, its replacement, and the expected kind of value.
 
@@ -358,19 +323,19 @@ def _kind_of(error: ExpressionError) -> Kind:
     return next(kind for error_class, kind in _KINDS if isinstance(error, error_class))
 
 
-def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any, plugins: PluginLookup) -> float:
+def _in_si(value: float, unit: Unit, details: ErrorDetails, data: object, root: object, plugins: PluginLookup) -> float:
     """Return the value of a number with a unit; raise SpecError if the unit is not that of the key."""
     if details["type"] == "int_type":
         raise SpecError(f"should be a whole number without a unit, not '{details['input']}'")
     if not abs(value) <= sys.float_info.max:
         raise SpecError(f"should be a finite number, not '{details['input']}'")
     units = _units_of(details["loc"], data, root, plugins)
-    if units is not None and not any(unit.fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
+    if units is not None and not any(unit.fits(read_unit(text) if text != "1" else PLAIN) for text in units or ("1",)):
         raise SpecError(misfit(details["input"], unit, units))
     return value
 
 
-def _units_of(location: Path, data: Any, root: Any, plugins: PluginLookup) -> tuple[str, ...] | None:
+def _units_of(location: Path, data: object, root: object, plugins: PluginLookup) -> tuple[str, ...] | None:
     """Return the units of the number at a location, from the description of its key; None if the key is not known."""
     for length in range(len(location), 0, -1):  # numbers in lists and mappings have the unit of their field
         path, owner = walk(location[:length], root, plugins)
@@ -395,8 +360,8 @@ def _check_unit(
     values: Values,
     location: Path,
     path: Path,
-    data: Any,
-    root: Any,
+    data: object,
+    root: object,
     plugins: PluginLookup,
     *,
     of_time: bool = False,
@@ -412,7 +377,7 @@ def _check_unit(
         return
     alone = text.strip().lstrip("+- ") in known  # in products and quotients, angles count as pure numbers
     fits = unit.fits if alone else unit.is_like
-    if not any(fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
+    if not any(fits(read_unit(unit) if unit != "1" else PLAIN) for unit in units or ("1",)):
         has_factor = re.search(r"(?<![\w.])\d", text)
         hint = "; factors that have a unit should be parameters, such as `m: 2 kg`" if has_factor else ""
         raise SpecError(f"{misfit(text, unit, units)}{hint}", key=path_text(path))
@@ -423,7 +388,7 @@ def _field(owner: type[BaseModel], key: str | int) -> str:
     return next((name for name, info in owner.model_fields.items() if key in (name, info.alias)), "")
 
 
-def _is_expression(text: Any, values: Values) -> bool:
+def _is_expression(text: object, values: Values) -> bool:
     """Return whether a text is intended as an expression.
 
     It then contains an operator or a parenthesis, or it is the name of one of the `values`, or ``pi``. Quoted numbers

@@ -27,13 +27,7 @@ _NAMES_SHOWN = 12
 
 
 class QuantityNames:
-    """Finds quantities of a mechanism by name. The last node of a beam is also called ``BEAM.last``.
-
-    Parameters
-    ----------
-    mechanism
-        The mechanism.
-    """
+    """Finds quantities of a mechanism by name. The last node of a beam is also called ``BEAM.last``."""
 
     def __init__(self, mechanism: Mechanism):
         self.mechanism = mechanism
@@ -53,10 +47,7 @@ class QuantityNames:
     def joint(self, name: str, key: str) -> Quantity:
         """Return the coordinate of a joint: a relative angle or a travel.
 
-        Raises
-        ------
-        SpecError
-            If there is no such joint.
+        Raises SpecError if there is no such joint.
         """
         joints = self.mechanism.joints
         if name not in joints:
@@ -76,18 +67,15 @@ class QuantityNames:
     def find(self, name: str, key: str) -> Quantity:
         """Return the quantity with a name such as ``knee.angle``, or with the name of a coordinate.
 
-        Raises
-        ------
-        SpecError
-            If the mechanism has no such quantity, or the name is ambiguous.
+        Raises SpecError if the mechanism has no such quantity, or the name is ambiguous.
         """
         if name in self.mechanism.coordinates:
             return self.coordinate(name)
-        found = self._matches(name)
-        if len(found) > 1:
-            some = listed((f"{plural}.{element}.{name.rpartition('.')[2]}" for plural, element in found), "or")
+        matches = self._matches(name)
+        if len(matches) > 1:
+            some = listed((f"{plural}.{element}.{name.rpartition('.')[2]}" for plural, element in matches), "or")
             raise SpecError(f"'{name}' is ambiguous: write {some}", key=key)
-        if not found:
+        if not matches:
             element = name.rpartition(".")[0]
             known = [*self._number, *self.mechanism.joints, *self.mechanism.markers]
             own = list(self.mechanism.coordinates)
@@ -98,16 +86,16 @@ class QuantityNames:
                 f"BODY.angle, MARKER.x and MARKER.y{f', and its coordinates {listed(own)}' if own else ''}",
                 key=key,
             )
-        return next(iter(found.values()))
+        return next(iter(matches.values()))
 
     def coordinate(self, name: str) -> Quantity:
         """Return the quantity of a named coordinate of the mechanism, with its sign and zero."""
-        one = self.mechanism.coordinates[name]
-        if one.relative_to is None:
-            of = self.find(one.of, f"model.coordinates.{quoted(name)}.of")
+        given = self.mechanism.coordinates[name]
+        if given.relative_to is None:
+            of = self.find(given.of, f"model.coordinates.{quoted(name)}.of")
         else:
-            of = RelativeAngle(self._of(one.relative_to), self._of(one.of.rpartition(".")[0]))
-        return of if (one.scale, one.offset) == (1.0, 0.0) else Affine(of, one.scale, one.offset)
+            of = RelativeAngle(self._of(given.relative_to), self._of(given.of.rpartition(".")[0]))
+        return of if (given.scale, given.offset) == (1.0, 0.0) else Affine(of, given.scale, given.offset)
 
     @property
     def examples(self) -> str:
@@ -122,14 +110,14 @@ class QuantityNames:
         """Return the quantities that a name can denote, by kind and name of the element."""
         element, _, axis = name.rpartition(".")
         kind, _, rest = element.partition(".")
-        found: dict[tuple[str, str], Quantity] = {}
+        matches: dict[tuple[str, str], Quantity] = {}
         for plural, singular in _PREFIXES.items():
             for one in (element, rest) if kind in (plural, singular) else (element,):
                 one = self._last.get(one, one) if plural == "bodies" else one
                 quantity = self._quantity(plural, one, axis)
                 if quantity is not None:
-                    found[plural, one] = quantity
-        return found
+                    matches[plural, one] = quantity
+        return matches
 
     def _quantity(self, kind: str, element: str, axis: str) -> Quantity | None:
         """Return a quantity of an element; None if the element does not exist or does not have this quantity."""
@@ -153,13 +141,13 @@ class QuantityNames:
 
         Named coordinates of the mechanism come first, then the coordinates of joints, then those of bodies.
         """
-        found: dict[str, Quantity] = {name: self.coordinate(name) for name in self.mechanism.coordinates}
+        coordinates: dict[str, Quantity] = {name: self.coordinate(name) for name in self.mechanism.coordinates}
         for name, joint in self.mechanism.joints.items():
-            found[f"{name}.angle"] = self._coordinate(joint)
+            coordinates[f"{name}.angle"] = self._coordinate(joint)
         for axis in (2, 0, 1):
             for name, number in self._number.items():
-                found.setdefault(f"{name}.{AXES[axis]}", Coordinate(number, axis))
-        return found
+                coordinates.setdefault(f"{name}.{AXES[axis]}", Coordinate(number, axis))
+        return coordinates
 
 
 def _hint(name: str, known: Mapping[str, object] | list[str], what: str) -> str:

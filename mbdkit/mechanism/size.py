@@ -16,10 +16,8 @@ if TYPE_CHECKING:
 def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
     """Return the longer side of the bounding box, parallel to the axes, of all joint points and centres of mass [m].
 
-    Parameters
-    ----------
-    position
-        (B, 3) array: centre of mass x, y [m] and angle [rad] of each of the B bodies, in the order of the mechanism.
+    `position`: (B, 3) array: centre of mass x, y [m] and angle [rad] of each of the B bodies, in the order of the
+    mechanism.
     """
     return float(mechanism_sizes([mechanism], np.asarray(position, dtype=float)[None])[0])
 
@@ -27,15 +25,12 @@ def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
 def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> np.ndarray:
     """Return the sizes of R mechanisms with the same bodies, (R,); see `mechanism_size`.
 
-    Parameters
-    ----------
-    positions
-        (R, B, 3) array: the positions of the bodies of each mechanism.
+    `positions`: (R, B, 3) array: the positions of the bodies of each mechanism.
     """
     held = [_joint_points(mechanism) for mechanism in mechanisms]
     bodies = held[0][0]
     if any(other != bodies for other, _ in held):
-        return np.array([mechanism_size(*one) for one in zip(mechanisms, positions, strict=True)])
+        return np.array([mechanism_size(*mechanism) for mechanism in zip(mechanisms, positions, strict=True)])
     poses = np.concatenate([positions, np.zeros((len(positions), 1, 3))], axis=1)  # ground is the last body
     points = np.array([own for _, own in held]).reshape(len(held), -1, 2)
     at, x, y = poses[:, bodies], points[..., 0], points[..., 1]
@@ -48,5 +43,5 @@ def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> n
 def _joint_points(mechanism: Mechanism) -> tuple[list[int], list[tuple[float, float]]]:
     """Return the joint points in the frames of their bodies, and the indices of these bodies, ground last."""
     numbers = {name: number for number, name in enumerate(mechanism.bodies)}
-    found = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
-    return [numbers.get(name, len(numbers)) for _, name, _ in found], [point for *_, point in found]
+    attachments = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
+    return [numbers.get(name, len(numbers)) for _, name, _ in attachments], [point for *_, point in attachments]

@@ -43,7 +43,7 @@ def is_of_state(value: object) -> bool:
     return isinstance(value, str) and _QUANTITY.search(value) is not None
 
 
-def _value(given: Any) -> Any:
+def _value(given: Any) -> object:
     """Accept functions of time, and expressions of the state."""
     if not is_of_state(given):
         return checked_motion(given)
@@ -110,7 +110,7 @@ class Controller(StrictModel):
 
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key, text) of each expression."""
-        of_states = [(f"states.{quoted(name)}.next", one.next) for name, one in self.states.items()]
+        of_states = [(f"states.{quoted(name)}.next", state.next) for name, state in self.states.items()]
         return of_states + [(f"outputs.{quoted(name)}", text) for name, text in self.outputs.items()]
 
 

@@ -13,12 +13,8 @@ from mbdkit.registry.manager import registry
 class ChosenTreatment(NamedTuple):
     """The treatment of the elements of a kind in a run.
 
-    Attributes
-    ----------
-    key
-        Key of the elements in the model.
-    section
-        The section of the run spec, see `mbdkit.plugin.ElementKind.section_model`.
+    `key`: key of the elements in the model. `section`: the section of the run spec, see
+    `mbdkit.plugin.ElementKind.section_model`.
     """
 
     key: str
@@ -35,7 +31,7 @@ class ChosenTreatment(NamedTuple):
         return element_kinds()[self.key].section
 
     @property
-    def content(self) -> tuple[Any, ...]:
+    def content(self) -> tuple[object, ...]:
         """The values of the section."""
         return tuple(value for _, value in self.section)
 

@@ -69,7 +69,7 @@ PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 def spec_error(
     error: ValidationError,
-    root: Any,
+    root: object,
     *,
     prefix: str = "",
     plugins: PluginLookup | None = None,
@@ -108,11 +108,11 @@ def spec_error(
     # The number is limited, because each explanation takes time, and there may be thousands of problems.
     for path in paths[:EXPLAINED]:
         value = f" (the value of '{written[path]}')" if written and path in written else ""
-        told = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
-        sentences.append((path_text((*parse_path(prefix), *path)), _either(list(told))))
+        complaints = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
+        sentences.append((path_text((*parse_path(prefix), *path)), _either(list(complaints))))
     (key, message), *others = sentences
-    for place, sentence in others:
-        message += f"\n  also: {shortened(shown(place))}: {sentence}"
+    for location, sentence in others:
+        message += f"\n  also: {shortened(shown(location))}: {sentence}"
     if len(paths) > EXPLAINED:
         message += f"\n  and {len(paths) - EXPLAINED} more"
     return SpecError(message, key=key)
@@ -198,8 +198,8 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
     known = sorted((info.alias or name for name, info in fields.items()), key=lambda name: name != "name")
     if issubclass(owner, StrictModel):
         further = [name for name in owner.further_keys() if name not in known]
-        place = known.index(owner.FURTHER_AFTER) + 1 if owner.FURTHER_AFTER in known else len(known)
-        known[place:place] = further
+        index = known.index(owner.FURTHER_AFTER) + 1 if owner.FURTHER_AFTER in known else len(known)
+        known[index:index] = further
         if owner.FURTHER_AFTER:  # further keys are sections
             fields |= {name: field for name in further if (field := owner.further_field(name)) is not None}
     message = plugins.owners_of(key, owner) or f"unknown key{did_you_mean(key, known)}"
@@ -251,17 +251,11 @@ def _either(sentences: list[str]) -> str:
 Model = type[BaseModel]
 
 
-def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tuple[Path, Model | None]:
+def walk(location: Sequence[str | int], root: object, plugins: PluginLookup) -> tuple[Path, Model | None]:
     """Return the key path of a location, without union tags, and the model that contains its last key.
 
-    Parameters
-    ----------
-    location
-        ``loc`` of a pydantic error.
-    root
-        The model or type that was validated.
-    plugins
-        Lookup of the models that plugins add.
+    `location`: ``loc`` of a pydantic error. `root`: the model or type that was validated. `plugins`: lookup of the
+    models that plugins add.
     """
     rest: Path = tuple(location)
     path: Path = ()
@@ -306,7 +300,7 @@ def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tup
     return path, owner
 
 
-def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[Any, ...]) -> Any:
+def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[object, ...]) -> Any:
     """Return the alternative of a union that a label of pydantic denotes, which is a tag, or the name of a class or
     validator; failing that, the first alternative that can contain the keys `below`.
     """

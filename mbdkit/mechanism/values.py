@@ -28,7 +28,7 @@ def _shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def pair(wanted: str) -> Callable[[Any], Any]:
+def pair(wanted: str) -> Callable[[object], Any]:
     """Return a validator for a list, tuple or array of two items; `wanted` describes the pair in error messages."""
 
     def check(value: object) -> object:
@@ -88,7 +88,7 @@ def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
     return value
 
 
-def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "values", shown: str = "t, value") -> Any:
+def columns_of(value: object, key: str = "", *, at: str = "times", of: str = "values", shown: str = "t, value") -> Any:
     """Return the two columns of a table as tuples of floats.
 
     Parameters

@@ -27,13 +27,8 @@ def stiff_baumgarte(
 ) -> Iterator[str]:
     """Yield a warning if Baumgarte's terms are unstable with a fixed step.
 
-    Parameters
-    ----------
-    method, claims
-        The method and its claims. A method written in Python that does not use tangents is treated as an explicit
-        Runge-Kutta method with as many stages as its order.
-    step
-        The fixed step [s]; None if there is none.
+    `method`, `claims`: the method and its claims. A method written in Python that does not use tangents is treated as
+    an explicit Runge-Kutta method with as many stages as its order. `step`: the fixed step [s]; None if there is none.
     """
     if step is None or claims.adaptive:
         return

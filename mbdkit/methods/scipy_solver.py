@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from mbdkit.methods.step_methods import ExternalMethod, Step, StepState
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
+T = TypeVar("T")
 _RADAU_FIRST_NODE = (4 - 6**0.5) / 10
 
 
@@ -124,7 +125,7 @@ class SciPySolver(ExternalMethod):
         energies = np.full(2 * equations.has_power, length * length)
         return self.atol * np.concatenate([bodies, energies, np.ones(len(equations.z0))])
 
-    def _guarded(self, call: Callable[[], Any]) -> Any:
+    def _guarded(self, call: Callable[[], T]) -> T:
         """Return what a call of the solver returns; raise StepError if numbers that are not finite have stopped it."""
         self._error: StepError | None = None
         try:

@@ -64,7 +64,7 @@ class StepState:
         dz: np.ndarray | float = 0.0,
         *,
         multipliers: np.ndarray | None = None,
-        memory: Any = None,
+        memory: object = None,
         work: float | None = None,
         dissipated: float | None = None,
     ) -> StepState:

@@ -475,15 +475,7 @@ class EmbeddedPair:
 def nested_polynomials(parts: Sequence[np.ndarray]) -> np.ndarray:
     """Expand dense output given as ``theta (F_0 + (1 - theta) (F_1 + theta (F_2 + (1 - theta) (...))))``.
 
-    Parameters
-    ----------
-    parts
-        F_0, F_1, ...: weights of the stages, (E,) each.
-
-    Returns
-    -------
-    (E, number of parts) array
-        Coefficients of theta, theta^2, ...
+    `parts`: F_0, F_1, ...: weights of the stages, (E,) each. Returns coefficients of theta, theta^2, ...
     """
     import numpy as np
 

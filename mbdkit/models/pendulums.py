@@ -116,12 +116,12 @@ class NPendulumOptions(StrictModel):
     @model_validator(mode="after")
     def _lists_agree(self) -> NPendulumOptions:
         count, source = self.n, "n"
-        for one, many in _QUANTITIES.items():
+        for quantity, many in _QUANTITIES.items():
             values = getattr(self, many)
             if values is None:
                 continue
-            if getattr(self, one) is not None:
-                raise SpecError(f"give either '{one}' for all rods or the list '{many}', not both", key=many)
+            if getattr(self, quantity) is not None:
+                raise SpecError(f"give either '{quantity}' for all rods or the list '{many}', not both", key=many)
             if count is not None and len(values) != count:
                 raise SpecError(f"has {len(values)} numbers, but '{source}' says {count} rods", key=many)
             count, source = len(values), many

@@ -38,34 +38,22 @@ _XY = slice(0, 2)
 class Array:
     """One array of the archive.
 
-    Parameters
-    ----------
-    path
-        ``group/name`` in the file.
-    dims
-        Dimension scales of the axes: names of arrays in the same group.
-    units
-        SI units; ``mixed`` if they vary along an axis, ``1`` for names and counts.
-    long_name
-        Description, stored as the attribute ``long_name``.
-    dtype
-        ``<f8``, ``<i8`` or ``utf-8`` (variable-length strings).
-    row_units
-        If `units` is ``mixed``, name of the array in the same group that contains the unit of each entry along the last
-        axis.
-    optional
-        Whether an archive may lack the array.
-    components
-        Names, in tables and expressions, of the numbers along the axis ``axis`` or ``coordinate``; a single name
-        replaces the name of the array. By default, a name consists of the name of the array and the name along the
-        axis.
-    about
-        Descriptions of the first two components and of the third one, if `long_name` describes all three together.
-    texts
-        Function that returns the values of an array of names or units.
-    label
-        Name of the attribute of an object's history that contains the text of the object in this array. The texts of
-        two arrays with the same label are combined to a pair.
+    - `path`: ``group/name`` in the file.
+    - `dims`: dimension scales of the axes: names of arrays in the same group.
+    - `units`: SI units; ``mixed`` if they vary along an axis, ``1`` for names and counts.
+    - `long_name`: description, stored as the attribute ``long_name``.
+    - `dtype`: ``<f8``, ``<i8`` or ``utf-8`` (variable-length strings).
+    - `row_units`: if `units` is ``mixed``, name of the array in the same group that contains the unit of each entry
+      along the last axis.
+    - `optional`: whether an archive may lack the array.
+    - `components`: names, in tables and expressions, of the numbers along the axis ``axis`` or ``coordinate``; a single
+      name replaces the name of the array. By default, a name consists of the name of the array and the name along the
+      axis.
+    - `about`: descriptions of the first two components and of the third one, if `long_name` describes all three
+      together.
+    - `texts`: function that returns the values of an array of names or units.
+    - `label`: name of the attribute of an object's history that contains the text of the object in this array. The
+      texts of two arrays with the same label are combined to a pair.
     """
 
     path: str
@@ -115,33 +103,20 @@ def time_of(states: States) -> np.ndarray:
 class Recorded(Array):
     """An array with a value for each recorded state, computed from the states of the mechanism.
 
-    Parameters
-    ----------
-    take
-        Function that returns the values in T states, with the axes of the array. If the arrays of the states have an
-        additional last axis of derivatives, so has the result.
-    vector
-        Name, in expressions, of the vector of the first two components; empty for scalars.
-    has_norm
-        Whether expressions of events may also contain the name of the vector, which there denotes its norm.
-    is_not_negative
-        Whether the values are never negative, so that they cannot cross zero.
-    accumulates
-        Whether the value is an integral over time, which is known in the recorded rows only.
-    is_of_steps
-        Whether the value is an error of computed states, which is not defined for the motion between them.
-    no_derivative
-        Reason why the quantity has no derivatives with respect to parameters; empty if it has derivatives. Quantities
-        that redundant joints share never have derivatives.
-    of_whole
-        Whether the quantity in expressions is the sum over the elements of a beam; otherwise, it has a value in each
-        element.
-    is_shared
-        Whether the values are not unique in redundant joints, which the attribute ``not_unique`` lists.
-    is_history
-        Whether studies with ``store: histories`` store the array.
-    charts
-        Charts of the quantity in reports.
+    - `take`: function that returns the values in T states, with the axes of the array. If the arrays of the states have
+      an additional last axis of derivatives, so has the result.
+    - `vector`: name, in expressions, of the vector of the first two components; empty for scalars.
+    - `has_norm`: whether expressions of events may also contain the name of the vector, which there denotes its norm.
+    - `is_not_negative`: whether the values are never negative, so that they cannot cross zero.
+    - `accumulates`: whether the value is an integral over time, which is known in the recorded rows only.
+    - `is_of_steps`: whether the value is an error of computed states, which is not defined for the motion between them.
+    - `no_derivative`: reason why the quantity has no derivatives with respect to parameters; empty if it has
+      derivatives. Quantities that redundant joints share never have derivatives.
+    - `of_whole`: whether the quantity in expressions is the sum over the elements of a beam; otherwise, it has a value
+      in each element.
+    - `is_shared`: whether the values are not unique in redundant joints, which the attribute ``not_unique`` lists.
+    - `is_history`: whether studies with ``store: histories`` store the array.
+    - `charts`: charts of the quantity in reports.
     """
 
     take: Callable[[States], np.ndarray] = time_of
@@ -163,7 +138,7 @@ class Recorded(Array):
             name = self.components[0] if self.components else self.name
             return (Attribute(self, name, None, "" if self.units == MIXED else self.units),)
         units = COORDINATE_UNITS[self.row_units] if self.row_units else (self.units,) * 2
-        parts = (Attribute(self, *one) for one in zip(self.components, range(3), units, strict=False))
+        parts = (Attribute(self, *component) for component in zip(self.components, range(3), units, strict=False))
         return (Attribute(self, self.vector, _XY, units[0]), *parts)
 
 
@@ -171,14 +146,8 @@ class Recorded(Array):
 class Chart:
     """A chart of a report with the values of an array for each element of its kind.
 
-    Parameters
-    ----------
-    name, title, caption
-        Name, title and caption of the chart.
-    axis
-        Label of the values.
-    unit
-        Unit of the elements that the chart shows.
+    `name`, `title`, `caption`: name, title and caption of the chart. `axis`: label of the values. `unit`: unit of the
+    elements that the chart shows.
     """
 
     name: str
@@ -192,16 +161,8 @@ class Chart:
 class Attribute:
     """A quantity in expressions, such as ``force_x``: an array, or a part of its last axis.
 
-    Parameters
-    ----------
-    array
-        The array.
-    name
-        Name in expressions.
-    part
-        Part of the last axis; None for the whole array.
-    units
-        SI unit; empty if it is the unit of the element.
+    `name`: name in expressions. `part`: part of the last axis; None for the whole array. `units`: SI unit; empty if it
+    is the unit of the element.
     """
 
     array: Recorded
@@ -226,32 +187,19 @@ class Attribute:
 class Kind:
     """A kind of objects that have quantities; its arrays are a group of the archive.
 
-    Parameters
-    ----------
-    arrays
-        The arrays in their order.
-    word
-        Attribute of `Run` that contains the objects by name, and word for the kind in expressions; empty if there is
-        neither.
-    one
-        Word for one object, such as ``joint``.
-    example
-        Quantity that error messages give as an example; empty if expressions cannot contain the kind.
-    axis
-        Name of the axis of the arrays that runs over the objects, or over their elements.
-    owner
-        Array with the name of the object of each element along this axis, if an object has several.
-    is_bare
-        Whether `word` may be omitted in expressions.
-    is_chosen
-        Whether the group can be selected by `output.quantities`.
-    is_optional
-        Whether mechanisms may have no object of the kind; archives then lack the group.
-    may_be_unknown
-        Whether numbers may be nan.
-    unit_of
-        Function that returns the unit of the length or angle of an object, from which the units of its quantities
-        follow.
+    - `arrays`: the arrays in their order.
+    - `word`: attribute of `Run` that contains the objects by name, and word for the kind in expressions; empty if there
+      is neither.
+    - `one`: word for one object, such as ``joint``.
+    - `example`: quantity that error messages give as an example; empty if expressions cannot contain the kind.
+    - `axis`: name of the axis of the arrays that runs over the objects, or over their elements.
+    - `owner`: array with the name of the object of each element along this axis, if an object has several.
+    - `is_bare`: whether `word` may be omitted in expressions.
+    - `is_chosen`: whether the group can be selected by `output.quantities`.
+    - `is_optional`: whether mechanisms may have no object of the kind; archives then lack the group.
+    - `may_be_unknown`: whether numbers may be nan.
+    - `unit_of`: function that returns the unit of the length or angle of an object, from which the units of its
+      quantities follow.
     """
 
     arrays: tuple[Array, ...]
@@ -310,4 +258,4 @@ class Kind:
     def attributes(self) -> Mapping[str, Attribute]:
         """Quantities in expressions by name; empty if expressions cannot contain the kind."""
         recorded = (column for column in self.columns if isinstance(column, Recorded))
-        return {attribute.name: attribute for one in recorded for attribute in one.attributes if self.example}
+        return {attribute.name: attribute for array in recorded for attribute in array.attributes if self.example}

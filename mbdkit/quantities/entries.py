@@ -37,16 +37,8 @@ ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "mar
 def quantity_group(group: str, *arrays: Array, optional: bool = False, **more: Any) -> Kind:
     """Return a kind of quantities, whose arrays are a group of the archive.
 
-    Parameters
-    ----------
-    group
-        Name of the group, which is added to the paths of the arrays.
-    arrays
-        The arrays, with their names in the group as paths.
-    optional
-        Applies to all arrays; see `Array`.
-    more
-        Further arguments of `Kind`.
+    `group`: name of the group, which is added to the paths of the arrays. `arrays`: the arrays, with their names in the
+    group as paths. `optional`: applies to all arrays; see `Array`. `more`: further arguments of `Kind`.
     """
     placed = tuple(
         replace(array, path=f"{group}/{array.path}", optional=array.optional or optional) for array in arrays
@@ -66,7 +58,7 @@ def name_array(name: str, dim: str, what: str, texts: Callable[[ArchiveNames], S
     return Array(name, (dim,), "1", what, TEXT, texts=texts, **more)
 
 
-def unit_array(name: str, dim: str, of: str, units: Callable[[ArchiveNames], Sequence[str]], **more: Any) -> Array:
+def unit_array(name: str, dim: str, of: str, units: Callable[[ArchiveNames], Sequence[str]], **more: object) -> Array:
     """Return an array of units that are determined by the units of the lengths or angles of elements."""
     derived = UNITS_OF_ELEMENT.get(name, {})
     what = f"units of {of}, row by row"

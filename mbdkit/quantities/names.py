@@ -18,31 +18,18 @@ AXES = ("x", "y")
 class ArchiveNames:
     """Names along the axes of an archive.
 
-    Parameters
-    ----------
-    bodies, joints
-        Names, in the order of the engine.
-    constraints
-        ``joint.row`` for every constraint row, such as ``J1.x``.
-    constraint_units
-        Unit of the constraint function of every constraint row, ``m`` or ``rad``.
-    joint_bodies
-        First and second body of every joint.
-    joint_units
-        Unit of the coordinate of every joint, ``rad`` or ``m``; by default, ``rad``.
-    forces, force_bodies
-        Names of the force elements, and first and second body of each.
-    force_units
-        Unit of the length of every force element, ``m`` or ``rad``.
-    markers, marker_bodies
-        Names of the markers, and the body of each.
-    elements, element_beams
-        Names of the elements of beams, and the beam of each.
-    states, state_units
-        Names of the first-order states, and the unit of each.
-    members
-        Names of the elements of each further kind, each with its bodies or other texts; see
-        `CompiledMechanism.members`.
+    - `bodies`, `joints`: names, in the order of the engine.
+    - `constraints`: ``joint.row`` for every constraint row, such as ``J1.x``.
+    - `constraint_units`: unit of the constraint function of every constraint row, ``m`` or ``rad``.
+    - `joint_bodies`: first and second body of every joint.
+    - `joint_units`: unit of the coordinate of every joint, ``rad`` or ``m``; by default, ``rad``.
+    - `forces`, `force_bodies`: names of the force elements, and first and second body of each.
+    - `force_units`: unit of the length of every force element, ``m`` or ``rad``.
+    - `markers`, `marker_bodies`: names of the markers, and the body of each.
+    - `elements`, `element_beams`: names of the elements of beams, and the beam of each.
+    - `states`, `state_units`: names of the first-order states, and the unit of each.
+    - `members`: names of the elements of each further kind, each with its bodies or other texts; see
+      `CompiledMechanism.members`.
     """
 
     bodies: Sequence[str]
@@ -81,7 +68,7 @@ def with_members(names: ArchiveNames, **members: Sequence[tuple[str, Sequence[st
     return replace(names, members=tuple((dict(names.members) | more).items())) if more else names
 
 
-def _tuples(value: Any) -> Any:
+def _tuples(value: Any) -> object:
     """Return nested sequences as tuples, which can be compared and hashed."""
     return value if isinstance(value, str) else tuple(map(_tuples, value))
 

@@ -17,16 +17,9 @@ from mbdkit.quantities.states import States
 class Quantity:
     """One quantity of a run, such as ``joints.knee.force_x``.
 
-    Parameters
-    ----------
-    kind
-        Word of the kind of object in the table of quantities, such as ``joints``.
-    name
-        Name of the body, joint, ...; empty for ``energy``.
-    attribute
-        Name of the quantity in expressions.
-    element
-        Element of a beam, from 0; None for all elements together.
+    `kind`: word of the kind of object in the table of quantities, such as ``joints``. `name`: name of the body, joint,
+    ...; empty for ``energy``. `attribute`: name of the quantity in expressions. `element`: element of a beam, from 0;
+    None for all elements together.
     """
 
     kind: str

@@ -85,12 +85,8 @@ def _words(known: Registry) -> Mapping[str, str]:
 def kind_of_group(group: str) -> Kind:
     """Return the kind of a group; raise KeyError if there is none.
 
-    Raises
-    ------
-    MissingPartError
-        If the part of mbdkit with the group is not installed.
-    PluginError
-        If the plugin with the group does not provide its kind.
+    Raises MissingPartError if the part of mbdkit with the group is not installed. Raises PluginError if the plugin with
+    the group does not provide its kind.
     """
     if group in GROUPS_OF_PARTS and group not in added_kinds():
         raise MissingPartError(f"the group {group}", GROUPS_OF_PARTS[group])
@@ -149,14 +145,8 @@ def kinds_of(names: ArchiveNames) -> tuple[Kind, ...]:
 class Peaks(NamedTuple):
     """Quantities of the elements of a kind whose largest values checked runs determine; see `QuantityKind.peaks`.
 
-    Attributes
-    ----------
-    of
-        Key of the elements in the model.
-    quantities
-        Quantities as `QuantityKind.peaks` has them, after the word of the kind and a dot.
-    names
-        Names of the elements.
+    `of`: key of the elements in the model. `quantities`: quantities as `QuantityKind.peaks` has them, after the word of
+    the kind and a dot. `names`: names of the elements.
     """
 
     of: str

@@ -26,34 +26,19 @@ class States:
     All arrays except `time` may have an additional last axis with the value, followed by its derivatives with respect
     to parameters.
 
-    Parameters
-    ----------
-    mechanism
-        The mechanism.
-    time
-        (T,) times [s].
-    q, v
-        (T, 3 (B + 1)) positions and velocities, ground last.
-    observe
-        Function that returns accelerations, residuals, reactions, forces and energies of the states. It is called at
-        most once, when they are needed.
-    work, dissipated
-        (T,) work of loads and drivers, and dissipated energy, since the start [J]; empty if not known.
-    start_energy
-        Total energy at the start of the run [J]; (T,) for states of several runs.
-    handles
-        What inverse dynamics knows of kinds of plugins, by group.
-    elapsed
-        (T,) wall time since the first step [s]; empty if not known.
-    multipliers
-        (T, m) multipliers computed by the method; None if the method has computed none, as at the start.
-    z
-        (T, Z) first-order states; empty if they are not known.
-
-    Attributes
-    ----------
-    is_for_events
-        Whether the values are those of expressions of events, whose signs should not change by rounding errors.
+    - `time`: (T,) times [s].
+    - `q`, `v`: (T, 3 (B + 1)) positions and velocities, ground last.
+    - `observe`: function that returns accelerations, residuals, reactions, forces and energies of the states. It is
+      called at most once, when they are needed.
+    - `work`, `dissipated`: (T,) work of loads and drivers, and dissipated energy, since the start [J]; empty if not
+      known.
+    - `start_energy`: total energy at the start of the run [J]; (T,) for states of several runs.
+    - `handles`: what inverse dynamics knows of kinds of plugins, by group.
+    - `elapsed`: (T,) wall time since the first step [s]; empty if not known.
+    - `multipliers`: (T, m) multipliers computed by the method; None if the method has computed none, as at the start.
+    - `z`: (T, Z) first-order states; empty if they are not known.
+    - `is_for_events`: whether the values are those of expressions of events, whose signs should not change by rounding
+      errors.
     """
 
     is_for_events: ClassVar[bool] = False

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbdkit.base.text import listed
 from mbdkit.quantities.array import INTEGER, MIXED, TEXT, Array, Chart
@@ -38,7 +38,7 @@ _TE, _TM = ("time", "element"), ("time", "constraint")
 _POSITION = ("x", "y", "angle")
 _VELOCITY = ("vx", "vy", "angular_velocity")
 _ACCELERATION = ("ax", "ay", "angular_acceleration")
-_MISALIGNMENT: Mapping[str, Any] = {
+_MISALIGNMENT: Mapping[str, object] = {
     "is_not_negative": True,
     "is_of_steps": True,
     "no_derivative": "a misalignment is an error of the method, and almost zero",

@@ -21,14 +21,8 @@ from mbdkit.registry.target import Target
 class Feature(Item):
     """Base of the items of this file.
 
-    Parameters
-    ----------
-    name
-        Name of the item.
-    summary
-        One line that describes it.
-    order
-        Position among the items of its kind; items of lower order come first.
+    `name`: name of the item. `summary`: one line that describes it. `order`: position among the items of its kind;
+    items of lower order come first.
     """
 
     name: str

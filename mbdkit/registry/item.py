@@ -132,10 +132,7 @@ class Item:
 class Given(Generic[T]):
     """A field that is given as an object or as a `Target` of it; reading the field returns the object in both cases.
 
-    Parameters
-    ----------
-    default
-        Value of the field if it is not given; `...` if it must be given.
+    `default`: value of the field if it is not given; `...` if it must be given.
     """
 
     def __init__(self, default: T | EllipsisType = ...):

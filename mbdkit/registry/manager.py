@@ -10,7 +10,7 @@ import logging
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 import pluggy
 
@@ -47,7 +47,7 @@ class EntryPoint(Protocol):
         ...
 
     @property
-    def dist(self) -> Any:
+    def dist(self) -> object:
         """Distribution, an object with `name` and `version`."""
         ...
 
@@ -105,10 +105,7 @@ def _lenient() -> Policy:
 def load_installed() -> Registry:
     """Return the registry of all installed plugins; those that cannot be loaded cause a warning, not an error.
 
-    Raises
-    ------
-    SpecError
-        If `MBDKIT_STRICT_PLUGINS` is not a truth value.
+    Raises SpecError if `MBDKIT_STRICT_PLUGINS` is not a truth value.
     """
     Policy.of()
     return installed()
@@ -143,15 +140,9 @@ def load_registry(
     """Load each entry point separately. If one fails, its items are skipped, a warning of one line is printed, and the
     failure is listed in the registry.
 
-    Parameters
-    ----------
-    points
-        Entry points of the group ``mbdkit``. In the registry, the items of mbdkit itself come first, followed by the
-        others in the order of their distributions.
-    policy
-        Decides which distributions are loaded; by default all of them.
-    unusable
-        Distributions whose entry points are not used, which are failures in the registry.
+    `points`: entry points of the group ``mbdkit``. In the registry, the items of mbdkit itself come first, followed by
+    the others in the order of their distributions. `policy`: decides which distributions are loaded; by default all of
+    them. `unusable`: distributions whose entry points are not used, which are failures in the registry.
     """
     policy = policy or Policy()
     origins = [(_origin(point), point) for point in points]

@@ -51,15 +51,10 @@ def check_api(module: object, distribution: str) -> None:
 class Policy:
     """Distributions whose plugins are loaded, and whether a failure to load is an error.
 
-    Parameters
-    ----------
-    allowed
-        Distributions whose plugins may be loaded, in addition to mbdkit itself; None allows all.
-    disabled
-        Distributions whose plugins are not loaded, and single entry points as ``distribution/entry-point``.
-    strict
-        Whether it is an error if a plugin cannot be loaded, or if no plugin is installed for a distribution in
-        `allowed` or `disabled`.
+    `allowed`: distributions whose plugins may be loaded, in addition to mbdkit itself; None allows all. `disabled`:
+    distributions whose plugins are not loaded, and single entry points as ``distribution/entry-point``. `strict`:
+    whether it is an error if a plugin cannot be loaded, or if no plugin is installed for a distribution in `allowed` or
+    `disabled`.
     """
 
     allowed: frozenset[str] | None = None
@@ -70,10 +65,7 @@ class Policy:
     def of(cls, environment: Mapping[str, str] = os.environ) -> Policy:
         """Return the policy that the environment variables define.
 
-        Raises
-        ------
-        SpecError
-            If `MBDKIT_STRICT_PLUGINS` is not a truth value such as 1 or 0.
+        Raises SpecError if `MBDKIT_STRICT_PLUGINS` is not a truth value such as 1 or 0.
         """
         strict = environment.get(STRICT, "").strip().lower()
         if strict not in _YES | _NO:
@@ -99,10 +91,7 @@ class Policy:
     def unknown(self, entry_points: Iterable[tuple[str, str]]) -> str | None:
         """Return a message on the allowed or disabled names for which no plugin is installed; None if there are none.
 
-        Parameters
-        ----------
-        entry_points
-            Distribution and name of each entry point.
+        `entry_points`: distribution and name of each entry point.
         """
         here = {normalized_name(name) for pair in entry_points for name in (pair[0], "/".join(pair))}
         sentences = [

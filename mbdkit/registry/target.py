@@ -39,10 +39,8 @@ class Target(Generic[T]):
     def __call__(self) -> T:
         """Return the object.
 
-        Raises
-        ------
-        PluginError
-            If the module cannot be imported, or the object is missing; the message names the distribution.
+        Raises PluginError if the module cannot be imported, or the object is missing; the message names the
+        distribution.
         """
         if not self._objects:
             try:

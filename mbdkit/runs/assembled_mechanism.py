@@ -36,11 +36,8 @@ class AssembledMechanism:
     def at(cls, spec: MechanismSource, start: float, end: float) -> AssembledMechanism:
         """Assemble the mechanism of inverse dynamics for a motion between two times [s].
 
-        Raises
-        ------
-        SpecError
-            If a motion of the model does not cover these times, the joints cannot be closed, or the mechanism has
-            first-order states.
+        Raises SpecError if a motion of the model does not cover these times, the joints cannot be closed, or the
+        mechanism has first-order states.
         """
         mechanism = spec.mechanism()
         try:

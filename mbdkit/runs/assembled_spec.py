@@ -38,15 +38,8 @@ def assembled_text(spec: RunSpec, start: AssembledState, text: str) -> tuple[str
     replaced in the text. If this does not define the same mechanism, for example because a body is an alias of another
     one or the model computes the bodies, the text contains the mechanism in full.
 
-    Parameters
-    ----------
-    text
-        The text of the spec in YAML or JSON; empty if there is none, or if it lacks values that were set otherwise.
-
-    Raises
-    ------
-    SpecError
-        If the start of the new spec would be doubtful again.
+    `text`: the text of the spec in YAML or JSON; empty if there is none, or if it lacks values that were set otherwise.
+    Raises SpecError if the start of the new spec would be doubtful again.
     """
     mechanism = spec.mechanism()
     moved = {
@@ -86,7 +79,7 @@ def _check(spec: RunSpec) -> None:
         raise SpecError(f"{message}; `accept: [{doubts[0].criterion}]` accepts it")
 
 
-def _values(body: Body) -> Iterator[tuple[str, Any]]:
+def _values(body: Body) -> Iterator[tuple[str, object]]:
     for key in ("position", "angle", "velocity", "angular_velocity"):
         value = getattr(body, key)
         if any(value) if isinstance(value, tuple) else value:
@@ -132,14 +125,14 @@ def _edits_of_points(
 ) -> Iterator[_Edit]:
     """Yield the replacements of the points of an element, which keep their places on the bodies."""
     bodies = _entry(element, "bodies") or _entry(element, "body")
-    names = [one.value for one in (bodies.value if isinstance(bodies, yaml.SequenceNode) else [bodies]) if one]
+    names = [name.value for name in (bodies.value if isinstance(bodies, yaml.SequenceNode) else [bodies]) if name]
     for key, index in _ENDS.items():
         node = _entry(element, key)
         on = [name for name in (names if key == "at" else names[index : index + 1]) if name in given]
         if not isinstance(node, yaml.SequenceNode) or not on or given[on[0]] == moved[on[0]]:
             continue
         with suppress(TypeError, ValueError):  # expressions
-            x, y = (float(one.value) for one in node.value)
+            x, y = (float(coordinate.value) for coordinate in node.value)
             old, new = given[on[0]], moved[on[0]]
             turn = new.angle - old.angle
             dx, dy = x - old.position[0], y - old.position[1]
@@ -174,7 +167,7 @@ def _mappings(node: yaml.Node | None) -> Iterator[yaml.MappingNode]:
             yield value
 
 
-def _is_same(one: Any, other: Any) -> bool:
+def _is_same(one: object, other: object) -> bool:
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         keys = {key for key in one.keys() | other.keys() if one.get(key) or other.get(key)}
         return all(_is_same(one.get(key, 0.0), other.get(key, 0.0)) for key in keys)
@@ -188,10 +181,8 @@ def _is_same(one: Any, other: Any) -> bool:
 def write_assembled(spec: RunSpec, start: AssembledState, text: str, path: Path) -> bool:
     """Write `assembled_text` to a new file, and return whether it keeps the given text.
 
-    Raises
-    ------
-    SpecError
-        If the file exists, if it is in another folder than files that the spec names, or if its start stays doubtful.
+    Raises SpecError if the file exists, if it is in another folder than files that the spec names, or if its start
+    stays doubtful.
     """
     from mbdkit.base.files import check_suffix, replacing
 

@@ -87,10 +87,7 @@ assumed to be rounding errors of the coordinates.
 class CoarseBeams:
     """How much strains vary between and within the elements of beams, over the recorded states of a run.
 
-    Parameters
-    ----------
-    mechanism, compiled
-        The mechanism, and its compiled form.
+    `mechanism`, `compiled`: the mechanism, and its compiled form.
     """
 
     def __init__(self, mechanism: Mechanism, compiled: CompiledMechanism):
@@ -105,7 +102,7 @@ class CoarseBeams:
         """Return a warning for each beam whose elements are too coarse."""
         return tuple(warning for beam in self._beams for warning in beam.warnings())
 
-    def stored(self) -> list[Any]:
+    def stored(self) -> list[object]:
         """Return the state as plain values for a checkpoint."""
         return [[beam.turns, beam.largest] for beam in self._beams]
 
@@ -125,14 +122,11 @@ def watch_coarse_beams(spec: RunSpec, compiled: CompiledMechanism, _size: float)
 class _WatchedBeam:
     """A beam, with the largest values of its recorded states.
 
-    Attributes
-    ----------
-    turns
-        (K - 1,) largest angles by which bending turns each of K nodes relative to the one before [rad].
-    largest
-        Largest sums of the squares of the axial forces of the elements, of their moments, and of the variations of both
-        within the elements; largest axial force and largest magnitude of the force [N]. The variation of the moment in
-        an element of length h is h times the shear force; with three nodes, it is h^2 times the load per length.
+    - `turns`: (K - 1,) largest angles by which bending turns each of K nodes relative to the one before [rad].
+    - `largest`: largest sums of the squares of the axial forces of the elements, of their moments, and of the
+      variations of both within the elements; largest axial force and largest magnitude of the force [N]. The variation
+      of the moment in an element of length h is h times the shear force; with three nodes, it is h^2 times the load per
+      length.
     """
 
     def __init__(self, name: str, beam: Beam, compiled: CompiledMechanism):

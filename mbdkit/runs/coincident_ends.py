@@ -37,12 +37,7 @@ accepted at tolerances of 1e-6 turn the direction by at most 145 degrees, and th
 class CoincidentEnds:
     """Watches K forces between two points over the steps of a run.
 
-    Parameters
-    ----------
-    names
-        Names of the forces.
-    columns
-        Indices of the forces among the force elements.
+    `names`: names of the forces. `columns`: indices of the forces among the force elements.
     """
 
     def __init__(self, names: list[str], columns: list[int]):
@@ -91,7 +86,7 @@ class CoincidentEnds:
 @rows_criterion
 def watch_coincident_ends(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> CoincidentEnds | None:
     """Return the forces that are watched in a run; None if there are none, or if rows skip ends of steps."""
-    columns = {one.name: column for column, one in enumerate(compiled.forces)}
+    columns = {force.name: column for column, force in enumerate(compiled.forces)}
     forces = spec.mechanism().forces
     names = [name for name, force in forces.items() if line_of_undefined_direction(force) is not None]
     return CoincidentEnds(names, [columns[name] for name in names]) if names and steps_are_rows(spec) else None

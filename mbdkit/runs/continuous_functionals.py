@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -63,17 +63,12 @@ class _Ends:
 class ContinuousFunctionals:
     """Integrals, extrema and values at given times of the motion between the ends of steps.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does not use.
-    functionals
-        The integrals, extrema and values to compute. A functional is nested if its integrand contains others, as in
-        ``rms(x - mean(x))``.
-    timetable
-        The times of the run.
-    uses_accelerations
-        Whether the polynomials between the ends of steps use accelerations; see `StepEnds`.
+    - `workspace`: the mechanism at its start. Accelerations and reactions are computed with pivots that the stepper
+      does not use.
+    - `functionals`: the integrals, extrema and values to compute. A functional is nested if its integrand contains
+      others, as in ``rms(x - mean(x))``.
+    - `timetable`: the times of the run.
+    - `uses_accelerations`: whether the polynomials between the ends of steps use accelerations; see `StepEnds`.
     """
 
     def __init__(
@@ -186,50 +181,49 @@ class ContinuousFunctionals:
         states = StepEnds(time, q, v, accelerations, held, is_linear=is_linear)
         return MotionPart(self._observer, self._names, states, steps, sides)
 
-    def _is_within(self, one: Functional, span: tuple[float, float]) -> bool:
-        return span[0] <= self._times[one.text] <= span[1] and bool(np.isnan(self._values[one.text]).any())
+    def _is_within(self, functional: Functional, span: tuple[float, float]) -> bool:
+        return span[0] <= self._times[functional.text] <= span[1] and bool(
+            np.isnan(self._values[functional.text]).any()
+        )
 
-    def _add(self, one: Functional, part: MotionPart) -> None:
-        if one.is_value:
-            self._values[one.text] = value_at(part, one, {}, 0.0, self._times[one.text])
-        elif one.is_extremum:
-            self._peaks[one.text] = peak_with(part, one, {}, 0.0, self._peaks[one.text])
+    def _add(self, functional: Functional, part: MotionPart) -> None:
+        if functional.is_value:
+            self._values[functional.text] = value_at(part, functional, {}, 0.0, self._times[functional.text])
+        elif functional.is_extremum:
+            self._peaks[functional.text] = peak_with(part, functional, {}, 0.0, self._peaks[functional.text])
         else:
-            self._sums[one.text] = self._sums[one.text] + sampled(part, one, {}, 0.0).integral()
+            self._sums[functional.text] = self._sums[functional.text] + sampled(part, functional, {}, 0.0).integral()
 
     def totals(self) -> dict[str, np.ndarray]:
         """Return the values of the functionals that are not nested, by their source text; nan where undefined."""
         self._take(whole=False)
         return self._sums | self._values | {text: np.array([peak.value]) for text, peak in self._peaks.items()}
 
-    def nested(self, one: Functional, known: Integrals, events: EventTimes) -> np.ndarray:
+    def nested(self, functional: Functional, known: Integrals, events: EventTimes) -> np.ndarray:
         """Return the value of a nested functional from the values of its inner functionals.
 
-        Parameters
-        ----------
-        events
-            Function that returns quantities of events.
+        `events`: function that returns quantities of events.
         """
         whole = [part for part in self._parts if len(part.time) > 1]
         span = (whole[0].time[0], whole[-1].time[-1]) if whole else (math.nan, math.nan)
         duration = span[1] - span[0] if whole else 0.0
         total, peak = np.zeros(1), Peak(math.nan, math.nan)
-        time = one.time(known, span, events) if one.is_value else math.nan
+        time = functional.time(known, span, events) if functional.is_value else math.nan
         for ends in whole:
             for first in range(0, len(ends.time) - 1, BLOCK):
                 last = min(first + BLOCK, len(ends.time) - 1)
-                if one.is_value and not ends.time[first] <= time <= ends.time[last]:
+                if functional.is_value and not ends.time[first] <= time <= ends.time[last]:
                     continue
                 part = self._part(ends, first, last - first)
-                if one.is_value:
-                    return value_at(part, one, known, duration, time)
-                if one.is_extremum:
-                    peak = peak_with(part, one, known, duration, peak)
+                if functional.is_value:
+                    return value_at(part, functional, known, duration, time)
+                if functional.is_extremum:
+                    peak = peak_with(part, functional, known, duration, peak)
                 else:
-                    total = total + sampled(part, one, known, duration).integral()
-        if one.is_value:
+                    total = total + sampled(part, functional, known, duration).integral()
+        if functional.is_value:
             return np.full(1, np.nan)
-        return np.array([peak.value]) if one.is_extremum else total
+        return np.array([peak.value]) if functional.is_extremum else total
 
     def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
@@ -246,7 +240,7 @@ class ContinuousFunctionals:
 
     def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
-        own: dict[str, Mapping[str, Any]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
+        own: dict[str, Mapping[str, object]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
         if any(state[name].keys() != entries.keys() for name, entries in own.items()):
             raise ValueError("it has other integrals")
         size, states, parts = len(self._workspace.q0), len(self._workspace.mechanism.states), []
@@ -258,7 +252,7 @@ class ContinuousFunctionals:
         if not parts or (len(parts) > 1 and not self._keeps):
             raise ValueError("its steps have other shapes")
         self._sums, self._values = (
-            {text: np.asarray(found) for text, found in state[name].items()} for name in ("sums", "values")
+            {text: np.asarray(values) for text, values in state[name].items()} for name in ("sums", "values")
         )
         self._peaks = {text: Peak(float(value), float(time)) for text, (value, time) in state["peaks"].items()}
         self._ends, self._parts = parts[-1], parts if self._keeps else []
@@ -269,26 +263,26 @@ def no_events(quantity: Quantity) -> float:
     return math.nan
 
 
-def value_at(part: MotionPart, one: Functional, known: Integrals, duration: float, time: float) -> np.ndarray:
+def value_at(part: MotionPart, functional: Functional, known: Integrals, duration: float, time: float) -> np.ndarray:
     """Return a value at a time within a part of the motion, (1,), or (2,) of a vector."""
-    values = one.values(part.series(np.array([time])), known, duration)
+    values = functional.values(part.series(np.array([time])), known, duration)
     return np.atleast_1d(values.reshape(-1))
 
 
-def peak_with(part: MotionPart, one: Functional, known: Integrals, duration: float, before: Peak) -> Peak:
+def peak_with(part: MotionPart, functional: Functional, known: Integrals, duration: float, before: Peak) -> Peak:
     """Return the extremum over a part of the motion and all motion before it.
 
     `before` is the extremum over the motion before the part; its time is nan if there is none.
     """
-    sign = -1.0 if one.reduction == "min" else 1.0
+    sign = -1.0 if functional.reduction == "min" else 1.0
     begins = math.isnan(before.time)
     if not begins and math.isnan(before.value):
         return before
     best = -math.inf if begins else sign * before.value
-    steps, reached = steps_of_extremum(part, one, known, duration, best)
+    steps, reached = steps_of_extremum(part, functional, known, duration, best)
     if not len(steps):
         return before
-    peak = sampled(part, one, known, duration, steps).peak(reached)
+    peak = sampled(part, functional, known, duration, steps).peak(reached)
     if math.isnan(peak.value):
         return Peak(math.nan, float(part.ends.time[0]))
     return peak if begins or sign * peak.value > best else before

@@ -73,15 +73,9 @@ SAME = 1e-14
 class Peak:
     """An extremum.
 
-    Attributes
-    ----------
-    value
-        Value of the extremum; nan if the quantity is undefined somewhere.
-    time
-        Time of the extremum [s].
-    switch
-        Index of the operation that changes its form at this time; -1 if the quantity is smooth there, or if the time is
-        an end of the motion.
+    `value`: value of the extremum; nan if the quantity is undefined somewhere. `time`: time of the extremum [s].
+    `switch`: index of the operation that changes its form at this time; -1 if the quantity is smooth there, or if the
+    time is an end of the motion.
     """
 
     value: float
@@ -100,19 +94,12 @@ class Quadrature:
 class MotionPart:
     """The motion of a run over some consecutive steps, between two discontinuities of its motions and loads.
 
-    Parameters
-    ----------
-    observer
-        Evaluates states.
-    names
-        Names of the elements.
-    ends
-        The ends of these steps, with further ends on both sides if available (N,). If first-order states are
-        interpolated, their columns follow those of the positions, and their rates follow the velocities.
-    steps
-        The steps, as indices of their starts in `ends`.
-    sides
-        First and last time at which motions and loads are evaluated [s].
+    - `observer`: evaluates states.
+    - `names`: names of the elements.
+    - `ends`: the ends of these steps, with further ends on both sides if available (N,). If first-order states are
+      interpolated, their columns follow those of the positions, and their rates follow the velocities.
+    - `steps`: the steps, as indices of their starts in `ends`.
+    - `sides`: first and last time at which motions and loads are evaluated [s].
     """
 
     def __init__(
@@ -185,16 +172,9 @@ class Sampled:
     """Samples of a functional over some steps of a part of the motion, and the points at which an operation changes its
     form.
 
-    Parameters
-    ----------
-    part, functional, known, duration
-        See `sampled`.
-    steps
-        (S,) indices of the steps.
-    values
-        (S, P) samples at the shares `_PLACES` of each step; (2, S, P) for a vector.
-    roots
-        (R, 3) step, share of the step, and index of the operation that changes its form there, in order of time.
+    `part`, `functional`, `known`, `duration`: see `sampled`. `steps`: (S,) indices of the steps. `values`: (S, P)
+    samples at the shares `_PLACES` of each step; (2, S, P) for a vector. `roots`: (R, 3) step, share of the step, and
+    index of the operation that changes its form there, in order of time.
     """
 
     part: MotionPart
@@ -240,7 +220,7 @@ class Sampled:
         if np.isnan(self.values).any():
             return Peak(np.nan, np.nan)
         sign = -1.0 if self.functional.reduction == "min" else 1.0
-        return max(self.peaks(best), key=lambda one: sign * one.value)
+        return max(self.peaks(best), key=lambda peak: sign * peak.value)
 
     def peaks(self, best: float = -np.inf) -> list[Peak]:
         """Return the extremum over the steps, and other local extrema that may be equally large."""
@@ -312,14 +292,8 @@ def sampled(
 ) -> Sampled:
     """Sample a functional over steps of a part, and locate the points at which its operations change their form.
 
-    Parameters
-    ----------
-    known
-        Values of the inner functionals of `functional`.
-    duration
-        Duration of the run [s].
-    steps
-        Indices of the steps in the part; by default all.
+    `known`: values of the inner functionals of `functional`. `duration`: duration of the run [s]. `steps`: indices of
+    the steps in the part; by default all.
     """
     steps = np.arange(len(part.steps)) if steps is None else steps
     count = len(steps)
@@ -331,10 +305,10 @@ def sampled(
 
     values, switches = at(steps, np.tile(_PLACES, (count, 1)))
     roots: list[tuple[int, float, int]] = []
-    for place, switch in enumerate(switches):
-        bracketed = _brackets(switch, lambda g, s, place=place: at(steps[g], _beside(s))[1][place][:, 1])  # type: ignore[misc]
-        group, share = _roots(*bracketed, lambda g, s, place=place: at(steps[g], _beside(s))[1][place][:, 1])  # type: ignore[misc]
-        roots += [(int(steps[g]), float(s), place) for g, s in zip(group, share, strict=True)]
+    for index, switch in enumerate(switches):
+        bracketed = _brackets(switch, lambda g, s, index=index: at(steps[g], _beside(s))[1][index][:, 1])  # type: ignore[misc]
+        group, share = _roots(*bracketed, lambda g, s, index=index: at(steps[g], _beside(s))[1][index][:, 1])  # type: ignore[misc]
+        roots += [(int(steps[g]), float(s), index) for g, s in zip(group, share, strict=True)]
     shape = values.shape[:-1]
     whole = np.broadcast_to(values, (*shape, count * len(_PLACES))).reshape(*shape, count, len(_PLACES))
     return Sampled(part, functional, known, duration, steps, whole, np.array(sorted(roots)).reshape(-1, 3))
@@ -347,12 +321,7 @@ def steps_of_extremum(
 
     This largest value is the maximum of `best` and of the values at the ends of all steps.
 
-    Parameters
-    ----------
-    known, duration
-        See `sampled`.
-    best
-        The largest value found so far (for a minimum, of ``-x``).
+    `known`, `duration`: see `sampled`. `best`: the largest value found so far (for a minimum, of ``-x``).
     """
     sign = -1.0 if functional.reduction == "min" else 1.0
     values = sign * functional.values(part.at_ends, known, duration)

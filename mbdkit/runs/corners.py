@@ -122,10 +122,7 @@ def knots_of(spec: RunSpec) -> tuple[float, ...]:
 def check_jumps(spec: RunSpec) -> None:
     """Check that the motions of all drivers are continuous, and their velocities too unless the spec allows impacts.
 
-    Raises
-    ------
-    SpecError
-        With the key path of the first motion that violates this.
+    Raises SpecError with the key path of the first motion that violates this.
     """
     for name, joint in spec.mechanism().joints.items():
         for key, motion in joint.motions():

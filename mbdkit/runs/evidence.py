@@ -61,24 +61,15 @@ def evidence_of_run(
 ) -> Evidence:
     """Return the evidence of a run that has ended.
 
-    Parameters
-    ----------
-    spec
-        Spec of the run, which may accept findings.
-    recorder
-        The recorder, after all rows have been written.
-    steps
-        Quantities observed over all steps, including steps that are not recorded; None if the method could not start.
-    ending
-        Status and reason.
-    misalignment_max
-        (J,) largest misalignment of each joint over all steps [m].
-    size
-        Size of the mechanism [m].
-    found
-        Findings about the spec and the run.
-    doubts
-        Further sentences that cast doubt on the result.
+    - `spec`: spec of the run, which may accept findings.
+    - `recorder`: the recorder, after all rows have been written.
+    - `steps`: quantities observed over all steps, including steps that are not recorded; None if the method could not
+      start.
+    - `ending`: status and reason.
+    - `misalignment_max`: (J,) largest misalignment of each joint over all steps [m].
+    - `size`: size of the mechanism [m].
+    - `found`: findings about the spec and the run.
+    - `doubts`: further sentences that cast doubt on the result.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
     energies, topology = recorder.energies, recorder.mechanism.topology
@@ -112,20 +103,12 @@ def estimated_errors(
 ) -> EstimatedErrors:
     """Return the estimated errors of a checked run in the form used by the verdict.
 
-    Parameters
-    ----------
-    spec
-        Spec of the run.
-    recorder
-        The recorder, which has stored the rows.
-    accuracy
-        The estimates.
-    position_error
-        Largest estimated error of positions as a share of the mechanism's size; nan if nothing is known.
-    missed
-        Reason why the requested accuracy is not reached, as a clause.
-    integrals
-        Integrals and extrema of the run.
+    - `recorder`: the recorder, which has stored the rows.
+    - `accuracy`: the estimates.
+    - `position_error`: largest estimated error of positions as a share of the mechanism's size; nan if nothing is
+      known.
+    - `missed`: reason why the requested accuracy is not reached, as a clause.
+    - `integrals`: integrals and extrema of the run.
     """
     skips_steps = not steps_are_rows(spec) and "joints" in spec.recorded
     measures = {measure.name: measure.expression for measure in spec.defined_measures() if measure.item is None}
@@ -172,7 +155,7 @@ def _peak_error(recorder: Recorder, accuracy: Accuracy, integrals: Integrals) ->
             if text in accuracy.compared_measures:
                 phrase = f"the largest {force.partition('.')[2].replace('_', ' ')} of {kind} '{name}'"
                 ratios.append((error / float(integrals[text]), phrase))  # type: ignore[arg-type] # not a vector
-    return max(ratios, key=lambda one: math.inf if math.isnan(one[0]) else one[0])
+    return max(ratios, key=lambda ratio: math.inf if math.isnan(ratio[0]) else ratio[0])
 
 
 def _largest(recorder: Recorded, values: np.ndarray) -> tuple[float, str]:

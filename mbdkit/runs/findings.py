@@ -23,7 +23,7 @@ def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> Iterator[tupl
             yield item, criterion
 
 
-def findings(stage: Stage, *examined: Any, kind: str = "run") -> list[Finding]:
+def findings(stage: Stage, *examined: object, kind: str = "run") -> list[Finding]:
     """Return what all criteria of a stage find in the objects that are examined; see `CriterionItem`."""
     return [
         finding
@@ -32,9 +32,9 @@ def findings(stage: Stage, *examined: Any, kind: str = "run") -> list[Finding]:
     ]
 
 
-def as_findings(criterion: CriterionItem, found: Iterable[str | Finding]) -> Iterator[Finding]:
+def as_findings(criterion: CriterionItem, results: Iterable[str | Finding]) -> Iterator[Finding]:
     """Yield what a criterion has found; sentences become findings of its name and level."""
-    for finding in found:
+    for finding in results:
         if not isinstance(finding, str | Finding):
             raise TypeError(f"it found {finding!r}, which is neither a sentence nor a Finding")
         yield Finding(criterion.name, criterion.level, finding, is_named=False) if isinstance(finding, str) else finding

@@ -38,18 +38,11 @@ def finish(
 ) -> Run:
     """Finish what a writer has recorded, and return the run with its measures.
 
-    Parameters
-    ----------
-    writer
-        The writer, which has all rows.
-    spec
-        Spec of the run.
-    ending
-        How the run has ended.
-    measured
-        Evaluates the measures; by default, `mbdkit.plugin.measures.take_all`.
-    gradients
-        Gradients of the measures as JSON; empty if there are none.
+    - `writer`: the writer, which has all rows.
+    - `spec`: spec of the run.
+    - `ending`: how the run has ended.
+    - `measured`: evaluates the measures; by default, `mbdkit.plugin.measures.take_all`.
+    - `gradients`: gradients of the measures as JSON; empty if there are none.
     """
     if isinstance(writer, ArrayWriter):
         assert isinstance(spec, RunSpec)
@@ -70,14 +63,8 @@ def finish(
 def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str, gradients: str = "") -> Run:
     """Return a finished run with its measures.
 
-    Parameters
-    ----------
-    spec
-        Spec of the run.
-    created_utc
-        Time at which the run began, ISO 8601.
-    gradients
-        Gradients of the measures as JSON; empty if there are none.
+    `created_utc`: time at which the run began, ISO 8601. `gradients`: gradients of the measures as JSON; empty if there
+    are none.
     """
     contents = partial(
         ArrayContents, finished, spec, run_id=spec.run_id(), created_utc=created_utc, provenance=provenance(spec)
@@ -110,28 +97,18 @@ def finish_states(
 ) -> Run:
     """Write a motion that is known as a whole, such as a measured or an optimized one, and return the run.
 
-    Parameters
-    ----------
-    spec
-        Spec of the run.
-    states
-        The states at the recorded times, with accelerations and reactions.
-    ending
-        How the computation has ended. Counters that `Ending.stats` lacks are 0.
-    provenance
-        Attributes of ``/provenance``; see `mbdkit.plugin.runs.model_provenance`.
-    path, overwrite
-        Final name of the archive, None for an archive in memory, and whether an existing file may be replaced.
-    names
-        Names of elements; by default, those of the mechanism.
-    rows
-        Values of arrays that are not computed from states, by path; those of groups without elements are left out.
-    optional
-        Paths of the optional arrays; by default, those of `rows` and of the elements of the mechanism.
-    sizes
-        (T - 1,) steps between the rows [s]; by default 0, for a motion that was not integrated.
-    measured
-        See `finish`.
+    - `spec`: spec of the run.
+    - `states`: the states at the recorded times, with accelerations and reactions.
+    - `ending`: how the computation has ended. Counters that `Ending.stats` lacks are 0.
+    - `provenance`: attributes of ``/provenance``; see `mbdkit.plugin.runs.model_provenance`.
+    - `path`, `overwrite`: final name of the archive, None for an archive in memory, and whether an existing file may be
+      replaced.
+    - `names`: names of elements; by default, those of the mechanism.
+    - `rows`: values of arrays that are not computed from states, by path; those of groups without elements are left
+      out.
+    - `optional`: paths of the optional arrays; by default, those of `rows` and of the elements of the mechanism.
+    - `sizes`: (T - 1,) steps between the rows [s]; by default 0, for a motion that was not integrated.
+    - `measured`: see `finish`.
     """
     mechanism, given, time = states.mechanism, rows or {}, states.time
     names = names or archive_names(mechanism)

@@ -79,7 +79,7 @@ def largest_loads_of(spec: RunSpec, peaks: Iterable[Peaks]) -> tuple[str, ...]:
             if not isinstance(joint, Revolute | Distance) or getattr(joint, "friction", None) is not None
         ],
     }
-    loads |= {quantity: one.names for one in peaks for quantity in one.quantities}
+    loads |= {quantity: of_kind.names for of_kind in peaks for quantity in of_kind.quantities}
     return tuple(expression_of_largest(quantity, name) for quantity, names in loads.items() for name in names)
 
 
@@ -89,10 +89,7 @@ def compared_loads(spec: RunSpec, integrals: Integrals, peaks: Iterable[Peaks]) 
     These are the first quantities of `peaks`, of the elements with the largest ones. The forces of joints have errors
     in every row, and those of elements whose impacts are not located include impulses.
 
-    Parameters
-    ----------
-    integrals
-        Integrals and extrema of the run.
+    `integrals`: integrals and extrema of the run.
     """
     chosen, compared = spec.reacting, list[str]()
     for kind in peaks:
@@ -106,15 +103,8 @@ def compared_loads(spec: RunSpec, integrals: Integrals, peaks: Iterable[Peaks]) 
 def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:
     """Return the integrals, extrema and values at given times that the measures of a run need.
 
-    Parameters
-    ----------
-    expressions
-        Expressions of further measures, in addition to those of the spec.
-
-    Raises
-    ------
-    SpecError
-        If an expression is not valid for the spec.
+    `expressions`: expressions of further measures, in addition to those of the spec. Raises SpecError if an expression
+    is not valid for the spec.
     """
     functionals = [
         functional
@@ -127,16 +117,9 @@ def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Func
 class RunIntegrals:
     """Integrals over time, extrema, and values at given times of quantities of one run.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does not use.
-    functionals
-        The integrals, extrema and values to compute.
-    timetable
-        The times of the run.
-    suits_stiff
-        Whether the method is intended for stiff mechanisms.
+    `workspace`: the mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does
+    not use. `functionals`: the integrals, extrema and values to compute. `timetable`: the times of the run.
+    `suits_stiff`: whether the method is intended for stiff mechanisms.
     """
 
     def __init__(
@@ -177,26 +160,23 @@ class RunIntegrals:
     def totals(self, events: EventTimes = no_events) -> Integrals:
         """Return the values of all functionals by their source text, in SI units; nan where undefined.
 
-        Parameters
-        ----------
-        events
-            Function that returns quantities of the events of the run.
+        `events`: function that returns quantities of the events of the run.
         """
         self._take(whole=False)
-        found: dict[str, float | tuple[float, ...]] = {}
+        totals: dict[str, float | tuple[float, ...]] = {}
         for functional, total in zip(self._direct, self._sums or [np.zeros(1)] * len(self._direct), strict=True):
-            found[functional.text] = _plain(total)
+            totals[functional.text] = _plain(total)
         if self.continuous is not None:
-            found |= {text: _plain(total) for text, total in self.continuous.totals().items()}
+            totals |= {text: _plain(total) for text, total in self.continuous.totals().items()}
         time, weight, *values = self._joined_kept()
         series, duration = Series(time, dict(zip(self._read, values, strict=True)).__getitem__), float(weight.sum())
         for functional in self.functionals:  # inner functionals come before those that contain them
             if functional in self._nested:
-                at_nodes = functional.values(series, found, duration)
-                found[functional.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
+                at_nodes = functional.values(series, totals, duration)
+                totals[functional.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
             elif functional.is_nested and self.continuous is not None:
-                found[functional.text] = _plain(self.continuous.nested(functional, found, events))
-        return {functional.text: found[functional.text] for functional in self.functionals}
+                totals[functional.text] = _plain(self.continuous.nested(functional, totals, events))
+        return {functional.text: totals[functional.text] for functional in self.functionals}
 
     def stored(self) -> StoredState:
         """Return the sums and the waiting nodes as plain values, for a checkpoint."""
@@ -253,11 +233,11 @@ class RunIntegrals:
     def _add_block(self, nodes: Nodes) -> None:
         states, count = self._states_at(nodes), len(nodes.time)
         values = [np.full(count, np.nan)] * len(self._direct)
-        kept = [self._unknown(one, count) for one in self._read]
+        kept = [self._unknown(quantity, count) for quantity in self._read]
         if states is not None:
-            series = Series(nodes.time, lambda one: one.taker(self._names)(states).T)
+            series = Series(nodes.time, lambda quantity: quantity.taker(self._names)(states).T)
             values = [np.broadcast_to(x, (*x.shape[:-1], count)) for x in self._values(series)]
-            kept = [series.of(one) for one in self._read]
+            kept = [series.of(quantity) for quantity in self._read]
         if self._nested:
             self._kept.append([nodes.time, nodes.weight, *kept])
         gains = [np.atleast_1d(np.sum(x * nodes.weight, axis=-1)) for x in values]

@@ -56,16 +56,9 @@ def steps_are_rows(spec: RunSpec) -> bool:
 class WatchedLaw:
     """A force element whose law holds only for a range of values of its arguments: length, rate and time.
 
-    Attributes
-    ----------
-    name, law
-        Kind and name of the element, and full name of its law.
-    column
-        Index of the element among all force elements.
-    unit
-        Unit of the length of the element.
-    bounds
-        Lowest and highest length, rate and time for which the law holds.
+    `name`, `law`: kind and name of the element, and full name of its law. `column`: index of the element among all
+    force elements. `unit`: unit of the length of the element. `bounds`: lowest and highest length, rate and time for
+    which the law holds.
     """
 
     name: str
@@ -103,14 +96,8 @@ def _bounds(force: Any) -> tuple[tuple[float, float], ...]:
 class LawRanges:
     """How far the arguments of K force laws have left their ranges, over the states of a run in order of time.
 
-    Parameters
-    ----------
-    laws
-        The force elements that are checked.
-    workspace
-        The mechanism, which is needed to evaluate states between the recorded ones; None if every step is recorded.
-    stops
-        Whether the run stops where a law leaves its range.
+    `laws`: the force elements that are checked. `workspace`: the mechanism, which is needed to evaluate states between
+    the recorded ones; None if every step is recorded. `stops`: whether the run stops where a law leaves its range.
     """
 
     def __init__(self, laws: Sequence[WatchedLaw], workspace: Workspace | None = None, *, stops: bool = False):
@@ -138,9 +125,11 @@ class LawRanges:
         if not has_ranges(model):
             return None
         laws = [
-            WatchedLaw(f"{one.kind} '{one.name}'", one.force.law_id, one.place, one.force.pathway.length_unit, bounds)
-            for one in mechanism.acting
-            if (bounds := _bounds(one.force)) != UNBOUNDED
+            WatchedLaw(
+                f"{force.kind} '{force.name}'", force.force.law_id, force.place, force.force.pathway.length_unit, bounds
+            )
+            for force in mechanism.acting
+            if (bounds := _bounds(force.force)) != UNBOUNDED
         ]
         return cls(laws, workspace, stops=stops)
 
@@ -175,17 +164,9 @@ class LawRanges:
     def add(self, time: np.ndarray, forces: np.ndarray) -> float | None:
         """Check recorded states, and the states between them.
 
-        Parameters
-        ----------
-        time
-            (T,) times [s], later than those of earlier calls.
-        forces
-            (T, F, 5) values of all force elements, of which the first two are length and rate.
-
-        Returns
-        -------
-        float or None
-            Time [s] at which the first law leaves its range; None if all states so far are within the ranges.
+        `time`: (T,) times [s], later than those of earlier calls. `forces`: (T, F, 5) values of all force elements, of
+        which the first two are length and rate. Returns time [s] at which the first law leaves its range; None if all
+        states so far are within the ranges.
         """
         states = np.concatenate([self._last, *self._between, self._arguments(time, forces)])
         states, self._between = states[np.argsort(states[:, 0, 2], kind="stable")], []
@@ -207,28 +188,28 @@ class LawRanges:
         for side, sign in enumerate(self._sides):
             outside = sign * values - margins > self._limits[..., side]
             for k, argument in zip(*np.nonzero(outside.any(axis=0)), strict=True):
-                place, rows = (k, argument, side), np.flatnonzero(outside[:, k, argument])
+                index, rows = (k, argument, side), np.flatnonzero(outside[:, k, argument])
                 worst = rows[np.argmax(sign * values[rows, k, argument])]
-                if sign * values[worst, k, argument] > self._worst[place]:
-                    self._worst[place], self._worst_time[place] = (
+                if sign * values[worst, k, argument] > self._worst[index]:
+                    self._worst[index], self._worst_time[index] = (
                         sign * values[worst, k, argument],
                         times[worst, k, argument],
                     )
-                if np.isinf(self._first[place]):
+                if np.isinf(self._first[index]):
                     seen = float(times[rows, k, argument].min())
                     bound = self.laws[k].bounds[argument][side]
-                    self._first[place] = _entry(cubics[:, :, k, 2], cubics[:, :, k, argument], bound, seen)
+                    self._first[index] = _entry(cubics[:, :, k, 2], cubics[:, :, k, argument], bound, seen)
 
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each bound that an argument of a law has exceeded."""
         warnings = []
         for k, argument, side in zip(*np.nonzero(np.isfinite(self._first)), strict=True):
-            place = k, argument, side
-            law, value = self.laws[k], self._sides[side] * self._worst[place]
+            index = k, argument, side
+            law, value = self.laws[k], self._sides[side] * self._worst[index]
             warnings.append(
                 f"the {ARGUMENTS[argument]} of {law.name} leaves the range in which {law.held(int(argument))}, "
-                f"at t = {self._first[place]:.6g} s, and reaches {value:.6g} {law.units[argument]} at "
-                f"t = {self._worst_time[place]:.6g} s"
+                f"at t = {self._first[index]:.6g} s, and reaches {value:.6g} {law.units[argument]} at "
+                f"t = {self._worst_time[index]:.6g} s"
             )
         return tuple(warnings)
 
@@ -238,15 +219,15 @@ class LawRanges:
 
     def failure(self) -> Failure:
         """Return the failure of a run that is stopped because a force law has left its range."""
-        place = k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
+        index = k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
         law, what, first = self.laws[int(k)], ARGUMENTS[argument], float(self._first.min())
         leaves = f"the {what} of {law.name} leaves the range in which {law.held(int(argument))}"
-        clause = self._outside(*map(int, place)) if self._worst_time[place] == first else leaves
+        clause = self._outside(*map(int, index)) if self._worst_time[index] == first else leaves
         return Failure("out-of-range", f"at t = {first:.6g} s {clause}.")
 
     def in_one_state(self) -> tuple[str, ...]:
         """Return one clause for each argument that is out of range, with its value, if only one state was added."""
-        return tuple(self._outside(*place) for place in np.argwhere(np.isfinite(self._first)).tolist())
+        return tuple(self._outside(*index) for index in np.argwhere(np.isfinite(self._first)).tolist())
 
     def _outside(self, k: int, argument: int, side: int) -> str:
         law, value = self.laws[k], self._sides[side] * self._worst[k, argument, side]

@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 
 
 class MovingCenters:
-    """Smallest and largest coordinates of the joints in the recorded states of a run.
-
-    Parameters
-    ----------
-    mechanism
-        The mechanism.
-    """
+    """Smallest and largest coordinates of the joints in the recorded states of a run."""
 
     def __init__(self, mechanism: Mechanism):
         self._joints = mechanism.joints

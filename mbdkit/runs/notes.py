@@ -56,12 +56,12 @@ def zero_reactions(spec: RunSpec, measures: Iterable[DefinedMeasure]) -> Iterato
             yield from zero_reactions_in(spec, path_text(measure.place), parsed)
 
 
-def zero_reactions_in(spec: RunSpec, place: str, expression: MeasureExpression) -> Iterator[str]:
-    """Yield a note for each reaction in an expression, which is at `place`, that is always zero."""
+def zero_reactions_in(spec: RunSpec, where: str, expression: MeasureExpression) -> Iterator[str]:
+    """Yield a note for each reaction in an expression, which is at `where`, that is always zero."""
     joints = spec.mechanism().joints
     for quantity in dict.fromkeys(expression.quantities):
         if quantity.kind == "joints" and (why := _not_transmitted(joints[quantity.name], quantity)):
-            yield f"{quantity} in {place} is always zero, because {why}"
+            yield f"{quantity} in {where} is always zero, because {why}"
 
 
 def _not_transmitted(joint: Joint, reaction: Quantity) -> str:

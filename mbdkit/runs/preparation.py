@@ -35,17 +35,8 @@ from mbdkit.trust.finding import Finding
 def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> list[Finding]:
     """Return what is doubtful or worth a note in a spec before its run.
 
-    Parameters
-    ----------
-    method
-        Method of the spec; created, and thereby checked, if omitted.
-    measures
-        Expressions that are evaluated for the run, in addition to the measures of the spec.
-
-    Raises
-    ------
-    PluginError
-        If the plugin fails to create the method.
+    `method`: method of the spec; created, and thereby checked, if omitted. `measures`: expressions that are evaluated
+    for the run, in addition to the measures of the spec. Raises PluginError if the plugin fails to create the method.
     """
     if method is None:
         make_method(spec)
@@ -55,22 +46,9 @@ def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str]
 def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, AssembledState]:
     """Compile the mechanism of a spec and make its initial state consistent.
 
-    Parameters
-    ----------
-    starts
-        Cache of compiled mechanisms for further runs, if given.
-
-    Returns
-    -------
-    Workspace
-        Workspace for the integration.
-    AssembledState
-        Consistent initial state, and its change by assembly.
-
-    Raises
-    ------
-    SpecError
-        If the joints cannot be assembled, the initial accelerations are not unique, or a measure is not valid.
+    `starts`: cache of compiled mechanisms for further runs, if given. Returns workspace for the integration, and
+    consistent initial state, and its change by assembly. Raises SpecError if the joints cannot be assembled, the
+    initial accelerations are not unique, or a measure is not valid.
     """
     mechanism = spec.mechanism()
     check_measures(spec)
@@ -103,12 +81,8 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
     The check is skipped if the number of rows is not known in advance, because wall time is limited, or because an
     adaptive method records its steps.
 
-    Raises
-    ------
-    SpecError
-        If the archive is larger than the whole disk or memory.
-    ResourceError
-        If the archive is larger than the space that is free now.
+    Raises SpecError if the archive is larger than the whole disk or memory. Raises ResourceError if the archive is
+    larger than the space that is free now.
     """
     rows = rows_expected(spec)
     if rows is None or spec.limits.wall_time is not None:
@@ -133,12 +107,8 @@ def rows_expected(spec: RunSpec) -> int | None:
 def make_method(spec: RunSpec) -> Method:
     """Create the method of a spec.
 
-    Raises
-    ------
-    PluginError
-        If the plugin fails to create a method that matches its claims.
-    SpecError
-        If the method or other settings do not suit the treatment of elements.
+    Raises PluginError if the plugin fails to create a method that matches its claims. Raises SpecError if the method or
+    other settings do not suit the treatment of elements.
     """
     try:
         with blaming(f"integrator {spec.integrator_item.id} failed to start"):
@@ -168,14 +138,9 @@ def make_method(spec: RunSpec) -> Method:
 def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> None:
     """Check before a run that its method supports the formulation and the mechanism.
 
-    Raises
-    ------
-    SpecError
-        If the method takes its steps in Python and its claims do not include the first-order states of the mechanism.
-    UnsupportedMechanismError
-        If the method itself refuses the mechanism.
-    PluginError
-        If the method cannot be used with a formulation that it claims.
+    Raises SpecError if the method takes its steps in Python and its claims do not include the first-order states of the
+    mechanism. Raises UnsupportedMechanismError if the method itself refuses the mechanism. Raises PluginError if the
+    method cannot be used with a formulation that it claims.
     """
     try:
         method.require_formulation(FORMULATIONS[spec.formulated.name])

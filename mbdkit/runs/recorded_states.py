@@ -43,16 +43,8 @@ def recorded_states(
 class ObservedRows:
     """States and reactions of B bodies and J joints at T times.
 
-    Parameters
-    ----------
-    time
-        (T,) [s].
-    position, velocity
-        (T, B, 3) [m, rad] and [m/s, rad/s].
-    force
-        (T, J, 2) reaction forces [N].
-    torque
-        (T, J) reaction torques [N m].
+    `time`: (T,) [s]. `position`, `velocity`: (T, B, 3) [m, rad] and [m/s, rad/s]. `force`: (T, J, 2) reaction forces
+    [N]. `torque`: (T, J) reaction torques [N m].
     """
 
     time: np.ndarray

@@ -66,31 +66,17 @@ def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
 class Recorder:
     """Writes the recorded states of a run to its archive.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism at its start. The recorder uses a copy with its own pivots.
-    writer
-        Writer that receives the rows.
-    guards
-        Limits of the misalignment of a recorded state.
-    ranges
-        Checks force laws that declare a range; None if there are none.
-    watchers
-        Look at all recorded states; None to give no warnings.
-    finer
-        See `mbdkit.spec.run_spec.RunSpec.finer`.
-
-    Attributes
-    ----------
-    largest, largest_angle : (J,) arrays
-        Largest misalignment [m] and angle misalignment [rad] of the recorded states.
-    energies
-        Largest energies and energy errors of the recorded states.
-    last_time : float
-        Time of the last recorded state [s].
-    kept : list of ObservedRows or None
-        If a list, recorded rows are also appended to it.
+    - `workspace`: the mechanism at its start. The recorder uses a copy with its own pivots.
+    - `writer`: writer that receives the rows.
+    - `guards`: limits of the misalignment of a recorded state.
+    - `ranges`: checks force laws that declare a range; None if there are none.
+    - `watchers`: look at all recorded states; None to give no warnings.
+    - `finer`: see `mbdkit.spec.run_spec.RunSpec.finer`.
+    - `largest`, `largest_angle` ((J,) arrays): largest misalignment [m] and angle misalignment [rad] of the recorded
+      states.
+    - `energies`: largest energies and energy errors of the recorded states.
+    - `last_time` (float): time of the last recorded state [s].
+    - `kept` (list of ObservedRows or None): if a list, recorded rows are also appended to it.
     """
 
     def __init__(
@@ -126,17 +112,9 @@ class Recorder:
     def record(self, stretch: Stretch, elapsed: tuple[float, float], *, start: bool = False) -> Failure | None:
         """Write the rows of a stretch.
 
-        Parameters
-        ----------
-        elapsed
-            Wall time since the first step at the start and at the end of the stretch [s]; interpolated for the rows.
-        start
-            Whether this is the initial state, which has no preceding interval.
-
-        Returns
-        -------
-        Failure or None
-            Reason why a state cannot be recorded; this state and later ones are not written.
+        `elapsed`: wall time since the first step at the start and at the end of the stretch [s]; interpolated for the
+        rows. `start`: whether this is the initial state, which has no preceding interval. Returns reason why a state
+        cannot be recorded; this state and later ones are not written.
         """
         count = len(stretch.time)
         if count == 0:
@@ -383,10 +361,7 @@ class Recorder:
 
         If a state was refused, only recorded states count: steps after the last row are not part of the run.
 
-        Parameters
-        ----------
-        worst_pairs
-            (P,) largest squared norm of the constraint functions Phi of each pair of rows over the steps.
+        `worst_pairs`: (P,) largest squared norm of the constraint functions Phi of each pair of rows over the steps.
         """
         if self._refused:
             return self.largest

@@ -12,7 +12,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.checkpoint import Checkpoint
@@ -55,32 +55,17 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
 
     The spec is read from the checkpoint. The results are bitwise identical to those of an uninterrupted run.
 
-    Parameters
-    ----------
-    part
-        The unfinished archive of a killed run, ``FILE.h5.part``, which has its checkpoint,
-        ``FILE.h5.part.checkpoint``, beside it; or the archive of an interrupted run, ``FILE.h5``, with
-        ``FILE.h5.checkpoint``.
-    overwrite
-        Whether an existing ``FILE.h5`` may be replaced, as the archive of an interrupted run is at the end.
-    progress
-        See `mbdkit.run`. If this function raises an exception, the file and its checkpoint are kept.
-    files
-        Whether files that the spec names may be read, such as a model of another program; they must have the SHA-256
-        that the checkpoint lists.
+    - `part`: the unfinished archive of a killed run, ``FILE.h5.part``, which has its checkpoint,
+      ``FILE.h5.part.checkpoint``, beside it; or the archive of an interrupted run, ``FILE.h5``, with
+      ``FILE.h5.checkpoint``.
+    - `overwrite`: whether an existing ``FILE.h5`` may be replaced, as the archive of an interrupted run is at the end.
+    - `progress`: see `mbdkit.run`. If this function raises an exception, the file and its checkpoint are kept.
+    - `files`: whether files that the spec names may be read, such as a model of another program; they must have the
+      SHA-256 that the checkpoint lists.
 
-    Returns
-    -------
-    Run
-        The results, in ``FILE.h5``.
-
-    Raises
-    ------
-    SpecError
-        If the run cannot be continued: a file is damaged, there is no checkpoint, or another version of mbdkit or of a
-        plugin wrote it. The files remain as they are.
-    ResourceError
-        If the run is still in progress, or a file cannot be read, written or renamed.
+    Returns the results, in ``FILE.h5``. Raises SpecError if the run cannot be continued: a file is damaged, there is no
+    checkpoint, or another version of mbdkit or of a plugin wrote it. The files remain as they are. Raises ResourceError
+    if the run is still in progress, or a file cannot be read, written or renamed.
     """
     with progress_bar(Path(part).stem, quiet=progress is not None or not in_notebook()) as bar:
         result = continue_run(Path(part), overwrite=overwrite, progress=progress or bar, files=files)
@@ -202,12 +187,8 @@ def _refused(part: Path, why: str, *, hint: str = _ANEW) -> SpecError:
 def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
     """Rename the archive of a run that was killed after its end, and return the run.
 
-    Raises
-    ------
-    SpecError
-        If the run had not ended, or its archive is damaged.
-    ResourceError
-        If the archive cannot be renamed.
+    Raises SpecError if the run had not ended, or its archive is damaged. Raises ResourceError if the archive cannot be
+    renamed.
     """
     with load(part) as run:
         if run.status == "running":
@@ -226,7 +207,7 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
     return load(path)
 
 
-def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any]) -> RunSpec:
+def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, object]) -> RunSpec:
     """Return the spec of a run; raise SpecError if the run began with other versions of software.
 
     Its results might then differ from those of an uninterrupted run.
@@ -253,13 +234,8 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any])
 class _Unfinished:
     """An unfinished run that is continued from its checkpoint.
 
-    Parameters
-    ----------
-    path
-        Final name of the archive.
-    stream
-        The open ``.part``, from which the rows are read. It also shows whether another file has replaced the ``.part``
-        in the meantime.
+    `path`: final name of the archive. `stream`: the open ``.part``, from which the rows are read. It also shows whether
+    another file has replaced the ``.part`` in the meantime.
     """
 
     def __init__(self, part: Path, checkpoint: Checkpoint, path: Path, overwrite: bool, stream: BinaryIO):

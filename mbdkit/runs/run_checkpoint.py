@@ -76,11 +76,8 @@ class Parts:
     def restore(self, state: StoredState) -> None:
         """Restore a stored state to these objects, which belong to a run at its start.
 
-        Raises
-        ------
-        SpecError
-            If the state is not valid for the run. Since the hash of a checkpoint detects accidental damage, such a
-            state was modified on purpose.
+        Raises SpecError if the state is not valid for the run. Since the hash of a checkpoint detects accidental
+        damage, such a state was modified on purpose.
         """
         try:
             kept, workspace = state["workspace"], self.workspace
@@ -106,15 +103,8 @@ class Parts:
 class Continuation:
     """A checkpoint to continue from.
 
-    Parameters
-    ----------
-    state
-        The state of the run.
-    rows
-        Function that returns states and reactions of the rows before the checkpoint, needed to estimate the errors of
-        the run.
-    restored
-        Function that is called when the state has been restored.
+    `state`: the state of the run. `rows`: function that returns states and reactions of the rows before the checkpoint,
+    needed to estimate the errors of the run. `restored`: function that is called when the state has been restored.
     """
 
     state: StoredState
@@ -146,12 +136,7 @@ def why_without(spec: RunSpec, method: Method) -> str:
 class Checkpoints:
     """Writes checkpoints of a run from time to time.
 
-    Parameters
-    ----------
-    writer
-        Writer of the rows and the checkpoints.
-    state
-        Function that returns the state to be stored.
+    `writer`: writer of the rows and the checkpoints. `state`: function that returns the state to be stored.
     """
 
     def __init__(self, writer: ArchiveWriter, state: Callable[[], StoredState]):

@@ -20,7 +20,6 @@ from mbdkit.mechanism.improbable_values import (
 )
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.runs.angles_in_degrees import angles_in_degrees, motions_in_degrees
@@ -239,9 +238,7 @@ def step_advice(spec: RunSpec, code: str) -> str:
 @spec_criterion
 def unused_parameters(spec: RunSpec, measures: Sequence[str] = ()) -> Iterator[Finding]:
     """Yield a note for each parameter that no expression of a spec uses."""
-    if not spec.parameters:
-        return
-    used = parameters_in_use(spec.parameters, [*spec.written.values(), *spec.expressions_outside_model, *measures])
+    used = spec.used_parameters(measures) if spec.parameters else set()
     for name in spec.parameters:
         if name not in used:
             hint = did_you_mean(name, [other for other in spec.parameters if other != name])

@@ -28,13 +28,9 @@ class StateWatcher(Protocol):
     def findings(self, energies: EnergyRecord, integrals: Integrals) -> Iterable[str | Finding]:
         """Return what is wrong, as sentences or findings.
 
-        Parameters
-        ----------
-        energies
-            The largest energies of the run.
-        integrals
-            Integrals and extrema of the run, also between the recorded states, by their expressions. Those of checked
-            runs contain the peaks of elements (`mbdkit.registry.feature_items.QuantityKind.peaks`).
+        `energies`: the largest energies of the run. `integrals`: integrals and extrema of the run, also between the
+        recorded states, by their expressions. Those of checked runs contain the peaks of elements
+        (`mbdkit.registry.feature_items.QuantityKind.peaks`).
         """
 
     def stored(self) -> object:

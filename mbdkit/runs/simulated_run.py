@@ -99,21 +99,13 @@ class _Reporter:
 class Request:
     """What is asked of a simulation besides its spec.
 
-    Parameters
-    ----------
-    begun
-        Function that returns the writer of a run, given its spec, its method and its start.
-    begin
-        Time at which the run was requested [s].
-    measured_in
-        Function that evaluates expressions of measures in a comparison run.
-    path, starts, measures, tables
-        See `mbdkit.runs.simulation.simulate`.
-    continuation
-        The state to continue from, if any.
-    becomes_run
-        Whether the caller gets a `Run`, which Ctrl-C ends early and which shows the rows until then; otherwise, only
-        the arrays in its writer are used.
+    - `begun`: function that returns the writer of a run, given its spec, its method and its start.
+    - `begin`: time at which the run was requested [s].
+    - `measured_in`: function that evaluates expressions of measures in a comparison run.
+    - `path`, `starts`, `measures`, `tables`: see `mbdkit.runs.simulation.simulate`.
+    - `continuation`: the state to continue from, if any.
+    - `becomes_run`: whether the caller gets a `Run`, which Ctrl-C ends early and which shows the rows until then;
+      otherwise, only the arrays in its writer are used.
     """
 
     begun: Callable[[RunSpec, Method, tuple[Workspace, AssembledState]], RunWriter]
@@ -130,24 +122,14 @@ class Request:
 class SimulatedRun:
     """A run in progress: the method, the mechanism, and the recorder that writes the archive.
 
-    Parameters
-    ----------
-    spec
-        The validated spec of the run.
-    workspace
-        The mechanism at its start.
-    method
-        The method of integration.
-    writer
-        Receives the rows and writes them to an open archive, or to arrays in memory.
-    request
-        What is asked of the run.
-    findings
-        Findings so far.
-    choice
-        The method and step chosen for the requested accuracy, if any.
-    functionals
-        Integrals over time, extrema and values at given times that measures need.
+    - `spec`: the validated spec of the run.
+    - `workspace`: the mechanism at its start.
+    - `method`: the method of integration.
+    - `writer`: receives the rows and writes them to an open archive, or to arrays in memory.
+    - `request`: what is asked of the run.
+    - `findings`: findings so far.
+    - `choice`: the method and step chosen for the requested accuracy, if any.
+    - `functionals`: integrals over time, extrema and values at given times that measures need.
     """
 
     def __init__(
@@ -458,11 +440,11 @@ class SimulatedRun:
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
         totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
-        found = (*self.findings, *self.recorder.findings(totals))
+        findings = (*self.findings, *self.recorder.findings(totals))
         if self.request.becomes_run and self.spec.gradients and status == "complete":
             self.gradients = higher_layers.gradients_json(self.spec)
         evidence = evidence_of_run(
-            self.spec, self.recorder, steps, (status, reason), misalignment_max, self.size, found,
+            self.spec, self.recorder, steps, (status, reason), misalignment_max, self.size, findings,
             self.doubtful_gradients(),
         )  # fmt: skip
         errors = None
@@ -483,7 +465,7 @@ class SimulatedRun:
             {**counters, **self.timings},
             misalignment_max,
             judgement,
-            (*map(str, found), *notes),
+            (*map(str, findings), *notes),
             self.accuracy,
             totals,
             self.cause,

@@ -164,14 +164,8 @@ def simulate_on(
 ) -> Run:
     """Continue a run from a checkpoint.
 
-    Parameters
-    ----------
-    continuation
-        The state to continue from.
-    begun
-        Function that returns a writer with the rows up to this state.
-    progress, measures
-        See `simulate`.
+    `continuation`: the state to continue from. `begun`: function that returns a writer with the rows up to this state.
+    `progress`, `measures`: see `simulate`.
     """
     request = Request(
         begun=begun, begin=time.perf_counter(), measured_in=measured_in, measures=measures, continuation=continuation

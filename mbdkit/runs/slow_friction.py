@@ -51,12 +51,7 @@ class FrictionElement(NamedTuple):
 class SlowFriction:
     """Sums over the recorded states of a run, for each of E elements with friction.
 
-    Parameters
-    ----------
-    elements
-        The elements.
-    take
-        Function that returns their slip velocities [m/s] and friction powers [W] in T states, (T, E), of any sign.
+    `take`: function that returns their slip velocities [m/s] and friction powers [W] in T states, (T, E), of any sign.
     """
 
     def __init__(self, elements: Sequence[FrictionElement], take: Callable[[States], tuple[np.ndarray, np.ndarray]]):

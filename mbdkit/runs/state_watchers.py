@@ -21,12 +21,7 @@ if TYPE_CHECKING:
 class StateWatchers:
     """The watchers that a mechanism needs.
 
-    Parameters
-    ----------
-    spec, compiled
-        The spec, and its compiled mechanism.
-    size
-        Size of the mechanism [m].
+    `spec`, `compiled`: the spec, and its compiled mechanism. `size`: size of the mechanism [m].
     """
 
     def __init__(self, spec: RunSpec, compiled: CompiledMechanism, size: float):

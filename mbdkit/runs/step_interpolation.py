@@ -43,19 +43,13 @@ MOST_KEPT = 2**22
 class StepEnds:
     """States at the ends of all steps of a run, or of a part of it between two discontinuities of motions.
 
-    Parameters
-    ----------
-    time
-        (N,) times [s].
-    q, v, a
-        (N, 3 (B + 1)) positions, velocities and accelerations. If `a` is None, accelerations are not used, because in
-        stiff mechanisms they amplify the errors of positions. All three arrays may have an additional last axis of
-        derivatives.
-    held
-        (N, Z) forces that the method sets, which have no rates; None without them.
-    is_linear
-        Whether all states are linear over each step, as in time-stepping methods, whose steps contain impacts:
-        polynomials of a higher degree would overshoot there.
+    - `time`: (N,) times [s].
+    - `q`, `v`, `a`: (N, 3 (B + 1)) positions, velocities and accelerations. If `a` is None, accelerations are not used,
+      because in stiff mechanisms they amplify the errors of positions. All three arrays may have an additional last
+      axis of derivatives.
+    - `held`: (N, Z) forces that the method sets, which have no rates; None without them.
+    - `is_linear`: whether all states are linear over each step, as in time-stepping methods, whose steps contain
+      impacts: polynomials of a higher degree would overshoot there.
     """
 
     time: np.ndarray
@@ -141,12 +135,12 @@ class StepEnds:
         gaps = np.where(window[:-1] == steps, np.inf, np.diff(self.time[window], axis=0))
         close = np.min(gaps, axis=0, initial=np.inf) < LEAST_DISTANCE * (self.time[steps + 1] - self.time[steps])
         nodes, newton = self._divided_differences(steps, window)
-        for place in np.flatnonzero(close):
-            one = steps[place : place + 1]
-            own = self._divided_differences(one, self._apart(int(one[0]), count)[:, None])
-            for every, found in zip((nodes, newton), own, strict=True):
-                every[:, place] = 0.0  # coefficients of higher powers
-                every[: len(found), place] = found[:, 0]
+        for index in np.flatnonzero(close):
+            piece = steps[index : index + 1]
+            own = self._divided_differences(piece, self._apart(int(piece[0]), count)[:, None])
+            for every, values in zip((nodes, newton), own, strict=True):
+                every[:, index] = 0.0  # coefficients of higher powers
+                every[: len(values), index] = values[:, 0]
         return nodes, newton
 
     def _apart(self, step: int, count: int) -> np.ndarray:
@@ -197,14 +191,9 @@ class StepEnds:
 class StepStates:
     """The states of a run at any time, from the ends of its steps.
 
-    Parameters
-    ----------
-    workspace
-        Workspace of the mechanism.
-    time, q, v
-        (N,) times [s], and (N, 3 (B + 1)) positions and velocities at the start and the ends of all steps.
-    stops, margins
-        Times of discontinuities of motions and loads, at which steps end [s], and their margins; see `Timetable`.
+    `workspace`: workspace of the mechanism. `time`, `q`, `v`: (N,) times [s], and (N, 3 (B + 1)) positions and
+    velocities at the start and the ends of all steps. `stops`, `margins`: times of discontinuities of motions and
+    loads, at which steps end [s], and their margins; see `Timetable`.
     """
 
     def __init__(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -29,10 +28,7 @@ class MemoryNotStoredError(Exception):
 def stored_stepper(stepper: StepHost) -> StoredState:
     """Return the state of a stepper between two stretches of steps as plain values.
 
-    Raises
-    ------
-    MemoryNotStoredError
-        If the memory of the method cannot be stored.
+    Raises MemoryNotStoredError if the memory of the method cannot be stored.
     """
     try:
         stepper.apply_event()  # an event that has not happened yet cannot be stored
@@ -101,7 +97,7 @@ def restore_stepper(stepper: StepHost, state: StoredState) -> None:
     )
 
 
-def _stored_memory(stepper: StepHost, memory: Any) -> StoredState:
+def _stored_memory(stepper: StepHost, memory: object) -> StoredState:
     try:
         if not hasattr(memory, "stored"):
             return {"memory": _plain(memory)}
@@ -113,7 +109,7 @@ def _stored_memory(stepper: StepHost, memory: Any) -> StoredState:
     raise MemoryNotStoredError(f"the memory of the method, a {kind}, cannot be stored: {reason}")
 
 
-def _memory_of(stepper: StepHost, state: StoredState) -> Any:
+def _memory_of(stepper: StepHost, state: StoredState) -> object:
     if "restored" in state:
         first = stepper.first_memory
         restored = first.restored(_unplain(state["restored"]))
@@ -121,7 +117,7 @@ def _memory_of(stepper: StepHost, state: StoredState) -> Any:
     return kept(_unplain(state["memory"]))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Return data with marks from which `_unplain` finds their types; raise TypeError for other objects."""
     match value:
         case np.ndarray():
@@ -139,7 +135,7 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"it contains a {type(value).__name__}")
 
 
-def _unplain(value: Any) -> Any:
+def _unplain(value: object) -> object:
     match value:
         case {"dtype": str(kind), "array": array}:
             values = np.array(array, dtype=np.dtype(kind))
@@ -168,7 +164,7 @@ def impulses_of(state: StoredState, joints: int) -> list[DriverImpulse]:
     ]
 
 
-def _array(value: Any, shape: tuple[int, ...]) -> np.ndarray:
+def _array(value: object, shape: tuple[int, ...]) -> np.ndarray:
     if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.shape != shape:
         raise ValueError("an array has another shape or type")
     return value

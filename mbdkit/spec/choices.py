@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from pydantic import (
     BaseModel,
@@ -35,6 +35,8 @@ from mbdkit.registry.item_options import class_name, is_of_item, item_of, name_t
 from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:
+    from pydantic.json_schema import JsonSchemaValue
+
     from mbdkit.registry.items import ForceLawPlugin
 
 
@@ -44,12 +46,7 @@ class Choice:
 
     Only the options of the chosen plugin are imported. The JSON schema is the union of the options of all plugins.
 
-    Parameters
-    ----------
-    kind
-        ``"model"`` or ``"integrator"``.
-    installed
-        The registry to choose from; None for all installed plugins.
+    `kind`: ``"model"`` or ``"integrator"``. `installed`: the registry to choose from; None for all installed plugins.
     """
 
     kind: Kind
@@ -60,20 +57,20 @@ class Choice:
         """The registry to choose from."""
         return self.installed if self.installed is not None else registry()
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._validated)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         items = self.registry.of_kind(self.kind)
         return handler(_union(items)) if items else {}
 
-    def _validated(self, data: Any, info: core_schema.ValidationInfo) -> Any:
+    def _validated(self, data: object, info: core_schema.ValidationInfo) -> object:
         validator = _validator(self.registry.get(self.kind, self._name(data)))
         if info.mode == "json":  # strict mode accepts a list for a tuple, or a text for a path, only in JSON
             return validator.validate_json(json.dumps(data), context=info.context)
         return validator.validate_python(data, context=info.context)
 
-    def _name(self, data: Any) -> str:
+    def _name(self, data: object) -> str:
         if not isinstance(data, Mapping):
             example = data if isinstance(data, str) and data in self.registry.names(self.kind) else "NAME"
             problem, key = f"should be a mapping such as `{{name: {example}}}`, not {value_text(data)}", ""
@@ -102,7 +99,7 @@ def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
     if item.origin.distribution == MBDKIT:
         return schema
 
-    def validate(data: Any, handler: Callable[[Any], Any]) -> Any:
+    def validate(data: object, handler: Callable[[object], object]) -> object:
         with blaming(f"{item.kind} {item.id} failed to check its options", ValidationError):
             return handler(data)
 
@@ -157,10 +154,7 @@ ADD_IN_PYTHON = (
 class RegistryLookup:
     """The `PluginLookup` of a registry.
 
-    Parameters
-    ----------
-    registry
-        Function that returns the registry. It is called only when a law or an option is looked up.
+    `registry`: function that returns the registry. It is called only when a law or an option is looked up.
     """
 
     registry: Callable[[], Registry] = registry
@@ -178,7 +172,7 @@ class RegistryLookup:
         """Return the types of joints that plugins add."""
         return [name for name in joint_kinds() if ":" not in name]
 
-    def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
+    def selected_options(self, metadata: Sequence[object], item: str | int) -> type[BaseModel] | None:
         """Return the options of an item; None unless `metadata` contains a `Choice`."""
         for choice in metadata:
             if isinstance(choice, Choice):

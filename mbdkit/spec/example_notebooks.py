@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from mbdkit.registry.feature_items import Example
 from mbdkit.registry.manager import registry
@@ -39,7 +39,7 @@ def jupyter_text(script: str) -> str:
     return json.dumps({"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}, indent=1) + "\n"
 
 
-def _cell(number: int, kind: str, text: str) -> dict[str, Any]:
+def _cell(number: int, kind: str, text: str) -> dict[str, object]:
     common = {"id": f"cell-{number}", "metadata": {}}
     if "[markdown]" in kind:
         words = re.sub(r"^# ?", "", text.strip("\n"), flags=re.MULTILINE)

@@ -45,7 +45,7 @@ BY_ACCELERATIONS: Any = INDEX_1.name
 """Default value of the key `formulation`."""
 
 
-def name_of(given: Any) -> str:
+def name_of(given: object) -> str:
     """Return the name of the formulation that a value of the key, which need not be valid, selects."""
     options = canonical(given)
     if isinstance(options, Mapping):
@@ -53,7 +53,7 @@ def name_of(given: Any) -> str:
     return str(options)
 
 
-def formulation_of(choice: Any) -> Formulation:
+def formulation_of(choice: object) -> Formulation:
     """Return a validated choice in the form that the engine uses."""
     return FORMULATIONS[name_of(choice)]
 

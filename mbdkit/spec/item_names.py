@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import cast
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
@@ -24,7 +24,7 @@ class ItemName(ABC):
     def names(self) -> list[str]:
         """Return the names, those of plugins last."""
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         return core_schema.no_info_after_validator_function(self._checked, core_schema.str_schema(strict=True))
 
     def __get_pydantic_json_schema__(
@@ -44,12 +44,7 @@ class ItemName(ABC):
 class CriterionName(ItemName):
     """Annotation of a text that names a criterion of a kind of specs.
 
-    Parameters
-    ----------
-    kind
-        Name of the kind of specs.
-    known
-        Criteria that no item lists.
+    `kind`: name of the kind of specs. `known`: criteria that no item lists.
     """
 
     def __init__(self, kind: str, known: Sequence[str] = ()):
@@ -65,12 +60,7 @@ class CriterionName(ItemName):
 class TreatmentName(ItemName):
     """Annotation of a text that names a treatment of elements.
 
-    Parameters
-    ----------
-    of
-        Key of the elements in the model.
-    known
-        The treatment by default.
+    `of`: key of the elements in the model. `known`: the treatment by default.
     """
 
     def __init__(self, of: str, known: str):

@@ -46,7 +46,7 @@ class Sections(TypedDict, total=False):
     time: Section
     output: Section
     events: Mapping[str, Section]
-    measures: Mapping[str, str | Mapping[str, Any]]
+    measures: Mapping[str, str | Mapping[str, object]]
     gradients: Sequence[str]
     limits: Section
     check: bool
@@ -62,7 +62,7 @@ VERSION = 1
 S = TypeVar("S", bound=ModelSpec)
 
 
-def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> RunSpec:
+def load_spec(source: object, overrides: Iterable[str] = (), **sections: object) -> RunSpec:
     """Load and validate a run spec, build its mechanism, and return the spec, which is immutable.
 
     Parameters
@@ -86,7 +86,7 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
 spec_loader(load_spec)
 
 
-def loaded(name: str, kind: type[S], source: Any, overrides: Iterable[str], sections: Mapping[str, Any]) -> S:
+def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], sections: Mapping[str, object]) -> S:
     """Return a validated spec of the kind with this name, which is of the class `kind`, from any source."""
     if isinstance(source, kind) and not sections and not tuple(overrides):
         source.mechanism()
@@ -141,10 +141,7 @@ def _kinds(known: Registry) -> dict[str, str]:
 def example_text(name: str) -> str:
     """Return the text of the spec of a packaged example, including comments.
 
-    Raises
-    ------
-    SpecError
-        If there is no example with this name.
+    Raises SpecError if there is no example with this name.
     """
     files = _examples()
     if name not in files:

@@ -37,13 +37,7 @@ if TYPE_CHECKING:
 
 
 class StrictSpec(Section):
-    """Base class of all specs.
-
-    Raises
-    ------
-    SpecError
-        If the spec is not valid, with the key path.
-    """
+    """Base class of all specs. Raises SpecError if the spec is not valid, with the key path."""
 
     EXPRESSIONS_IN: ClassVar[str] = ""
     """Section whose numbers may be expressions of `parameters`."""
@@ -54,10 +48,10 @@ class StrictSpec(Section):
     _canonical: str = PrivateAttr(default="")
 
     @without_collection()
-    def __init__(self, **data: Any):
+    def __init__(self, **data: object):
         plugins = RegistryLookup(lambda: registry_of(type(self)))
 
-        def validate(values: Any) -> None:
+        def validate(values: object) -> None:
             # Every source is validated as JSON, because pydantic's strict mode accepts a list for a tuple only in JSON.
             text = json.dumps(values, allow_nan=False)
             self.__pydantic_validator__.validate_json(text, self_instance=self, context={"plugins": plugins})
@@ -98,7 +92,7 @@ class StrictSpec(Section):
         return sections
 
     @model_serializer(mode="wrap")
-    def _as_written(self, serialize: SerializerFunctionWrapHandler) -> Any:
+    def _as_written(self, serialize: SerializerFunctionWrapHandler) -> object:
         data = serialize(self)
         return insert(plain(data), self._written) if self._written else data
 
@@ -221,13 +215,8 @@ class ModelSpec(StrictSpec):
     def mechanism(self) -> Mechanism:
         """Return the mechanism that the model builds from its parameters; it is built once and cached.
 
-        Raises
-        ------
-        SpecError
-            If the parameters do not define a valid mechanism, or if another section does not fit the mechanism, such as
-            an event that refers to an unknown quantity.
-        PluginError
-            If the model plugin fails.
+        Raises SpecError if the parameters do not define a valid mechanism, or if another section does not fit the
+        mechanism, such as an event that refers to an unknown quantity. Raises PluginError if the model plugin fails.
         """
         built: Mechanism | None = self._private["_mechanism"]  # called ten times for each run
         if built is None:

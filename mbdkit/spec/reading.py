@@ -34,18 +34,11 @@ from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
 class Document:
     """Plain data and its origin.
 
-    Parameters
-    ----------
-    file
-        Name of the file that the data were read from; empty for data from Python.
-    lines
-        Function that returns the line numbers of key paths; called only if there is an error to locate.
-    overridden
-        Key paths set on the command line, with the text of each assignment.
-    keywords
-        Top-level sections replaced by Python keyword arguments.
-    folder
-        Folder to which file names in the data are relative; by default, the current folder.
+    - `file`: name of the file that the data were read from; empty for data from Python.
+    - `lines`: function that returns the line numbers of key paths; called only if there is an error to locate.
+    - `overridden`: key paths set on the command line, with the text of each assignment.
+    - `keywords`: top-level sections replaced by Python keyword arguments.
+    - `folder`: folder to which file names in the data are relative; by default, the current folder.
     """
 
     data: dict[str, Any]
@@ -80,12 +73,8 @@ STDIN = "<stdin>"
 def read_file(path: FilePath) -> Document:
     """Read a file: JSON or TOML if its suffix is ``.json`` or ``.toml``, otherwise YAML.
 
-    Raises
-    ------
-    SpecError
-        If the file is not a spec, with the file name and, if known, the line.
-    ResourceError
-        If the system refuses to read the file.
+    Raises SpecError if the file is not a spec, with the file name and, if known, the line. Raises ResourceError if the
+    system refuses to read the file.
     """
     file = str(path)
     if os.path.isdir(path):
@@ -104,12 +93,7 @@ def read_stdin() -> Document:
 def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     """Parse the text of a document.
 
-    Parameters
-    ----------
-    file
-        Origin of the text, for error messages.
-    suffix
-        ``.json`` or ``.toml``; any other suffix means YAML.
+    `file`: origin of the text, for error messages. `suffix`: ``.json`` or ``.toml``; any other suffix means YAML.
     """
     _check_size(text, suffix, file)
     try:
@@ -174,12 +158,12 @@ def _decoded(raw: bytes, file: str) -> str:
     return text
 
 
-def _json(text: str) -> Any:
+def _json(text: str) -> object:
     if not text.strip():
         return None
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        result: dict[str, Any] = {}
+    def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        result: dict[str, object] = {}
         for key, value in pairs:
             if key in result:
                 raise SpecError(f"the key '{key}' occurs twice in one object")
@@ -204,7 +188,7 @@ _DEEP_KEY = re.compile(rf"(?<![\w.-]){_WORD}(?:[ \t]*+\.[ \t]*+{_WORD}){{{DEEPES
 """A dotted key with too many parts; time and memory for reading it would be quadratic in its length."""
 
 
-def _toml(text: str) -> Any:
+def _toml(text: str) -> object:
     if not text.strip():
         return None
     if _DEEP_KEY.search(text):
@@ -245,10 +229,8 @@ def _toml_key(text: str) -> Path:
 def set_value(document: Document, assignment: str) -> None:
     """Set one key of the document according to an assignment ``key.path=value`` from the command line.
 
-    Raises
-    ------
-    SpecError
-        If the text is not an assignment, if the value is not YAML, or if the key path does not fit the document.
+    Raises SpecError if the text is not an assignment, if the value is not YAML, or if the key path does not fit the
+    document.
     """
     path, value = read_assignment(assignment)
     where = f"--set {assignment}"
@@ -259,13 +241,10 @@ def set_value(document: Document, assignment: str) -> None:
     document.overridden[path] = assignment
 
 
-def read_assignment(assignment: str) -> tuple[Path, Any]:
+def read_assignment(assignment: str) -> tuple[Path, object]:
     """Return the key path and the value of an assignment ``key.path=value`` from the command line.
 
-    Raises
-    ------
-    SpecError
-        If the text is not an assignment, or if the value is not YAML.
+    Raises SpecError if the text is not an assignment, or if the value is not YAML.
     """
     where = f"--set {assignment}"
     key, equals, text = assignment_parts(assignment)
@@ -278,7 +257,7 @@ def read_assignment(assignment: str) -> tuple[Path, Any]:
         raise SpecError(error.message, key=key.strip(), file=where) from None
 
 
-def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+def read_assignments(assignments: Iterable[str]) -> dict[str, object]:
     """Return plain data with the values that assignments ``key.path=value`` from the command line set."""
     document = Document({})
     for assignment in assignments:
@@ -286,13 +265,11 @@ def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     return document.data
 
 
-def put(data: dict[str, Any], path: Path, value: Any) -> None:
+def put(data: dict[str, Any], path: Path, value: object) -> None:
     """Set the value at `path` in plain data; missing mappings along the path are created, except elements.
 
-    Raises
-    ------
-    SpecError
-        If a value along the path is not a mapping or list with the next key, or if it is a mapping of other elements.
+    Raises SpecError if a value along the path is not a mapping or list with the next key, or if it is a mapping of
+    other elements.
     """
     holder: Any = data
     for index, part in enumerate(path):
@@ -316,7 +293,7 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
             holder = holder.get(part) if isinstance(holder, dict) else holder[part]
 
 
-def _refuse_other_element(elements: Mapping[str, Any], path: Path, index: int) -> None:
+def _refuse_other_element(elements: Mapping[str, object], path: Path, index: int) -> None:
     """Refuse a path to one key of an element that does not exist, whose name is probably misspelt.
 
     The mapping at ``path[:index]`` contains `elements`, such as bodies or loads, if all of its values are mappings.

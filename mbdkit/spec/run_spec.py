@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
@@ -30,6 +30,7 @@ from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
 from mbdkit.mechanism.mechanism_seams import run_check
+from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.element_items import ElementKind
@@ -53,6 +54,8 @@ from mbdkit.spec.sections import (
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 
 if TYPE_CHECKING:
+    from pydantic.json_schema import JsonSchemaValue
+
     from mbdkit.events.event_expression import RunExpression
     from mbdkit.mechanism.mechanism import Mechanism
 
@@ -60,23 +63,20 @@ if TYPE_CHECKING:
 SMALLEST_ACCURACY, LARGEST_ACCURACY = 1e-12, 0.1
 """Limits of `accuracy`: below the first, rounding errors dominate; above the second, no digit is correct."""
 
-FIRST_EXPLICIT: Mapping[str, Any] = {"name": "dop853", "adaptive": True}
+FIRST_EXPLICIT: Mapping[str, object] = {"name": "dop853", "adaptive": True}
 """Method tried first for `accuracy` if the spec names none. For stiff mechanisms, another one is chosen later."""
 
-FIRST_IMPLICIT: Mapping[str, Any] = {"name": "radau-iia", "stages": 5, "adaptive": True}
+FIRST_IMPLICIT: Mapping[str, object] = {"name": "radau-iia", "stages": 5, "adaptive": True}
 """Method tried first for formulations that solve for multipliers, which explicit methods do not support."""
 
-FIRST_SYMMETRIC: Mapping[str, Any] = {"name": "gauss", "stages": 3}
+FIRST_SYMMETRIC: Mapping[str, object] = {"name": "gauss", "stages": 3}
 """Method tried first with symmetric projection, which needs fixed steps."""
 
 
-def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:
+def _with_accuracy(data: Mapping[str, object]) -> dict[str, Any]:
     """Return the data of a run spec with the keys that `accuracy` implies added.
 
-    Raises
-    ------
-    SpecError
-        If `choose` is given without `accuracy`.
+    Raises SpecError if `choose` is given without `accuracy`.
     """
     data = dict(data)
     if data.get("accuracy") is None:
@@ -90,7 +90,7 @@ def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:
     return data
 
 
-def _first_method(data: Mapping[str, Any]) -> Mapping[str, Any]:
+def _first_method(data: Mapping[str, object]) -> Mapping[str, object]:
     stabilization = data.get("stabilization")
     if getattr(stabilization, "symmetric", False) or (
         isinstance(stabilization, Mapping) and stabilization.get("symmetric")
@@ -177,11 +177,11 @@ class RunSpec(ModelSpec):
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
     """The canonical JSON before and after the value of `model`; None until it is needed."""
 
-    def __new__(cls, **data: Any) -> RunSpec:
+    def __new__(cls, **data: object) -> RunSpec:
         """Create a spec of a derived class if there are sections for kinds of elements that plugins add."""
         return super().__new__(with_sections(cls, data))
 
-    def __init__(self, **data: Any):
+    def __init__(self, **data: object):
         super().__init__(**_with_accuracy(data))
 
     if not TYPE_CHECKING:  # otherwise any attribute would be valid
@@ -204,7 +204,7 @@ class RunSpec(ModelSpec):
         return with_sections(cls, kinds_with_section()).model_fields.get(str(key))
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Return the schema with the sections of plugins in their place."""
         schema = super().__get_pydantic_json_schema__(core_schema, handler)
         resolved = handler.resolve_ref_schema(schema)
@@ -309,15 +309,11 @@ class RunSpec(ModelSpec):
         """Whether method or step have yet to be chosen for the requested accuracy."""
         return self.accuracy is not None and self.choose != "nothing"
 
-    def with_choice(self, integrator: dict[str, Any], step: float | None) -> RunSpec:
+    def with_choice(self, integrator: dict[str, object], step: float | None) -> RunSpec:
         """Return this spec with the method and step that were chosen for its accuracy.
 
-        Parameters
-        ----------
-        integrator
-            The integrator: its name and its options.
-        step
-            Step [s]; for an adaptive method the first step, or None.
+        `integrator`: the integrator: its name and its options. `step`: step [s]; for an adaptive method the first step,
+        or None.
         """
         time = {"start": self.time.start, "end": self.time.final, "step": step}
         data = self.sections()
@@ -419,6 +415,10 @@ class RunSpec(ModelSpec):
         of_events = [text for event in self.events.values() for text in (event.when, *event.set.values())]
         return [*of_events, *(measure.expression for measure in self.defined_measures())]
 
+    def used_parameters(self, texts: Iterable[str] = ()) -> set[str]:
+        """Return the names of the parameters that the expressions of the spec, or further ones, use."""
+        return parameters_in_use(self.parameters, [*self.written.values(), *self.expressions_outside_model, *texts])
+
     def settings(self) -> dict[str, dict[str, RunExpression]]:
         """Return the parsed expressions of new state values, by event and state. Raises the errors of `mechanism`."""
         self.mechanism()
@@ -490,10 +490,7 @@ class RunSpec(ModelSpec):
 def with_sections(cls: type[RunSpec], keys: Collection[str]) -> type[RunSpec]:
     """Return a class of run specs with fields for those of the given keys that are sections of plugins' elements.
 
-    Raises
-    ------
-    SpecError
-        If the part of mbdkit that adds a section is not installed.
+    Raises SpecError if the part of mbdkit that adds a section is not installed.
     """
     further = set(keys) - cls.model_fields.keys()
     if not further:

@@ -27,10 +27,7 @@ HOME = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/{}.schema.j
 def run_schema(installed: Registry | None = None, spec: type[RunSpec] = RunSpec) -> dict[str, Any]:
     """Return the JSON schema (draft 2020-12) of the run spec, or of a class derived from it.
 
-    Parameters
-    ----------
-    installed
-        Registry of the models, integrators and force laws to include; by default, all that are installed.
+    `installed`: registry of the models, integrators and force laws to include; by default, all that are installed.
     """
     chosen = installed if installed is not None else registry()
     schema = model_schema(spec_type(chosen, spec), chosen)
@@ -94,7 +91,7 @@ def allow_units(schema: dict[str, Any], *sections: str) -> dict[str, Any]:
     return schema
 
 
-def _allow_text(part: Any, pattern: str) -> None:
+def _allow_text(part: object, pattern: str) -> None:
     """Allow texts that match a pattern for the numbers in a part of a schema."""
     if isinstance(part, dict) and {"type": "string"} in part.get("anyOf", ()):
         return  # any text is already allowed

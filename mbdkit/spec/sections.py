@@ -25,7 +25,7 @@ from mbdkit.quantities.table import quantities_of_events
 QUANTITIES = get_args(ChosenGroup)
 
 
-def whole(value: Any) -> Any:
+def whole(value: object) -> object:
     """Convert floats with integer values to int, because large counts are often written as 1e6."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
@@ -105,7 +105,7 @@ class Output(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _normal(cls, data: Any) -> Any:
+    def _normal(cls, data: object) -> object:
         if not isinstance(data, dict):
             return data
         data = dict(data)
@@ -208,7 +208,7 @@ class Baumgarte(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _critically_damped(cls, data: Any) -> Any:
+    def _critically_damped(cls, data: object) -> object:
         if not isinstance(data, dict) or "beta" in data:
             return data
         alpha = data.get("alpha", ALPHA)
@@ -259,13 +259,7 @@ NAMES = ("none", "baumgarte", "projection")
 
 @dataclass(frozen=True)
 class OrName:
-    """Adds the name alone, without options, to the JSON schema.
-
-    Parameters
-    ----------
-    names
-        The names that may stand alone.
-    """
+    """Adds the name alone, without options, to the JSON schema. `names`: the names that may stand alone."""
 
     names: tuple[str, ...]
 
@@ -273,7 +267,7 @@ class OrName:
         return {"anyOf": [{"enum": list(self.names), "type": "string"}, handler(core)]}
 
 
-def named(given: Any, names: Sequence[str], what: str) -> Any:
+def named(given: object, names: Sequence[str], what: str) -> object:
     """Convert a name to a mapping with this name; raise SpecError if the value does not name one of `what`."""
     name = given.get("name") if isinstance(given, Mapping) else given
     if isinstance(name, str) and name in names:
@@ -287,7 +281,7 @@ def named(given: Any, names: Sequence[str], what: str) -> Any:
     )
 
 
-def _plainly(chosen: Any) -> Any:
+def _plainly(chosen: object) -> object:
     return "none" if isinstance(chosen, NoStabilization) else chosen
 
 
@@ -306,6 +300,6 @@ UNSTABILIZED: Any = "none"
 """Default value of the key `stabilization`."""
 
 
-def stabilization_of(choice: Any) -> Stabilization:
+def stabilization_of(choice: object) -> Stabilization:
     """Return a validated choice in the form that the engine uses."""
     return choice.chosen() if isinstance(choice, Baumgarte | Projection) else NONE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from pydantic import BaseModel
 
@@ -32,7 +32,7 @@ def kind_named(name: str) -> SpecKind:
     return cast(SpecKind, registry().get("spec-kind", name).plugin)
 
 
-def kind_of(data: Mapping[str, Any]) -> SpecKind:
+def kind_of(data: Mapping[str, object]) -> SpecKind:
     """Return the kind of a spec, given as plain data; raise SpecError if the part for its kind is not installed."""
     kinds = spec_kinds()
     for marker, part in MARKERS_OF_PARTS.items():
@@ -50,7 +50,7 @@ def kind_of(data: Mapping[str, Any]) -> SpecKind:
     return cast(SpecKind, marked[0].plugin)
 
 
-def refused(data: Mapping[str, Any], wanted: str) -> SpecError | None:
+def refused(data: Mapping[str, object], wanted: str) -> SpecError | None:
     """Return the error for a spec of another kind than the one with the name `wanted`; None if it may be of this
     kind.
     """

@@ -49,19 +49,13 @@ _FORMS = 'an expression such as "max(abs(joints.B.force))", {value: EXPRESSION, 
 class DefinedMeasure:
     """A measure that a run spec or a study spec defines.
 
-    Parameters
-    ----------
-    name
-        Name of the measure and of its column.
-    place
-        Key path of the definition in the spec.
-    expression, unit
-        Expression of a run, and the unit of its value; if the unit is empty, it follows from the expression.
-    item, options
-        Measure of a plugin and its options, instead of an expression.
-    of_base
-        Whether the measure is defined in the base of a study instead of the study itself. It is then computed only for
-        the runs whose spec contains it, because other families may have other bases.
+    - `name`: name of the measure and of its column.
+    - `place`: key path of the definition in the spec.
+    - `expression`, `unit`: expression of a run, and the unit of its value; if the unit is empty, it follows from the
+      expression.
+    - `item`, `options`: measure of a plugin and its options, instead of an expression.
+    - `of_base`: whether the measure is defined in the base of a study instead of the study itself. It is then computed
+      only for the runs whose spec contains it, because other families may have other bases.
     """
 
     name: str
@@ -84,25 +78,18 @@ def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
     return tuple(measure.expression for measure in measures if measure.item is None and not measure.of_base)
 
 
-def built_in(measures: Any) -> tuple[str, ...] | None:
+def built_in(measures: object) -> tuple[str, ...] | None:
     """Return the names of built-in measures that a study lists; None if all of them are computed."""
     if isinstance(measures, list):
         return tuple(entry for entry in measures if isinstance(entry, str) and entry in built_in_measures())
     return None
 
 
-def defined(measures: Any, above: Path = ()) -> Iterator[DefinedMeasure]:
+def defined(measures: object, above: Path = ()) -> Iterator[DefinedMeasure]:
     """Yield the measures that a spec defines, and those of plugins that it names.
 
-    Parameters
-    ----------
-    above
-        Key path of `measures`; the key paths of measures and of errors begin with it.
-
-    Raises
-    ------
-    SpecError
-        If a measure is not valid.
+    `above`: key path of `measures`; the key paths of measures and of errors begin with it. Raises SpecError if a
+    measure is not valid.
     """
     if isinstance(measures, Mapping):
         yield from _defined_in(measures, above)
@@ -115,66 +102,66 @@ def defined(measures: Any, above: Path = ()) -> Iterator[DefinedMeasure]:
 
 def _defined_in(definitions: Mapping[str, Any], above: Path) -> Iterator[DefinedMeasure]:
     for name, definition in definitions.items():
-        place = (*above, name)
+        path = (*above, name)
         if not _NAME.fullmatch(name):
             message = "a measure has a name of at most 100 letters, digits and _ . -, which begins with a letter"
-            raise SpecError(message, key=path_text(place))
+            raise SpecError(message, key=path_text(path))
         if name in built_in_measures():
-            raise SpecError(f"'{name}' is a built-in measure; choose another name", key=path_text(place))
+            raise SpecError(f"'{name}' is a built-in measure; choose another name", key=path_text(path))
         match definition:
             case str():
-                yield DefinedMeasure(name, place, definition)
+                yield DefinedMeasure(name, path, definition)
             case {"value": str() as expression}:
-                yield DefinedMeasure(name, place, expression, _unit(definition, place))
+                yield DefinedMeasure(name, path, expression, _unit(definition, path))
             case {"name": str()}:
-                yield _of_plugin(name, definition, place)
+                yield _of_plugin(name, definition, path)
             case _:
-                raise SpecError(f"should be {_FORMS}, not {value_text(definition)}", key=path_text(place))
+                raise SpecError(f"should be {_FORMS}, not {value_text(definition)}", key=path_text(path))
 
 
-def _unit(keys: Mapping[str, Any], place: Path) -> str:
+def _unit(keys: Mapping[str, object], path: Path) -> str:
     for key in keys:
         if key not in ("value", "unit"):
             hint = did_you_mean(key, ["value", "unit"])
-            raise SpecError(f"unknown key{hint}; a measure has value and unit", key=path_text((*place, key)))
+            raise SpecError(f"unknown key{hint}; a measure has value and unit", key=path_text((*path, key)))
     unit = keys.get("unit", "")
     if "unit" in keys:
         if not isinstance(unit, str):
             message = f"should be a unit such as N, in quotes if it is a number, not {value_text(unit)}"
-            raise SpecError(message, key=path_text((*place, "unit")))
+            raise SpecError(message, key=path_text((*path, "unit")))
         try:
             read_unit(unit)
         except SpecError as error:
-            raise error.located(prefix=path_text((*place, "unit"))) from None
+            raise error.located(prefix=path_text((*path, "unit"))) from None
     return str(unit)
 
 
-def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> DefinedMeasure:
+def _of_plugin(name: str, definition: Mapping[str, object], path: Path) -> DefinedMeasure:
     installed = registry()
     wanted = str(definition["name"])
     items = installed.of_kind("measure")
     if not any(wanted in (item.name, item.id) for item in items):
         if wanted in built_in_measures():
             message = f"'{wanted}' is a built-in measure, which is selected by its name alone: `measures: [{wanted}]`"
-            raise SpecError(message, key=path_text(place))
-        known = [*(built_in_measures() if isinstance(place[-1], int) else ()), *installed.names("measure")]
+            raise SpecError(message, key=path_text(path))
+        known = [*(built_in_measures() if isinstance(path[-1], int) else ()), *installed.names("measure")]
         text = f"; known: {listed(known)}" if known else "; no installed plugin has any"
         hint = did_you_mean(wanted, known) or text
-        raise SpecError(f"there is no measure '{wanted}'{hint}{installed.advice(wanted)}", key=path_text(place))
+        raise SpecError(f"there is no measure '{wanted}'{hint}{installed.advice(wanted)}", key=path_text(path))
     try:
         item = installed.get("measure", wanted)
     except SpecError as error:  # several distributions use this name
-        raise SpecError(error.message, key=path_text(place)) from None
+        raise SpecError(error.message, key=path_text(path)) from None
     model = named_options(item)
     with blaming(f"measure {item.id} failed to check its options"):
         try:
             options = model.model_validate_json(json.dumps(dict(definition)))
         except ValidationError as error:
-            raise spec_error(error, model, prefix=path_text(place)) from None
-    return DefinedMeasure(name, place, item=item, options=options)
+            raise spec_error(error, model, prefix=path_text(path)) from None
+    return DefinedMeasure(name, path, item=item, options=options)
 
 
-def _check(given: Any) -> Any:
+def _check(given: object) -> object:
     if given == "all":
         return given
     if not isinstance(given, list | Mapping):
@@ -193,7 +180,7 @@ def _check(given: Any) -> Any:
     return given
 
 
-def _check_definitions(given: Any) -> Any:
+def _check_definitions(given: object) -> object:
     if not isinstance(given, Mapping):
         raise SpecError(f"should be a mapping of names and expressions, not {value_text(given)}")
     return _check(given)

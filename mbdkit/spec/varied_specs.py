@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from itertools import chain
-from typing import Any
 
-from mbdkit.base.plain_data import Path, copied, plain
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, path_text, plain
+from mbdkit.base.text import did_you_mean
 from mbdkit.spec.choices import RegistryLookup, registry_of
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
@@ -20,25 +21,19 @@ class VariedSpecs:
     depends on them. The whole spec is validated for other values, if the model refuses a value, and if the spec has
     `parameters`, expressions or `accuracy`. Errors are raised by the validation of the whole spec.
 
-    Parameters
-    ----------
-    base
-        The spec before the values are set, as JSON.
+    `base`: the spec before the values are set, as JSON.
     """
 
     def __init__(self, base: str):
-        self._base: dict[str, Any] = json.loads(base)
+        self._base: dict[str, object] = json.loads(base)
         self._pattern: RunSpec | None = None
-        self._template: tuple[tuple[Path, ...], Callable[[Sequence[Any]], str]] | None = None
+        self._template: tuple[tuple[Path, ...], Callable[[Sequence[object]], str]] | None = None
         self._context = {"plugins": RegistryLookup(lambda: registry_of(RunSpec))}
 
-    def spec(self, values: Sequence[tuple[Path, Any]]) -> RunSpec:
+    def spec(self, values: Sequence[tuple[Path, object]]) -> RunSpec:
         """Return the spec with these values at their key paths.
 
-        Raises
-        ------
-        SpecError
-            If the spec is not valid.
+        Raises SpecError if the spec is not valid, or if a value is that of an unknown parameter.
         """
         in_model = all(path[:1] == ("model",) and len(path) > 1 and path[1] != "name" for path, _ in values)
         if self._pattern is not None and in_model:
@@ -50,18 +45,28 @@ class VariedSpecs:
         for path, value in values:
             put(data, path, value)
         spec = RunSpec(**data)
+        self._check_parameters(spec, values)
         if in_model and not spec.parameters and not spec.written and spec.accuracy is None:
             self._pattern = spec
         return spec
 
-    def _with_values(self, pattern: RunSpec, values: Sequence[tuple[Path, Any]]) -> RunSpec:
+    def _check_parameters(self, spec: RunSpec, values: Sequence[tuple[Path, object]]) -> None:
+        """Raise SpecError for a parameter that is set, but neither defined in the base nor used by an expression."""
+        given = self._base.get("parameters")
+        known = given if isinstance(given, dict) else {}
+        for path, _ in values:
+            if path[0] == "parameters" and len(path) > 1 and path[1] not in {*known, *spec.used_parameters()}:
+                hint = did_you_mean(str(path[1]), known)
+                raise SpecError(f"the spec has no such parameter, and no expression uses it{hint}", key=path_text(path))
+
+    def _with_values(self, pattern: RunSpec, values: Sequence[tuple[Path, object]]) -> RunSpec:
         paths = tuple([path for path, _ in values])
         if self._template is None or self._template[0] != paths:
             self._template = paths, self._text_with(paths)
         text = self._template[1]([value for _, value in values])
         return pattern.with_model(type(pattern.model).model_validate_json(text, context=self._context))
 
-    def _text_with(self, paths: tuple[Path, ...]) -> Callable[[Sequence[Any]], str]:
+    def _text_with(self, paths: tuple[Path, ...]) -> Callable[[Sequence[object]], str]:
         """Return a function that returns the JSON of the model with values at these paths.
 
         Everything but the values is converted to JSON only once.
@@ -79,7 +84,7 @@ class VariedSpecs:
             before, _, text = text.partition(json.dumps(marks[number]))
             fixed.append(before)
 
-        def filled(values: Sequence[Any]) -> str:
+        def filled(values: Sequence[object]) -> str:
             texts = [encode(plain(values[number], paths[number])) for number in order]
             return "".join([*chain.from_iterable(zip(fixed, texts, strict=True)), text])
 

@@ -55,15 +55,8 @@ _DUMPER: Any = yaml.SafeDumper
 def read_yaml(text: str) -> tuple[Any, dict[Path, int]]:
     """Parse YAML; return the plain data and the line number of each key path, counted from 1.
 
-    Parameters
-    ----------
-    text
-        One YAML document; None is returned for an empty document.
-
-    Raises
-    ------
-    SpecError
-        If the text is not YAML, or not plain data. The error has the line number.
+    `text`: one YAML document; None is returned for an empty document. Raises SpecError if the text is not YAML, or not
+    plain data. The error has the line number.
     """
     reader = _Reader(text, {})
     return reader.document(), reader.lines
@@ -88,12 +81,12 @@ class _Reader:
         self.has_lines, self.lines = lines is not None, lines or {}
         self.placed: list[Path] = []
         self.count = self.length = 0
-        self.anchors: dict[str, tuple[Any, int, int, Path, slice]] = {}
+        self.anchors: dict[str, tuple[object, int, int, Path, slice]] = {}
         self.open: set[str] = set()
 
-    def document(self) -> Any:
+    def document(self) -> object:
         """Return the data of the only document; None if there is none."""
-        data: Any = None
+        data: object = None
         documents = 0
         try:
             while not isinstance(event := self.next(), StreamEndEvent):
@@ -113,7 +106,7 @@ class _Reader:
             self.loader.dispose()
         return data
 
-    def value(self, event: Event, path: Path) -> Any:
+    def value(self, event: Event, path: Path) -> object:
         """Return the value that begins with an event."""
         if isinstance(event, AliasEvent):
             return self._alias(event, path)
@@ -130,7 +123,7 @@ class _Reader:
             self.anchors[anchor] = (data, self.count - before[0], self.length - before[1], path, below)
         return data
 
-    def _new(self, event: Event, path: Path) -> Any:
+    def _new(self, event: Event, path: Path) -> object:
         if isinstance(event, ScalarEvent):
             return self._scalar(event, path)
         if len(path) >= DEEPEST:
@@ -139,7 +132,7 @@ class _Reader:
             self._expect(event, "map", path)
             return self._mapping(path)
         self._expect(event, "seq", path)
-        items: list[Any] = []
+        items: list[object] = []
         assert isinstance(event, SequenceStartEvent)
         while not isinstance(item := self.next(), SequenceEndEvent):
             here = (*path, len(items))
@@ -147,7 +140,7 @@ class _Reader:
             items.append(self.value(item, here))
         return items
 
-    def _alias(self, event: AliasEvent, path: Path) -> Any:
+    def _alias(self, event: AliasEvent, path: Path) -> object:
         name = event.anchor
         if name in self.open:
             raise self._error("this alias (*name) refers to a value that contains the alias", event, path)
@@ -181,9 +174,9 @@ class _Reader:
                 f"this is too large: more than {LONGEST >> 20} MiB after expansion of aliases", event, path[:1]
             )
 
-    def _mapping(self, path: Path) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        merged: dict[str, Any] = {}
+    def _mapping(self, path: Path) -> dict[str, object]:
+        result: dict[str, object] = {}
+        merged: dict[str, object] = {}
         first: dict[str, int] = {}
         while not isinstance(event := self.next(), MappingEndEvent):
             if isinstance(event, ScalarEvent) and _is_merge(event):
@@ -198,9 +191,9 @@ class _Reader:
             result[key] = self.value(self.next(), (*path, key))
         return merged | result
 
-    def _merge(self, event: Event, path: Path) -> dict[str, Any]:
+    def _merge(self, event: Event, path: Path) -> dict[str, object]:
         sources = self.value(event, path)
-        merged: dict[str, Any] = {}
+        merged: dict[str, object] = {}
         for source in sources if isinstance(sources, list) else [sources]:
             if not isinstance(source, dict):
                 raise self._error("`<<` takes a mapping, or a list of mappings", event, path)
@@ -218,7 +211,7 @@ class _Reader:
             raise self._error("a key should be text, not a list or mapping", event, path)
         return key
 
-    def _scalar(self, event: ScalarEvent, path: Path) -> Any:
+    def _scalar(self, event: ScalarEvent, path: Path) -> object:
         text = str(event.value)
         self._add(0, len(text), event, path)
         if not event.style and (event.tag is None or event.tag.removeprefix(CORE) in IMPLICIT):
@@ -226,7 +219,7 @@ class _Reader:
         self._expect(event, "str", path)
         return text
 
-    def _resolved(self, text: str, event: Event, path: Path) -> Any:
+    def _resolved(self, text: str, event: Event, path: Path) -> object:
         data = resolved(text)
         if isinstance(data, int) and abs(data) > LARGEST_NUMBER:
             raise self._error("this number is too large", event, path)
@@ -245,7 +238,7 @@ def _is_merge(event: ScalarEvent) -> bool:
     return bool(event.value == "<<" and not event.style and event.tag in (None, f"{CORE}merge"))
 
 
-def _copied(data: Any) -> Any:
+def _copied(data: object) -> object:
     match data:
         case dict():
             return {key: _copied(value) for key, value in data.items()}
@@ -254,7 +247,7 @@ def _copied(data: Any) -> Any:
     return data
 
 
-def _depth(data: Any) -> int:
+def _depth(data: object) -> int:
     match data:
         case dict():
             return 1 + max(map(_depth, data.values()), default=0)
@@ -263,7 +256,7 @@ def _depth(data: Any) -> int:
     return 0
 
 
-def resolved(text: str) -> Any:
+def resolved(text: str) -> object:
     """Return the value of a scalar that has neither quotes nor a tag."""
     if text in CONSTANTS:
         return CONSTANTS[text]
@@ -305,13 +298,10 @@ def _first_line(error: Exception) -> str:
     return next(iter(str(error).splitlines()), type(error).__name__)
 
 
-def write_yaml(data: Any) -> str:
+def write_yaml(data: object) -> str:
     """Write plain data as YAML; `read_yaml` of the result returns equal data.
 
-    Parameters
-    ----------
-    data
-        Dicts, lists, text, numbers, booleans and None.
+    `data`: dicts, lists, text, numbers, booleans and None.
     """
     text: str = yaml.dump(data, Dumper=_Dumper, default_flow_style=None, sort_keys=False, width=120, allow_unicode=True)
     return text
@@ -320,12 +310,12 @@ def write_yaml(data: Any) -> str:
 class _Dumper(_DUMPER):  # type: ignore[misc]
     """Dumper without aliases that puts text in quotes if it would otherwise be read as another type."""
 
-    def ignore_aliases(self, data: Any) -> bool:
+    def ignore_aliases(self, data: object) -> bool:
         """Write repeated values in full instead of as aliases."""
         return True
 
 
-def _text(dumper: Any, data: str) -> Any:
+def _text(dumper: yaml.SafeDumper, data: str) -> yaml.ScalarNode:
     style = None if isinstance(resolved(data), str) else '"'
     return dumper.represent_scalar(f"{CORE}str", data, style=style)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
@@ -37,7 +36,7 @@ def law_expressions(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, 
     return _expression(law.force, names, ARGUMENTS), _expression(potential, names, ARGUMENTS[:1])
 
 
-def _expression(given: Any, names: Sequence[str], arguments: Sequence[str]) -> sp.Expr:
+def _expression(given: object, names: Sequence[str], arguments: Sequence[str]) -> sp.Expr:
     made = given() if callable(given) else given
     try:
         expression = sp.sympify(made, strict=True)
@@ -88,7 +87,7 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
     lines = ["def law(length, rate, time, parameters):"]
     lines += [f"    {p} = parameters[{i}]  # {name}" for i, (name, p) in enumerate(local.items()) if name in used]
     lines += [f"    {symbol} = {printer.doprint(expression)}" for symbol, expression in temporaries]
-    lines.append(f"    return {', '.join(f'float({printer.doprint(one)})' for one in reduced)}")
+    lines.append(f"    return {', '.join(f'float({printer.doprint(term)})' for term in reduced)}")
     text = "\n".join(lines) + "\n"
     if "Not supported" in text:
         raise PluginError(f"its force {force} contains functions that cannot be compiled")
@@ -124,12 +123,12 @@ def _check_potential(force: sp.Expr, potential: sp.Expr, example: Mapping[str, f
     numbers = random.Random(0)
     for scale in (1.0, *(abs(value) for value in example.values())) * 40:
         try:
-            found, wanted = both(scale * numbers.uniform(-2.0, 2.0), *values.values())
+            computed, wanted = both(scale * numbers.uniform(-2.0, 2.0), *values.values())
         except (ArithmeticError, ValueError, TypeError):  # outside the domain of the expressions
             continue
-        if isinstance(found, complex) or isinstance(wanted, complex):
+        if isinstance(computed, complex) or isinstance(wanted, complex):
             continue  # a power of a negative number
-        if not (math.isfinite(found) and math.isfinite(wanted)):
+        if not (math.isfinite(computed) and math.isfinite(wanted)):
             continue
-        if abs(found - wanted) > 1e-8 * max(abs(found), abs(wanted)):
+        if abs(computed - wanted) > 1e-8 * max(abs(computed), abs(wanted)):
             raise PluginError(f"the derivative of its potential, {slope}, is not its force at rate zero, {at_rest}")

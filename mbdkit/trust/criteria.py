@@ -86,15 +86,9 @@ EPS = 2.0**-52
 class BranchSuspicion:
     """A sharp turn of the motion near a singular position.
 
-    Parameters
-    ----------
-    time
-        Time of the smallest distance to singularity [s].
-    angle
-        Angle between the lines of the velocities before and after `time`, in the mass metric [rad].
-    path
-        Length of the path between the states before and after `time` in the mass metric, as a share of the mechanism's
-        characteristic length, which is the longest link.
+    `time`: time of the smallest distance to singularity [s]. `angle`: angle between the lines of the velocities before
+    and after `time`, in the mass metric [rad]. `path`: length of the path between the states before and after `time` in
+    the mass metric, as a share of the mechanism's characteristic length, which is the longest link.
     """
 
     time: float
@@ -111,29 +105,20 @@ class BranchSuspicion:
 class EstimatedErrors:
     """Estimated errors of a run, over the rows up to `known_until`.
 
-    Parameters
-    ----------
-    position
-        Largest error of a position, as a share of the mechanism's size. The error of an angle is multiplied by the
-        distance of the farthest joint point of the body.
-    reaction
-        Largest error of a joint's force, as a share of the largest force in that joint, or of a thousandth of the
-        largest force of all joints, if that is larger; nan if rows skip steps and the force between them is unknown.
-    known_until
-        Time up to which the errors are known [s]; nan if no error is known.
-    asked, reached
-        Requested accuracy of positions and largest estimated error of positions, both as shares of the mechanism's
-        size.
-    missed
-        Reason why the accuracy was not reached, as a clause; empty if it was reached or if the reason is unknown.
-    between
-        A clause with the largest force between recorded rows and in these rows, and advice; empty unless rows miss a
-        part of the peak that is larger than the other errors.
-    unknown
-        Why errors are unknown after `known_until`, as a clause; empty if all are known.
-    peak, peak_of
-        Largest error of the largest force of an element of a plugin's kind, as a share of this force, and a phrase that
-        names the force; nan if an error is unknown, 0 without such elements.
+    - `position`: largest error of a position, as a share of the mechanism's size. The error of an angle is multiplied
+      by the distance of the farthest joint point of the body.
+    - `reaction`: largest error of a joint's force, as a share of the largest force in that joint, or of a thousandth of
+      the largest force of all joints, if that is larger; nan if rows skip steps and the force between them is unknown.
+    - `known_until`: time up to which the errors are known [s]; nan if no error is known.
+    - `asked`, `reached`: requested accuracy of positions and largest estimated error of positions, both as shares of
+      the mechanism's size.
+    - `missed`: reason why the accuracy was not reached, as a clause; empty if it was reached or if the reason is
+      unknown.
+    - `between`: a clause with the largest force between recorded rows and in these rows, and advice; empty unless rows
+      miss a part of the peak that is larger than the other errors.
+    - `unknown`: why errors are unknown after `known_until`, as a clause; empty if all are known.
+    - `peak`, `peak_of`: largest error of the largest force of an element of a plugin's kind, as a share of this force,
+      and a phrase that names the force; nan if an error is unknown, 0 without such elements.
     """
 
     position: float
@@ -161,39 +146,24 @@ largest forces of elements of a plugin's kind.
 class Evidence:
     """The numbers from which a run is judged, up to its last recorded row.
 
-    Parameters
-    ----------
-    status, status_reason
-        Status of the run and its reason, as in the archive.
-    end
-        Time of the last recorded row [s].
-    size
-        Size of the mechanism [m].
-    misalignment, joint
-        Largest misalignment of a joint over all steps [m], and the name of that joint.
-    angle_misalignment, angle_joint
-        Largest misalignment of an angle in the recorded rows [rad], and the name of the joint.
-    kinetic
-        Largest kinetic energy [J].
-    energy
-        Largest absolute value of any energy: kinetic, potential, work or dissipated [J]. It determines the round-off
-        of the energy balance.
-    balance
-        Largest absolute energy balance [J].
-    energy_jump, energy_jump_time
-        Largest change of the energy balance in one step [J], without the changes that stabilization makes, and the
-        time of this change [s].
-    branch
-        Sharp turns near singular positions.
-    warnings
-        Warnings about the spec or the run that cast doubt on the result, as sentences.
-    faults
-        Findings that make the run bad, as sentences.
-    accepted
-        Findings that the spec accepts, as sentences. They are among the reasons, but do not lower the level.
-    finer
-        What makes the error of the integration smaller: ``smaller steps`` or, with controlled steps, ``smaller
-        tolerances``.
+    - `status`, `status_reason`: status of the run and its reason, as in the archive.
+    - `end`: time of the last recorded row [s].
+    - `size`: size of the mechanism [m].
+    - `misalignment`, `joint`: largest misalignment of a joint over all steps [m], and the name of that joint.
+    - `angle_misalignment`, `angle_joint`: largest misalignment of an angle in the recorded rows [rad], and the name of
+      the joint.
+    - `kinetic`: largest kinetic energy [J].
+    - `energy`: largest absolute value of any energy: kinetic, potential, work or dissipated [J]. It determines the
+      round-off of the energy balance.
+    - `balance`: largest absolute energy balance [J].
+    - `energy_jump`, `energy_jump_time`: largest change of the energy balance in one step [J], without the changes that
+      stabilization makes, and the time of this change [s].
+    - `branch`: sharp turns near singular positions.
+    - `warnings`: warnings about the spec or the run that cast doubt on the result, as sentences.
+    - `faults`: findings that make the run bad, as sentences.
+    - `accepted`: findings that the spec accepts, as sentences. They are among the reasons, but do not lower the level.
+    - `finer`: what makes the error of the integration smaller: ``smaller steps`` or, with controlled steps, ``smaller
+      tolerances``.
     """
 
     status: str = "complete"
@@ -227,14 +197,10 @@ class Judgement:
 def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgement:
     """Return the verdict on a run.
 
-    Parameters
-    ----------
-    evidence
-        The numbers from which the run is judged.
-    accuracy
-        Estimated errors; None if they were not estimated, so that the verdict is ``unknown`` at best.
+    `evidence`: the numbers from which the run is judged. `accuracy`: estimated errors; None if they were not estimated,
+    so that the verdict is ``unknown`` at best.
     """
-    found = [
+    findings = [
         *_ending(evidence),
         *(("bad", fault) for fault in evidence.faults),
         *(("doubtful", warning) for warning in evidence.warnings),  # often the causes of the following
@@ -244,8 +210,8 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
         *(() if accuracy is None else _errors(evidence, accuracy)),
     ]
     best: Level = "unknown" if accuracy is None else "good"
-    level = max((best, *(level for level, _ in found)), key=LEVELS.index)
-    worst_first = sorted(found, key=lambda item: -LEVELS.index(item[0]))
+    level = max((best, *(level for level, _ in findings)), key=LEVELS.index)
+    worst_first = sorted(findings, key=lambda item: -LEVELS.index(item[0]))
     accepted = (f"Accepted by the spec: {doubt}" for doubt in evidence.accepted)
     return Judgement(level, (*(reason for _, reason in worst_first), *accepted))
 

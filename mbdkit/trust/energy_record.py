@@ -13,12 +13,7 @@ def gravity_level(mass: np.ndarray, inertia: np.ndarray, gravity: np.ndarray) ->
     Joints round the coordinates of a body even if these are zero. The rounding errors of its potential energy are
     therefore not smaller than those of this energy.
 
-    Parameters
-    ----------
-    mass, inertia
-        (B,) masses [kg] and moments of inertia [kg m^2].
-    gravity
-        (2,) gravity [m/s^2].
+    `mass`, `inertia`: (B,) masses [kg] and moments of inertia [kg m^2]. `gravity`: (2,) gravity [m/s^2].
     """
     return float(np.sum(np.sqrt(mass * inertia)) * np.sum(np.abs(gravity)))
 
@@ -26,14 +21,9 @@ def gravity_level(mass: np.ndarray, inertia: np.ndarray, gravity: np.ndarray) ->
 class EnergyRecord:
     """Collects the energies of consecutive rows.
 
-    Attributes
-    ----------
-    kinetic, energy
-        Largest kinetic energy, and largest absolute value of any energy [J].
-    balance
-        Largest absolute energy balance [J].
-    dissipated, regained
-        Largest dissipated energy, and its largest decrease below an earlier value [J].
+    `kinetic`, `energy`: largest kinetic energy, and largest absolute value of any energy [J]. `balance`: largest
+    absolute energy balance [J]. `dissipated`, `regained`: largest dissipated energy, and its largest decrease below an
+    earlier value [J].
     """
 
     def __init__(self) -> None:
@@ -51,12 +41,8 @@ class EnergyRecord:
     def add(self, kinetic: np.ndarray, others: np.ndarray, balance: np.ndarray) -> None:
         """Update the largest values with further rows.
 
-        Parameters
-        ----------
-        kinetic, balance
-            (T,) kinetic energies and energy balances [J].
-        others
-            (K, T) other energies: potential, work, dissipated [J].
+        `kinetic`, `balance`: (T,) kinetic energies and energy balances [J]. `others`: (K, T) other energies: potential,
+        work, dissipated [J].
         """
         if not len(kinetic):
             return
@@ -72,12 +58,8 @@ class EnergyRecord:
     def of_runs(cls, kinetic: np.ndarray, others: np.ndarray, balance: np.ndarray) -> list[EnergyRecord]:
         """Return the record of each of R runs.
 
-        Parameters
-        ----------
-        kinetic, balance
-            (R, T) kinetic energies and energy balances [J].
-        others
-            (K, R, T) other energies: potential, work, dissipated [J].
+        `kinetic`, `balance`: (R, T) kinetic energies and energy balances [J]. `others`: (K, R, T) other energies:
+        potential, work, dissipated [J].
         """
         largest = np.max(kinetic, axis=1, initial=0.0)
         energy = np.max(np.abs(others), axis=(0, 2), initial=0.0)

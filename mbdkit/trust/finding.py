@@ -11,18 +11,11 @@ from typing import Literal
 class Finding:
     """What a criterion finds.
 
-    Parameters
-    ----------
-    criterion
-        Name of the criterion, which `accept` of a spec may list.
-    level
-        ``doubtful`` or ``bad`` lowers the verdict; None makes the finding a remark.
-    sentence
-        What was found, and what to do about it.
-    key
-        Key path in the spec that the finding is about; empty if there is none.
-    is_named
-        Whether the text of the finding begins with the name of the criterion.
+    - `criterion`: name of the criterion, which `accept` of a spec may list.
+    - `level`: ``doubtful`` or ``bad`` lowers the verdict; None makes the finding a remark.
+    - `sentence`: what was found, and what to do about it.
+    - `key`: key path in the spec that the finding is about; empty if there is none.
+    - `is_named`: whether the text of the finding begins with the name of the criterion.
     """
 
     criterion: str
@@ -36,12 +29,12 @@ class Finding:
 
 
 def open_doubts(
-    found: Iterable[Finding], accepted: Collection[str], level: Literal["doubtful", "bad"] = "doubtful"
+    findings: Iterable[Finding], accepted: Collection[str], level: Literal["doubtful", "bad"] = "doubtful"
 ) -> tuple[str, ...]:
     """Return the texts of those findings that lower the verdict to a level: those of criteria that are not accepted."""
-    return tuple(str(finding) for finding in found if finding.level == level and finding.criterion not in accepted)
+    return tuple(str(finding) for finding in findings if finding.level == level and finding.criterion not in accepted)
 
 
-def accepted_doubts(found: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
+def accepted_doubts(findings: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
     """Return the texts of the doubts of accepted criteria."""
-    return tuple(str(finding) for finding in found if finding.level is not None and finding.criterion in accepted)
+    return tuple(str(finding) for finding in findings if finding.level is not None and finding.criterion in accepted)

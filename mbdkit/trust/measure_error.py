@@ -38,14 +38,8 @@ ROUND_OFF = 1e-15
 def measure_error(value: float, compared: Sequence[float], natural: float = 0.0) -> float:
     """Return the estimated error of a measure; nan where it is unknown.
 
-    Parameters
-    ----------
-    value
-        The measure of the run.
-    compared
-        The measure in two runs of increasing accuracy, and in a run of another method.
-    natural
-        Natural size of numbers with the unit of the measure; see `mbdkit.measures.natural_size`.
+    `value`: the measure of the run. `compared`: the measure in two runs of increasing accuracy, and in a run of another
+    method. `natural`: natural size of numbers with the unit of the measure; see `mbdkit.measures.natural_size`.
     """
     every = value, *compared
     if len(compared) != 3 or not all(map(math.isfinite, every)):

@@ -86,3 +86,13 @@ def test_a_key_of_a_misspelt_element_does_not_add_an_element() -> None:
     assert list(data["model"]["bodies"]) == ["shank", "foot"]
     with pytest.raises(SpecError, match=r"motion\.columns has no 'kne' \(did you mean 'knee'\?\)"):
         put({"motion": {"columns": {"knee": {"column": "a"}}}}, ("motion", "columns", "kne", "unit"), "deg")
+
+
+def test_a_parameter_that_the_base_does_not_have_is_refused_unless_an_expression_uses_it() -> None:
+    base = json.loads(load_spec("pendulum").canonical_json())
+    varied = VariedSpecs(json.dumps(base | {"parameters": {"angle": 0.1}}))
+    with pytest.raises(SpecError, match=r"parameters.angel: .* no such parameter.*did you mean 'angle'"):
+        varied.spec([(("parameters", "angel"), 0.2)])
+    assert varied.spec([(("parameters", "angle"), 0.2)]).parameters == {"angle": 0.2}
+    used = varied.spec([(("parameters", "tilt"), 0.2), (("model", "angle"), "2*tilt")])
+    assert used.parameters == {"angle": 0.1, "tilt": 0.2}

@@ -65,11 +65,8 @@ _COMPILE = os.environ.get("MBDKIT_JIT", "") not in ("", "0")
 def address_of(symbol: str) -> int:
     """Return the address of the machine code of a symbol, which is loaded or compiled first if necessary.
 
-    Raises
-    ------
-    MbdkitError
-        If there is no such code for this platform and processor and it cannot be compiled, if the processor lacks
-        instructions that the code needs, or if a stored library is damaged or cannot be loaded.
+    Raises MbdkitError if there is no such code for this platform and processor and it cannot be compiled, if the
+    processor lacks instructions that the code needs, or if a stored library is damaged or cannot be loaded.
     """
     level = _usable_level()
     path = None if _COMPILE else stored_file(symbol, level)
@@ -142,10 +139,7 @@ def _is_package(name: str) -> bool:
 def manifest(package: str = CORE) -> dict[str, Any]:
     """Return the manifest of the stored libraries of a package for this platform; empty if there are none.
 
-    Raises
-    ------
-    MbdkitError
-        If it is damaged.
+    Raises MbdkitError if it is damaged.
     """
     path = stored_folder(package, this_platform()) / MANIFEST
     with _damage_reported(package):
@@ -287,10 +281,10 @@ def _from_memory_file(name: str, content: bytes) -> ctypes.CDLL:
     file = os.memfd_create(name)
     with open(file, "wb", closefd=False) as stream:
         stream.write(content)
-    place = f"/proc/self/fd/{file}"
-    if not os.path.exists(place):
-        raise FileNotFoundError(place)
-    return ctypes.CDLL(place)
+    path = f"/proc/self/fd/{file}"
+    if not os.path.exists(path):
+        raise FileNotFoundError(path)
+    return ctypes.CDLL(path)
 
 
 def code_id() -> str:
@@ -307,7 +301,7 @@ def code_id() -> str:
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()[:16] if digests else "none"
 
 
-def code_report() -> dict[str, Any]:
+def code_report() -> dict[str, object]:
     """Return platform, processor level, number of lanes, whether stored code exists, and the tools that built it."""
     level = chosen_level()
     return {

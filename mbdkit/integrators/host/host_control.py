@@ -32,14 +32,8 @@ MEMORY = 0.2
 class HostControl:
     """Accepts and rejects controlled steps, and chooses their sizes.
 
-    Parameters
-    ----------
-    tolerances
-        Tolerances of the method.
-    error_order
-        Order p of its error estimate, whose size is O(h^(p + 1)).
-    workspace, timetable
-        The run.
+    `tolerances`: tolerances of the method. `error_order`: order p of its error estimate, whose size is O(h^(p + 1)).
+    `workspace`, `timetable`: the run.
     """
 
     def __init__(self, tolerances: Tolerances, error_order: float, workspace: Workspace, timetable: Timetable):
@@ -78,10 +72,7 @@ class HostControl:
     def judge(self, made: Step, end: StepState, h: float, begin: Reached, *, retrying: bool) -> tuple[float, float]:
         """Return the size of the next step [s], and the error of this one, which ends in `end`, over its tolerance.
 
-        Raises
-        ------
-        RejectedError
-            If the step is not accepted.
+        Raises RejectedError if the step is not accepted.
         """
         if made.next_step is not None or not made.accepted or made.error is None:
             if not made.accepted:

@@ -32,12 +32,8 @@ class HostEnergies:
     over the dense output of the step, or else by Simpson's rule, of order 4, over the cubic through both ends. The four
     or three solves per step are counted.
 
-    Parameters
-    ----------
-    equations
-        The equations of motion.
-    has_power
-        Whether loads, drivers or dampers are present; otherwise both sums remain zero.
+    `equations`: the equations of motion. `has_power`: whether loads, drivers or dampers are present; otherwise both
+    sums remain zero.
     """
 
     def __init__(self, equations: EquationsOfMotion, has_power: bool):
@@ -107,12 +103,8 @@ class HostNodes:
     They are the stages of the method, or else those of Gauss-Legendre quadrature of order 8 on the dense output of a
     library, or on the quintic polynomial through states and accelerations at both ends of the step.
 
-    Parameters
-    ----------
-    size
-        Number of coordinates, those of the ground included.
-    sides
-        (2,) earliest and latest time at which motions are evaluated in the present step [s]; see `Timetable.sides`.
+    `size`: number of coordinates, those of the ground included. `sides`: (2,) earliest and latest time at which motions
+    are evaluated in the present step [s]; see `Timetable.sides`.
     """
 
     def __init__(self, size: int, sides: np.ndarray):
@@ -138,15 +130,9 @@ class HostNodes:
     ) -> None:
         """Store the nodes of a step.
 
-        Parameters
-        ----------
-        begin, end
-            Start of the step, and its end.
-        stages
-            Those of `Step.stages`; None for a step without them, or that has been shortened.
-        dense
-            Function of the share of the step up to `end` that returns positions and velocities (3 (B + 1),); None to
-            use stages or the polynomial.
+        `begin`, `end`: start of the step, and its end. `stages`: those of `Step.stages`; None for a step without them,
+        or that has been shortened. `dense`: function of the share of the step up to `end` that returns positions and
+        velocities (3 (B + 1),); None to use stages or the polynomial.
         """
         if stages is not None:
             time, weight, (q, v) = stages

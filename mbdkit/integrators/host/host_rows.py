@@ -18,23 +18,12 @@ if TYPE_CHECKING:
 class HostRows:
     """Chooses and collects the rows of a run.
 
-    Parameters
-    ----------
-    equations
-        The equations of motion.
-    timetable
-        Which states are recorded.
-    is_fixed
-        Whether steps have a fixed size.
-    carries_multipliers
-        Whether the method computes multipliers, which are then recorded.
-
-    Attributes
-    ----------
-    next_row
-        Number of the next row that is recorded at an interval.
-    inner
-        Times of the rows within the last step [s].
+    - `equations`: the equations of motion.
+    - `timetable`: which states are recorded.
+    - `is_fixed`: whether steps have a fixed size.
+    - `carries_multipliers`: whether the method computes multipliers, which are then recorded.
+    - `next_row`: number of the next row that is recorded at an interval.
+    - `inner`: times of the rows within the last step [s].
     """
 
     def __init__(

@@ -56,15 +56,9 @@ class StabilizedSteps:
     Projection changes neither the multipliers nor the memory of a state. For methods whose memory should be consistent
     with the velocities, such as generalized-alpha, this can reduce the order of the multipliers by one.
 
-    Parameters
-    ----------
-    step
-        Function that takes a step of the method: (t, state, h, end) to the new state and the time at which it ends.
-    begun
-        Function that returns a state with the memory that the method needs after a projection, from the time and the
-        state.
-    equations
-        The equations, with their counters and the stabilization of the run.
+    `step`: function that takes a step of the method: (t, state, h, end) to the new state and the time at which it ends.
+    `begun`: function that returns a state with the memory that the method needs after a projection, from the time and
+    the state. `equations`: the equations, with their counters and the stabilization of the run.
     """
 
     def __init__(

@@ -39,18 +39,9 @@ class Attempt(NamedTuple):
 class StepAttempts:
     """Takes the steps of a run, with as many attempts as they need.
 
-    Parameters
-    ----------
-    method
-        The method.
-    equations
-        The equations of motion, with the counters of the run.
-    timetable
-        Times of the run.
-    control
-        Control of the step size by error estimates; None if steps are fixed or the method chooses their sizes.
-    energies
-        Sums of the energies.
+    `equations`: the equations of motion, with the counters of the run. `timetable`: times of the run. `control`:
+    control of the step size by error estimates; None if steps are fixed or the method chooses their sizes. `energies`:
+    sums of the energies.
     """
 
     def __init__(

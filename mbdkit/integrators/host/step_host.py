@@ -38,19 +38,9 @@ class StepHost:
 
     Corrections by projection are not part of the energies.
 
-    Parameters
-    ----------
-    method
-        The method. A library with a loop of its own (`ExternalMethod`) gets a copy for this run.
-    workspace
-        The mechanism and its start, with formulation and stabilization.
-    timetable
-        Times of the run, and which states are recorded.
-
-    Attributes
-    ----------
-    rows
-        The rows that are recorded; its `HostRows.next_row` belongs to a checkpoint.
+    `method`: the method. A library with a loop of its own (`ExternalMethod`) gets a copy for this run. `workspace`: the
+    mechanism and its start, with formulation and stabilization. `timetable`: times of the run, and which states are
+    recorded. `rows`: the rows that are recorded; its `HostRows.next_row` belongs to a checkpoint.
     """
 
     def __init__(self, method: StepMethod | ExternalMethod, workspace: Workspace, timetable: Timetable):
@@ -105,14 +95,8 @@ class StepHost:
     def continue_from(self, reached: Reached, next_row: int = 1, library: bytes | None = None) -> None:
         """Continue from a point of the run, that of a checkpoint.
 
-        Parameters
-        ----------
-        reached
-            The point.
-        next_row
-            Number of the next row that is recorded at an interval.
-        library
-            State of the library of an `ExternalMethod`.
+        `reached`: the point. `next_row`: number of the next row that is recorded at an interval. `library`: state of
+        the library of an `ExternalMethod`.
         """
         self.rows.next_row = next_row
         self._go_to(reached)

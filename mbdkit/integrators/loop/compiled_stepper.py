@@ -69,23 +69,11 @@ CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
 class CompiledStepper:
     """Runs a compiled method over a timetable; implements `mbdkit.integrators.interface.Stepper`.
 
-    Parameters
-    ----------
-    method
-        The method.
-    workspace
-        The mechanism and its start, with formulation and stabilization.
-    timetable
-        Times of the run, and which states are recorded.
-    control
-        Step-size control; None: fixed steps.
-
-    Attributes
-    ----------
-    inserted
-        Stops that `stop_at` has added to those of the timetable [s].
-    can_take_back
-        Whether steps can be taken back by restoring the arrays of the run and of the method.
+    - `workspace`: the mechanism and its start, with formulation and stabilization.
+    - `timetable`: times of the run, and which states are recorded.
+    - `control`: step-size control; None: fixed steps.
+    - `inserted`: stops that `stop_at` has added to those of the timetable [s].
+    - `can_take_back`: whether steps can be taken back by restoring the arrays of the run and of the method.
     """
 
     can_take_back: ClassVar[bool] = True
@@ -396,12 +384,12 @@ class CompiledStepper:
     def stop_at(self, t: float) -> None:
         """Let a step end at time `t` [s], which must be later than the last stop that the run has passed."""
         table, margin = self.timetable, margin_of_stops(self.timetable)
-        place = bisect(table.stops, t)
+        index = bisect(table.stops, t)
         self.inserted.append(t)
         self.timetable = replace(
             table,
-            stops=(*table.stops[:place], t, *table.stops[place:]),
-            stop_margins=(*table.stop_margins[:place], margin, *table.stop_margins[place:]),
+            stops=(*table.stops[:index], t, *table.stops[index:]),
+            stop_margins=(*table.stop_margins[:index], margin, *table.stop_margins[index:]),
         )
         self._new_plan()
 

@@ -53,19 +53,9 @@ def stiffness_clause(handle: Never, /) -> str:
 class FailedSteps:
     """Prepares other attempts at failed steps of a compiled method, or says why a run stops.
 
-    Parameters
-    ----------
-    method, workspace, timetable
-        The run.
-    run
-        The bundle of its state (`RunState`).
-    plan
-        The plan of the run; stops that are added later make no difference.
-
-    Attributes
-    ----------
-    renewed
-        Pairs of the number of accepted steps and a status after which another attempt has been made.
+    `method`, `workspace`, `timetable`: the run. `run`: the bundle of its state (`RunState`). `plan`: the plan of the
+    run; stops that are added later make no difference. `renewed`: pairs of the number of accepted steps and a status
+    after which another attempt has been made.
     """
 
     def __init__(

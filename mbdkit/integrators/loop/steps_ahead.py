@@ -26,19 +26,9 @@ class StepsAhead:
 
     To take steps back, the state before all of them is restored, and those to be kept are repeated, with the same bits.
 
-    Parameters
-    ----------
-    stepper
-        The stepper, started with ``Timetable.single``.
-    shares
-        Shares of each step, from 0 to 1, at which its states are wanted, in addition to those at its end.
-
-    Attributes
-    ----------
-    most
-        Largest number of steps at once.
-    parts
-        Number of states of a step.
+    `stepper`: the stepper, started with ``Timetable.single``. `shares`: shares of each step, from 0 to 1, at which its
+    states are wanted, in addition to those at its end. `most`: largest number of steps at once. `parts`: number of
+    states of a step.
     """
 
     def __init__(self, stepper: CompiledStepper, shares: Sequence[float]):
@@ -75,10 +65,7 @@ class StepsAhead:
     def take(self, steps: int) -> ConsecutiveSteps:
         """Take up to `steps` steps, none of them beyond a stop; `keep` must follow.
 
-        Returns
-        -------
-        ConsecutiveSteps
-            The state before the first step, and for each step those at the shares and at its end.
+        Returns the state before the first step, and for each step those at the shares and at its end.
         """
         stepper, path = self.stepper, self._path.bundle
         stepper.begin_after_stop()

@@ -24,11 +24,8 @@ if TYPE_CHECKING:
 class DriverImpulse(Impact):
     """An impulse of the drivers, with the impulses that it causes in the joints.
 
-    Parameters
-    ----------
-    reactions
-        (J, 3) impulses of the joints, drivers included, on their second bodies [N s, N m s]; see
-        `EquationsOfMotion.reactions`.
+    `reactions`: (J, 3) impulses of the joints, drivers included, on their second bodies [N s, N m s]; see
+    `EquationsOfMotion.reactions`.
     """
 
     reactions: np.ndarray
@@ -89,21 +86,9 @@ def impulse(
     v+ is, in the mass metric, the velocity nearest to v that satisfies the constraints. The work of the impulse is the
     change of the kinetic energy.
 
-    Parameters
-    ----------
-    workspace
-        The mechanism. Its pivots are renewed if necessary.
-    t
-        Time just after the jump [s].
-    q, v
-        (3 (B + 1),) positions, and velocities before the jump.
-    stop
-        Time of the discontinuity [s].
-
-    Raises
-    ------
-    mbdkit.base.errors.StepError
-        If the position is singular.
+    `workspace`: the mechanism. Its pivots are renewed if necessary. `t`: time just after the jump [s]. `q`, `v`: (3 (B
+    + 1),) positions, and velocities before the jump. `stop`: time of the discontinuity [s]. Raises
+    mbdkit.base.errors.StepError if the position is singular.
     """
     p = EquationsOfMotion(workspace)
     old = v[: p.n].copy()

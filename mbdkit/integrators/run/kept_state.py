@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.methods.step_methods import StepState
 
 
-def kept(value: Any) -> Any:
+def kept(value: object) -> Any:
     """Return a value of `StepState.memory` with read-only copies of its arrays, also inside lists, tuples and dicts.
 
     Other objects are returned as they are.

@@ -21,11 +21,8 @@ class Splitting(Stepper, Protocol):
 
         Requires ``Timetable.single``. States do not change if the shortened step ends the run.
 
-        Returns
-        -------
-        stretch, steps
-            The rows and the steps up to the event, which replace those of the last `advance`. There are no steps if
-            `theta` is 0; with controlled step size there may be several.
+        Returns the rows and the steps up to the event, which replace those of the last `advance`. There are no steps if
+        `theta` is 0; with controlled step size there may be several.
         """
         ...
 

@@ -47,16 +47,8 @@ def called(name: str, function: Callable[P, T], *given: P.args, **more: P.kwargs
 class StepResults:
     """Checks the steps of a method.
 
-    Parameters
-    ----------
-    name
-        Name of the class of the method.
-    equations
-        The equations of motion of the run.
-    states
-        Number of first-order states Z.
-    multipliers
-        Whether the method computes multipliers.
+    `name`: name of the class of the method. `equations`: the equations of motion of the run. `states`: number of
+    first-order states Z. `multipliers`: whether the method computes multipliers.
     """
 
     def __init__(self, name: str, equations: EquationsOfMotion, states: int, multipliers: bool):

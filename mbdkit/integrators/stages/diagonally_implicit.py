@@ -44,13 +44,7 @@ CONTRACTS = 0.5
 
 
 class DiagonallyImplicit(StepMethod):
-    """A diagonally implicit tableau in fixed steps.
-
-    Parameters
-    ----------
-    method
-        The tableau, and how its stages are solved.
-    """
+    """A diagonally implicit tableau in fixed steps. `method`: the tableau, and how its stages are solved."""
 
     hint = "a smaller time.step may help"
 

@@ -50,20 +50,12 @@ def check_run(
     addition there is the guard, a run with another method. If the spec limits wall time, the same limit applies to all
     companions together.
 
-    Parameters
-    ----------
-    spec, method, workspace
-        The run.
-    rows
-        Recorded rows of the run.
-    steps
-        Number of steps of the run.
-    interrupted
-        Function that returns whether the user has asked to stop; the errors are then unknown.
-    progress
-        Called with (time reached, end time) [s] of each companion.
-    memory
-        Memory of the reactions of elements at the end of the run, with their impacts; None if the run has none.
+    - `spec`, `method`, `workspace`: the run.
+    - `rows`: recorded rows of the run.
+    - `steps`: number of steps of the run.
+    - `interrupted`: function that returns whether the user has asked to stop; the errors are then unknown.
+    - `progress`: called with (time reached, end time) [s] of each companion.
+    - `memory`: memory of the reactions of elements at the end of the run, with their impacts; None if the run has none.
     """
     begin = time.perf_counter()
     if len(rows.time) < 2:
@@ -177,19 +169,19 @@ def _guard(
     return best
 
 
-def _reached(found: CompanionRows) -> float:
-    rows = np.flatnonzero(np.all(np.isfinite(found.rows.position), axis=(1, 2)))
-    return float(found.rows.time[rows[-1]]) if len(rows) else -math.inf
+def _reached(states: CompanionRows) -> float:
+    rows = np.flatnonzero(np.all(np.isfinite(states.rows.position), axis=(1, 2)))
+    return float(states.rows.time[rows[-1]]) if len(rows) else -math.inf
 
 
-def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> str:
+def _sentence(chosen: Chosen, runs: list[tuple[Companion, CompanionRows]]) -> str:
     first, second = (companion.name for companion in chosen.finer)
     text = (
         f"Richardson extrapolation from comparison runs with {first} and {second}, confirmed by a run with "
-        f"{told[-1][0].name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
+        f"{runs[-1][0].name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
         f"converge to the last one."
     )
-    for companion, rows in told:
+    for companion, rows in runs:
         if rows.failure:
             text += f" The run with {companion.name} ended at {_reached(rows):.6g} s: {rows.failure}."
     return text
@@ -212,16 +204,8 @@ def check_by_pilots(
 ) -> Accuracy:
     """Estimate the errors of a run from pilot runs with larger tolerances.
 
-    Parameters
-    ----------
-    spec, workspace
-        The run.
-    rows
-        Recorded rows of the run.
-    pilots
-        One or two pilot runs with the same method, the coarsest first.
-    setting
-        Tolerance of the run.
+    `spec`, `workspace`: the run. `rows`: recorded rows of the run. `pilots`: one or two pilot runs with the same
+    method, the coarsest first. `setting`: tolerance of the run.
     """
     begin = time.perf_counter()
     tolerances = [*(pilot.setting for pilot in pilots), setting]
@@ -261,14 +245,8 @@ AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
 def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: Choice | None) -> Accuracy:
     """Return the estimates with the requested accuracy, the accuracy reached, and the choice of method and step added.
 
-    Parameters
-    ----------
-    accuracy
-        Estimates of the check.
-    spec, workspace
-        The run, whose spec gives method and step.
-    choice
-        How method and step were chosen; None if the spec gave them.
+    `accuracy`: estimates of the check. `spec`, `workspace`: the run, whose spec gives method and step. `choice`: how
+    method and step were chosen; None if the spec gave them.
     """
     if spec.accuracy is None:
         return accuracy

@@ -111,14 +111,8 @@ observed order may be below that of the method.
 class Candidate:
     """A method whose step or tolerance is to be chosen.
 
-    Parameters
-    ----------
-    integrator
-        Name and options.
-    adaptive
-        Whether the setting to be chosen is a tolerance; otherwise it is the step [s].
-    order
-        Expected exponent p of the error, which is proportional to setting^p.
+    `integrator`: name and options. `adaptive`: whether the setting to be chosen is a tolerance; otherwise it is the
+    step [s]. `order`: expected exponent p of the error, which is proportional to setting^p.
     """
 
     integrator: Mapping[str, Any]
@@ -158,23 +152,14 @@ class Candidate:
 class Choice:
     """The choice of method and tolerance or step.
 
-    Attributes
-    ----------
-    candidate, setting
-        The method, and its tolerance or step [s].
-    size
-        Size of the mechanism [m].
-    why
-        Reason, as sentences.
-    work
-        Work of all pilots, in evaluations.
-    limited
-        Reason why no smaller setting is possible; empty if one is possible.
-    pilots
-        The last pilots of the same method, from which the errors of the run are estimated. If there are none,
-        companions are used.
-    final
-        The recorded pilot that is accurate enough to serve as the run; None if there is none.
+    - `candidate`, `setting`: the method, and its tolerance or step [s].
+    - `size`: size of the mechanism [m].
+    - `why`: reason, as sentences.
+    - `work`: work of all pilots, in evaluations.
+    - `limited`: reason why no smaller setting is possible; empty if one is possible.
+    - `pilots`: the last pilots of the same method, from which the errors of the run are estimated. If there are none,
+      companions are used.
+    - `final`: the recorded pilot that is accurate enough to serve as the run; None if there is none.
     """
 
     candidate: Candidate
@@ -198,12 +183,8 @@ class Choice:
     def tightened(self, spec: RunSpec, asked: float, reached: float) -> Choice:
         """Return the choice for the next attempt, with a smaller setting.
 
-        Parameters
-        ----------
-        spec
-            The spec.
-        asked, reached
-            Requested accuracy, and the accuracy estimated by the check, which is nan if it is not known to the end.
+        `asked`, `reached`: requested accuracy, and the accuracy estimated by the check, which is nan if it is not known
+        to the end.
         """
         order, least = self.candidate.order, 3.0 if self.candidate.adaptive else 1.5
         # A recorded pilot also serves to check the next attempt; later attempts are checked by companions.
@@ -222,14 +203,8 @@ def choose_method(
 ) -> Choice:
     """Choose method and step for the accuracy of a spec.
 
-    Parameters
-    ----------
-    spec
-        The spec, with `RunSpec.is_to_be_chosen`.
-    workspace
-        Its mechanism and start.
-    progress
-        Called with (time reached, end time) [s] of each pilot.
+    `spec`: the spec, with `RunSpec.is_to_be_chosen`. `workspace`: its mechanism and start. `progress`: called with
+    (time reached, end time) [s] of each pilot.
     """
     if spec.settings():
         message = "`accuracy` is not available for runs in which events set states; give an integrator and a step"

@@ -63,26 +63,16 @@ def estimate_from_coarser(
 ) -> ErrorEstimate:
     """Estimate the errors of a run.
 
-    Parameters
-    ----------
-    main
-        The run.
-    coarser
-        Values of one or two runs of larger tolerance at the times of `main`, the coarsest first. Rows that they did not
-        reach are nan.
-    tolerances
-        Tolerances of the coarser runs, and that of the run.
-    units
-        Natural units of the mechanism.
-    asked
-        Requested accuracy; see `EXPECTED`.
-    equal_until
-        Row up to which the runs may have taken the same steps, so that their differences contain no information.
+    - `main`: the run.
+    - `coarser`: values of one or two runs of larger tolerance at the times of `main`, the coarsest first. Rows that
+      they did not reach are nan.
+    - `tolerances`: tolerances of the coarser runs, and that of the run.
+    - `units`: natural units of the mechanism.
+    - `asked`: requested accuracy; see `EXPECTED`.
+    - `equal_until`: row up to which the runs may have taken the same steps, so that their differences contain no
+      information.
 
-    Returns
-    -------
-    ErrorEstimate
-        The estimates; zero at the first row if all runs start from the same state.
+    Returns the estimates; zero at the first row if all runs start from the same state.
     """
 
     def estimated(values: list[np.ndarray], unit: float, size: float) -> _Quantity:

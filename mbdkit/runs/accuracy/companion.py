@@ -33,25 +33,16 @@ NEVER = 2**53
 class Companion:
     """A comparison run of a main run: its method, times and settings.
 
-    Parameters
-    ----------
-    name
-        Description for the user, such as ``step 0.005 s``.
-    create
-        Creates the method.
-    timetable
-        Times of the companion. If `within_steps`, the companion is evaluated at the times of the main run by a
-        shortened step from the start of the step in which each time lies. Otherwise, the timetable records rows at
-        these times.
-    formulation, stabilization
-        Formulation and stabilization of the equations.
-    within_steps
-        See `timetable`.
-    after_stops
-        Used if `within_steps`. If true, rows of the main run at a stop show the state after the stop, as dense output
-        does; otherwise the state before it, as rows at ends of steps do.
-    treatment
-        Treatment of elements whose reactions the steps determine; None for that of the run.
+    - `name`: description for the user, such as ``step 0.005 s``.
+    - `create`: creates the method.
+    - `timetable`: times of the companion. If `within_steps`, the companion is evaluated at the times of the main run by
+      a shortened step from the start of the step in which each time lies. Otherwise, the timetable records rows at
+      these times.
+    - `formulation`, `stabilization`: formulation and stabilization of the equations.
+    - `within_steps`: see `timetable`.
+    - `after_stops`: used if `within_steps`. If true, rows of the main run at a stop show the state after the stop, as
+      dense output does; otherwise the state before it, as rows at ends of steps do.
+    - `treatment`: treatment of elements whose reactions the steps determine; None for that of the run.
     """
 
     name: str
@@ -68,14 +59,8 @@ class Companion:
 class CompanionRows:
     """Rows of a companion at the times of the main run; nan where the companion has none.
 
-    Attributes
-    ----------
-    rows
-        The rows.
-    failure
-        Reason why the companion stopped early, as the end of a sentence; empty if it did not stop early.
-    memory
-        Memory of the reactions of elements at the end, with their impacts; None if there are none.
+    `failure`: reason why the companion stopped early, as the end of a sentence; empty if it did not stop early.
+    `memory`: memory of the reactions of elements at the end, with their impacts; None if there are none.
     """
 
     rows: ObservedRows
@@ -93,25 +78,13 @@ def run_companion(
 ) -> CompanionRows:
     """Run a companion.
 
-    Parameters
-    ----------
-    companion
-        The companion.
-    workspace
-        Workspace of the main run. Its mechanism and start are shared; working arrays and pivots are not.
-    times
-        (T,) times of the main run [s], the first one its start.
-    stopped
-        Function that returns the reason why the companion must stop now; an empty text if it need not stop.
-    progress
-        Called with (time reached, end time) [s].
-    watch
-        Function that wraps the stepper so that events set states; None if the run has no such events.
+    - `workspace`: workspace of the main run. Its mechanism and start are shared; working arrays and pivots are not.
+    - `times`: (T,) times of the main run [s], the first one its start.
+    - `stopped`: function that returns the reason why the companion must stop now; an empty text if it need not stop.
+    - `progress`: called with (time reached, end time) [s].
+    - `watch`: function that wraps the stepper so that events set states; None if the run has no such events.
 
-    Returns
-    -------
-    CompanionRows
-        Rows of the companion. An exception of a plugin is reported as a failure.
+    Returns rows of the companion. An exception of a plugin is reported as a failure.
     """
     if companion.treatment is not None:
         workspace = replace(workspace, mechanism=replace(workspace.mechanism, treatments=(companion.treatment,)))
@@ -190,12 +163,12 @@ def _advance(
     stepper: Stepper,
     watched: Watch | None,
     companion: Companion,
-    found: _States,
+    states: _States,
     stopped: Callable[[], str],
     progress: Callable[[float, float], None] | None,
 ) -> str:
     """Advance to the last of the times; return the reason if this fails, otherwise an empty string."""
-    while found.done < len(found.times):
+    while states.done < len(states.times):
         if stepper.finished:
             return ""
         if why := stopped():
@@ -208,26 +181,22 @@ def _advance(
             stretch = stepper.advance() if watched is None else watched.step()
         except Exception:
             if (rows := stepper.rows_before_error()) is not None:
-                found.take(rows)
+                states.take(rows)
             raise
         if companion.within_steps:
-            found.take_within(stepper)
+            states.take_within(stepper)
         else:
-            found.take(stretch)
+            states.take(stretch)
         if progress is not None:
-            progress(stepper.time, float(found.times[-1]))
+            progress(stepper.time, float(states.times[-1]))
     return ""
 
 
 class Budget:
     """Determines when companions must stop: after a time limit, or on an interrupt by the user.
 
-    Parameters
-    ----------
-    seconds
-        Limit of the wall time of all companions together [s]; None for no limit.
-    interrupted
-        Function that returns whether the user has asked to stop.
+    `seconds`: limit of the wall time of all companions together [s]; None for no limit. `interrupted`: function that
+    returns whether the user has asked to stop.
     """
 
     def __init__(self, seconds: float | None, interrupted: Callable[[], bool]):

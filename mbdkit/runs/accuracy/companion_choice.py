@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -75,16 +75,9 @@ Adaptive steps of a body at rest grow without limit, and then miss a short pulse
 class Chosen:
     """The companions of a run.
 
-    Attributes
-    ----------
-    finer
-        Two runs of increasing accuracy.
-    guards
-        Runs by other methods; the first one that reaches the end is used.
-    refinement
-        Factor between the steps or tolerances of successive runs; base of the logarithms of the observed order.
-    what
-        What is divided by `refinement`: ``step`` or ``tolerance``.
+    `finer`: two runs of increasing accuracy. `guards`: runs by other methods; the first one that reaches the end is
+    used. `refinement`: factor between the steps or tolerances of successive runs; base of the logarithms of the
+    observed order. `what`: what is divided by `refinement`: ``step`` or ``tolerance``.
     """
 
     finer: tuple[Companion, Companion]
@@ -96,14 +89,8 @@ class Chosen:
 def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times: np.ndarray, steps: int) -> Chosen:
     """Choose the companions of a run.
 
-    Parameters
-    ----------
-    spec, method, workspace
-        The run.
-    times
-        (T,) times of the recorded rows [s].
-    steps
-        Number of steps of the run.
+    `spec`, `method`, `workspace`: the run. `times`: (T,) times of the recorded rows [s]. `steps`: number of steps of
+    the run.
     """
     within = _steps_within(spec, times)
     if not spec.claims.adaptive:
@@ -175,7 +162,7 @@ def _guards_of_treatment(
     )
 
 
-def _created(name: str, options: Mapping[str, Any]) -> Callable[[], Method]:
+def _created(name: str, options: Mapping[str, object]) -> Callable[[], Method]:
     plugin = cast(IntegratorPlugin, registry().get("integrator", name).plugin)
     return cast("Callable[[], Method]", partial(plugin.create, plugin.options(**options)))
 

@@ -43,16 +43,9 @@ def compared_measures(
 ) -> ComparedMeasures:
     """Return the values of expressions in comparison runs.
 
-    Parameters
-    ----------
-    spec, method, workspace
-        The run, whose spec gives method and step.
-    steps
-        Number of steps of the run.
-    expressions, measure
-        The expressions, and the function that evaluates them in a comparison run.
-    interrupted
-        Function that returns whether the user has asked to stop; the values are then nan.
+    `spec`, `method`, `workspace`: the run, whose spec gives method and step. `steps`: number of steps of the run.
+    `expressions`, `measure`: the expressions, and the function that evaluates them in a comparison run. `interrupted`:
+    function that returns whether the user has asked to stop; the values are then nan.
     """
     unknown: Sequence[float] = [float("nan")] * len(expressions)
     measured = [unknown if interrupted() else measure(other) or unknown for other in _finer(spec, method)]
@@ -133,12 +126,7 @@ def other_methods(
 def with_other_steps(spec: RunSpec, step: float, *, fixed: bool, tightest: float) -> RunSpec:
     """Return the spec of a comparison run by the same adaptive method with other steps.
 
-    Parameters
-    ----------
-    step
-        Size of fixed steps, or largest size of adaptive ones [s].
-    tightest
-        Smallest tolerance of adaptive steps.
+    `step`: size of fixed steps, or largest size of adaptive ones [s]. `tightest`: smallest tolerance of adaptive steps.
     """
     given = canonical(spec.integrator)
     most = max(2 + round((spec.time.final - spec.time.start) / step), spec.limits.max_steps)
@@ -159,20 +147,13 @@ def _varied(
     factor: int = 1,
     most_steps: int | None = None,
     interval: float | None = None,
-    **sections: Any,
+    **sections: object,
 ) -> RunSpec:
     """Return the spec of a comparison run, without measures, checks and gradients.
 
-    Parameters
-    ----------
-    step
-        Step [s]; None if the method chooses it.
-    factor
-        Factor by which ``limits.max_steps`` of the run is multiplied.
-    most_steps
-        Largest number of steps; if given, it replaces the limit by `factor`.
-    interval
-        Interval of the recorded states [s]; None if every step is recorded.
+    `step`: step [s]; None if the method chooses it. `factor`: factor by which ``limits.max_steps`` of the run is
+    multiplied. `most_steps`: largest number of steps; if given, it replaces the limit by `factor`. `interval`: interval
+    of the recorded states [s]; None if every step is recorded.
     """
     limits = canonical(spec.limits) | {"max_steps": most_steps or factor * spec.limits.max_steps}
     output = canonical(spec.output) | {"every": 1 if interval is None else None, "interval": interval}

@@ -57,15 +57,9 @@ errors.
 class Units:
     """Natural units of a mechanism.
 
-    Parameters
-    ----------
-    length
-        Characteristic length [m]. Angles are multiplied by it, and torques divided, to compare them with lengths and
-        forces.
-    speed
-        Length over duration of the run [m/s].
-    force
-        Mass times length over the square of the duration [N].
+    `length`: characteristic length [m]. Angles are multiplied by it, and torques divided, to compare them with lengths
+    and forces. `speed`: length over duration of the run [m/s]. `force`: mass times length over the square of the
+    duration [N].
     """
 
     length: float
@@ -82,22 +76,15 @@ class Units:
 class ErrorEstimate:
     """Estimated errors of a run; nan where unknown. They are envelopes, which never decrease with time.
 
-    Attributes
-    ----------
-    position, velocity
-        (T, B, 3) errors of positions [m, rad] and velocities [m/s, rad/s].
-    reaction
-        (T, J) bounds of the norm of the error of reaction forces [N].
-    torque
-        (T, J) errors of reaction torques [N m].
-    known_until
-        Time [s] until which all of these errors are known; nan if they are not even known at the first row.
-    order
-        Observed exponent of the error of positions in the step, or in the tolerance of an adaptive run, at the last
-        known row: log(d01 / d12) over the logarithm of the factor between the runs. It is nan if only rounding errors
-        were observed.
-    unknown
-        Quantities whose errors are unknown after `known_until`; empty if all are known.
+    - `position`, `velocity`: (T, B, 3) errors of positions [m, rad] and velocities [m/s, rad/s].
+    - `reaction`: (T, J) bounds of the norm of the error of reaction forces [N].
+    - `torque`: (T, J) errors of reaction torques [N m].
+    - `known_until`: time [s] until which all of these errors are known; nan if they are not even known at the first
+      row.
+    - `order`: observed exponent of the error of positions in the step, or in the tolerance of an adaptive run, at the
+      last known row: log(d01 / d12) over the logarithm of the factor between the runs. It is nan if only rounding
+      errors were observed.
+    - `unknown`: quantities whose errors are unknown after `known_until`; empty if all are known.
     """
 
     position: np.ndarray
@@ -114,23 +101,11 @@ def estimate_errors(
 ) -> ErrorEstimate:
     """Estimate the errors of the first of three runs.
 
-    Parameters
-    ----------
-    runs
-        The run, and two companions of increasing accuracy, with values at the times of the run. Rows that a companion
-        did not reach are nan.
-    guard
-        A run by another method, at the same times.
-    units
-        Natural units of the mechanism.
-    refinement
-        Factor by which steps or tolerances decrease from one run to the next; base of the logarithms of the observed
-        order.
-
-    Returns
-    -------
-    ErrorEstimate
-        The estimates; zero at the first row if all runs start from the same state.
+    `runs`: the run, and two companions of increasing accuracy, with values at the times of the run. Rows that a
+    companion did not reach are nan. `guard`: a run by another method, at the same times. `units`: natural units of the
+    mechanism. `refinement`: factor by which steps or tolerances decrease from one run to the next; base of the
+    logarithms of the observed order. Returns the estimates; zero at the first row if all runs start from the same
+    state.
     """
 
     def estimated(values: list[np.ndarray], unit: float, size: float) -> _Quantity:
@@ -168,18 +143,12 @@ def assemble(
 ) -> ErrorEstimate:
     """Return the estimates for positions, velocities and reactions.
 
-    Parameters
-    ----------
-    main
-        The run whose errors are estimated.
-    every
-        All runs, in the order that `estimated` expects.
-    units
-        Natural units of the mechanism.
-    estimated
-        Function ``estimated(values, unit, size)`` that estimates the errors of one quantity from its values (T, U, K)
-        in every run, its natural unit and its size in the run. Angles are multiplied by the length of the mechanism,
-        and torques divided by it.
+    - `main`: the run whose errors are estimated.
+    - `every`: all runs, in the order that `estimated` expects.
+    - `units`: natural units of the mechanism.
+    - `estimated`: function ``estimated(values, unit, size)`` that estimates the errors of one quantity from its values
+      (T, U, K) in every run, its natural unit and its size in the run. Angles are multiplied by the length of the
+      mechanism, and torques divided by it.
     """
     length = units.length
     scale = np.array([1.0, 1.0, length])
@@ -222,16 +191,8 @@ def size_of_motion(position: np.ndarray, length: float) -> float:
 class _Quantity:
     """One quantity in three runs and the guard; implements `Estimated`.
 
-    Parameters
-    ----------
-    values
-        Four arrays (T, B or J, K) in one unit of measurement.
-    unit
-        Natural unit of the quantity.
-    size
-        Size of the quantity.
-    refinement
-        See `estimate_errors`.
+    `values`: four arrays (T, B or J, K) in one unit of measurement. `unit`: natural unit of the quantity. `size`: size
+    of the quantity. `refinement`: see `estimate_errors`.
     """
 
     def __init__(self, values: list[np.ndarray], unit: float, size: float, refinement: float):

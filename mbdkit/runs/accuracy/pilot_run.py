@@ -43,18 +43,11 @@ the same spec always leads to the same choice.
 class PilotRun:
     """The result of a pilot run.
 
-    Attributes
-    ----------
-    setting
-        Tolerance or step [s] of the pilot.
-    position
-        (SAMPLES + 1, B, 3) positions [m] and angles [rad]; nan at times that the pilot did not reach.
-    steps
-        Number of accepted steps.
-    work
-        Evaluations of the right-hand side, multiplied by `IMPLICIT_WORK` for implicit methods.
-    failure
-        Code of the failure; empty if the pilot reached the end.
+    - `setting`: tolerance or step [s] of the pilot.
+    - `position`: (SAMPLES + 1, B, 3) positions [m] and angles [rad]; nan at times that the pilot did not reach.
+    - `steps`: number of accepted steps.
+    - `work`: evaluations of the right-hand side, multiplied by `IMPLICIT_WORK` for implicit methods.
+    - `failure`: code of the failure; empty if the pilot reached the end.
     """
 
     setting: float
@@ -67,16 +60,10 @@ class PilotRun:
 def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: int) -> PilotRun:
     """Run a pilot.
 
-    Parameters
-    ----------
-    spec
-        The spec with the method and setting of a candidate; see `RunSpec.with_choice`.
-    setting
-        Tolerance or step [s] of the candidate, which is stored as `PilotRun.setting`.
-    workspace
-        Workspace of the run. Its mechanism and start are shared; working arrays are not.
-    most_steps
-        Steps after which the pilot stops with the failure ``max-steps``.
+    `spec`: the spec with the method and setting of a candidate; see `RunSpec.with_choice`. `setting`: tolerance or step
+    [s] of the candidate, which is stored as `PilotRun.setting`. `workspace`: workspace of the run. Its mechanism and
+    start are shared; working arrays are not. `most_steps`: steps after which the pilot stops with the failure
+    ``max-steps``.
     """
     own = workspace.for_another_run(spec.formulated.name, spec.stabilized)
     method = make_method(spec)
@@ -144,23 +131,13 @@ MOST_VALUES = 20_000_000
 class RecordedPilot:
     """A pilot run with the ends of all of its steps.
 
-    Parameters
-    ----------
-    spec
-        The spec with the method and its tolerance; see `RunSpec.with_choice`.
-    setting
-        The tolerance.
-    workspace
-        Workspace of the run. Its mechanism and start are shared; working arrays are not.
-    most_steps
-        Steps after which the pilot stops with the failure ``max-steps``.
-    progress
-        Called with (time reached, end time) [s].
+    - `spec`: the spec with the method and its tolerance; see `RunSpec.with_choice`.
+    - `setting`: the tolerance.
+    - `workspace`: workspace of the run. Its mechanism and start are shared; working arrays are not.
+    - `most_steps`: steps after which the pilot stops with the failure ``max-steps``.
+    - `progress`: called with (time reached, end time) [s].
 
-    Raises
-    ------
-    SingularSystemError
-        If the equations are singular at the start.
+    Raises SingularSystemError if the equations are singular at the start.
     """
 
     def __init__(
@@ -195,7 +172,7 @@ class RecordedPilot:
         self.steps = self.stepper.counters.steps
         self.work = work_of(method, self.stepper.counters.rhs_evaluations)
         start = (np.array([workspace.t0]), workspace.q0[None], workspace.v0[None])
-        ends = [(one.time, one.q, one.v) for one in self.stretches]
+        ends = [(stretch.time, stretch.q, stretch.v) for stretch in self.stretches]
         self.time, self.q, self.v = (np.concatenate(parts) for parts in zip(start, *ends, strict=True))
 
     @cached_property

@@ -23,13 +23,8 @@ class PositionMeasure:
     The error of a body is that of its centre of mass or, if it is larger, the error of its angle times its `arm`. This
     includes the errors of the ends of a rod, and of the rotation of a disc about its centre.
 
-    Parameters
-    ----------
-    size
-        Size of the mechanism at its start [m].
-    arm
-        (B,) largest distance of a joint point from the centre of mass of each body [m]; `size` for bodies whose
-        distance is 0.
+    `size`: size of the mechanism at its start [m]. `arm`: (B,) largest distance of a joint point from the centre of
+    mass of each body [m]; `size` for bodies whose distance is 0.
     """
 
     size: float
@@ -49,10 +44,7 @@ class PositionMeasure:
     def share(self, error: np.ndarray) -> np.ndarray:
         """Return the largest error of all bodies as a share of the size, (T,); nan where an error is nan.
 
-        Parameters
-        ----------
-        error
-            (T, B, 3) errors of x, y [m] and angle [rad].
+        `error`: (T, B, 3) errors of x, y [m] and angle [rad].
         """
         ends = np.maximum(np.linalg.norm(error[..., :2], axis=-1), self.arm * np.abs(error[..., 2]))
         return np.asarray(np.max(ends, axis=-1, initial=0.0)) / self.size

@@ -33,12 +33,7 @@ UNRESOLVED = 1e-3
 def resolved_until(spec: RunSpec, time: np.ndarray) -> float:
     """Return the time until which steps resolve all motions and loads [s]; inf if they do so to the end.
 
-    Parameters
-    ----------
-    spec
-        The spec of the run.
-    time
-        (N,) ends of all steps, with the start [s].
+    `time`: (N,) ends of all steps, with the start [s].
     """
     varying = [motion for _, motion in spec.mechanism().motions() if _varies(motion)]
     if not varying or len(time) < 2:

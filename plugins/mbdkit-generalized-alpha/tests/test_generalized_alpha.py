@@ -150,12 +150,9 @@ def test_symmetric_projection_and_baumgarte_are_refused() -> None:
     for stabilization in ({"name": "projection", "symmetric": True}, "baumgarte"):
         with pytest.raises(mbdkit.SpecError, match="stabilization"):
             run(
-                "double pendulum",
-                {"name": "generalized-alpha"},
-                0.01,
-                formulation="index-3",
+                "double pendulum", {"name": "generalized-alpha"}, 0.01, formulation="index-3",
                 stabilization=stabilization,
-            )
+            )  # fmt: skip
 
 
 @pytest.mark.parametrize("rho_inf", [-0.1, 1.0, "much"])

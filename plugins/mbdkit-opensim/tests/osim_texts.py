@@ -115,21 +115,15 @@ KNEE_Y = [-0.4226, -0.4162, -0.4099, -0.4026, -0.3976, -0.3966, -0.395]
 def leg() -> str:
     """Return a free pelvis, a leg with every kind of planar joint in rotated frames, and a cart on a rail."""
     root = transform(
-        axis("rotation1", Z, linear(), "pelvis_tilt"),
-        axis("rotation2", "0 1 0", constant(0.0)),
-        axis("rotation3", "1 0 0", constant(0.0)),
-        axis("translation1", "1 0 0", linear(), "pelvis_tx"),
-        axis("translation2", "0 1 0", linear(), "pelvis_ty"),
-        axis("translation3", Z, constant(0.0)),
-    )
+        axis("rotation1", Z, linear(), "pelvis_tilt"), axis("rotation2", "0 1 0", constant(0.0)),
+        axis("rotation3", "1 0 0", constant(0.0)), axis("translation1", "1 0 0", linear(), "pelvis_tx"),
+        axis("translation2", "0 1 0", linear(), "pelvis_ty"), axis("translation3", Z, constant(0.0)),
+    )  # fmt: skip
     hip = transform(
-        axis("rotation1", "0 0 -1", linear(1.0, 0.1), "hip_flexion"),
-        axis("rotation2", "0 1 0", constant(0.0)),
-        axis("rotation3", "1 0 0", constant(0.0)),
-        axis("translation1", "1 0 0", constant(0.01)),
-        axis("translation2", "0 1 0", constant(-0.02)),
-        axis("translation3", Z, constant(0.03)),
-    )
+        axis("rotation1", "0 0 -1", linear(1.0, 0.1), "hip_flexion"), axis("rotation2", "0 1 0", constant(0.0)),
+        axis("rotation3", "1 0 0", constant(0.0)), axis("translation1", "1 0 0", constant(0.01)),
+        axis("translation2", "0 1 0", constant(-0.02)), axis("translation3", Z, constant(0.03)),
+    )  # fmt: skip
     knee = transform(
         axis("rotation1", Z, linear(), "knee_angle"),
         axis("rotation2", "0 1 0", constant(0.0)),
@@ -139,12 +133,9 @@ def leg() -> str:
         axis("translation3", Z, constant(0.0)),
     )
     ankle = transform(
-        axis("rotation1", Z, linear(-1.0, 0.05), "ankle_angle"),
-        axis("rotation2", "0 1 0", constant(0.0)),
-        axis("rotation3", "1 0 0", constant(0.0)),
-        axis("translation1", "1 0 0", POLYNOMIAL, "ankle_angle"),
-        axis("translation2", "0 1 0", linear(0.01, -0.002), "ankle_angle"),
-        axis("translation3", Z, constant(0.0)),
+        axis("rotation1", Z, linear(-1.0, 0.05), "ankle_angle"), axis("rotation2", "0 1 0", constant(0.0)),
+        axis("rotation3", "1 0 0", constant(0.0)), axis("translation1", "1 0 0", POLYNOMIAL, "ankle_angle"),
+        axis("translation2", "0 1 0", linear(0.01, -0.002), "ankle_angle"), axis("translation3", Z, constant(0.0)),
     )  # fmt: skip
     pi = 3.141592653589793
     return document(

@@ -63,40 +63,30 @@ WRAP = '<PathWrap name="w"><wrap_object>{}</wrap_object><method>hybrid</method><
 MILLARD = "Millard2012EquilibriumMuscle"
 MUSCLES = [
     muscle(
-        MILLARD,
-        "hamstrings",
-        [point("a", "ground", (-0.06, 0.93, 0.07)), point("b", "shank", (-0.03, -0.05, 0.02))],
+        MILLARD, "hamstrings", [point("a", "ground", (-0.06, 0.93, 0.07)), point("b", "shank", (-0.03, -0.05, 0.02))],
     ),
     muscle(
-        "Thelen2003Muscle",
-        "gastroc",
+        "Thelen2003Muscle", "gastroc",
         [
-            point("a", "thigh", (-0.02, -0.39, -0.02)),
-            conditional("b", "thigh", (-0.03, -0.402, -0.03), (-0.8, 0.2)),
+            point("a", "thigh", (-0.02, -0.39, -0.02)), conditional("b", "thigh", (-0.03, -0.402, -0.03), (-0.8, 0.2)),
             point("c", "shank", (-0.04, -0.4, 0.0)),
         ],
         "<pennation_angle_at_optimal>0.3</pennation_angle_at_optimal>",
     ),
     muscle("DeGrooteFregly2016Muscle", "vasti", [point("a", "thigh", (0.03, -0.2, 0.03)), moving("b", "shank")]),
     muscle(
-        MILLARD,
-        "wrapped",
-        [point("a", "thigh", (0.03, -0.1, 0.0)), point("b", "shank", (0.03, -0.1, -0.06))],
+        MILLARD, "wrapped", [point("a", "thigh", (0.03, -0.1, 0.0)), point("b", "shank", (0.03, -0.1, -0.06))],
         wraps=WRAP.format("condyle"),
     ),
     muscle(
-        MILLARD,
-        "over_ball",
-        [point("a", "thigh", (0.03, -0.1, 0.0)), point("b", "shank", (0.03, -0.1, 0.0))],
+        MILLARD, "over_ball", [point("a", "thigh", (0.03, -0.1, 0.0)), point("b", "shank", (0.03, -0.1, 0.0))],
         wraps=WRAP.format("ball"),
     ),
     muscle(
-        MILLARD,
-        "idle",
-        [point("a", "thigh", (0, 0, 0)), point("b", "shank", (0, 0, 0))],
+        MILLARD, "idle", [point("a", "thigh", (0, 0, 0)), point("b", "shank", (0, 0, 0))],
         "<appliesForce>false</appliesForce>",
     ),
-]
+]  # fmt: skip
 READ = ("hamstrings", "gastroc", "vasti", "wrapped")
 
 
@@ -168,11 +158,8 @@ def test_parameters_are_read_and_what_is_not_read_is_named(tmp_path: Path) -> No
     assert tuple(m.muscles) == READ
     gastroc = m.muscles["gastroc"]
     assert (gastroc.max_force, gastroc.optimal_length, gastroc.tendon_length, gastroc.pennation) == (
-        1500,
-        0.12,
-        0.2,
-        0.3,
-    )
+        1500, 0.12, 0.2, 0.3,
+    )  # fmt: skip
     assert (gastroc.curves, m.muscles["vasti"].curves) == ("millard", "de-groote-fregly")
     told = "\n".join((*m.warnings, *m.left_out))
     assert "muscle 'over_ball' of the model of OpenSim is left out: it wraps around a WrapSphere" in told

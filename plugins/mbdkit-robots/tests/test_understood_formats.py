@@ -49,8 +49,7 @@ BOX = """<mujoco><default><geom type="box" size=".1 .2 .3"/></default>
     [
         (
             pendulum(
-                top='<default><equality active="false"/></default>',
-                inner=LOWER,
+                top='<default><equality active="false"/></default>', inner=LOWER,
                 end='<equality><weld body1="b" body2="c"/></equality>',
             ),
             [-0.11151796, -0.22374929],
@@ -66,13 +65,10 @@ BOX = """<mujoco><default><geom type="box" size=".1 .2 .3"/></default>
             ),
             [0.06306716, -0.24191431],
         ),
-        (
-            pendulum(end='<option gravity="0 0 -3"/>'),
-            [-0.15831676, -0.19348334],
-        ),
+        (pendulum(end='<option gravity="0 0 -3"/>'), [-0.15831676, -0.19348334]),
     ],
     ids=["inactive-equality", "inherited-sizes", "two-compilers", "two-defaults", "two-options"],
-)
+)  # fmt: skip
 def test_sections_and_defaults_are_merged_as_in_mujoco(tmp_path: Path, text: str, expected: list[float]) -> None:
     """The expected positions of the centre of mass after 0.25 s were printed by MuJoCo 4.0.0 (RK4, steps of 0.2 ms)."""
     run = mbdkit.run(spec(tmp_path / "model.xml", text))

@@ -31,10 +31,8 @@ DRIVEN = {
 }
 MODELS = {"pendulum": PENDULUM, "driven": DRIVEN}
 METHODS: list[dict[str, Any]] = [
-    {"name": "sundials-cvode"},
-    {"name": "sundials-cvode", "family": "Adams"},
-    {"name": "sundials-ida"},
-]
+    {"name": "sundials-cvode"}, {"name": "sundials-cvode", "family": "Adams"}, {"name": "sundials-ida"},
+]  # fmt: skip
 every_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: "-".join(method.values()))
 
 

@@ -138,10 +138,8 @@ def _parameters(
     for part in range(-(-len(labels) // 255)):
         point[f"LABELS{part + 1 if part else ''}"] = labels[255 * part : 255 * (part + 1)]
     analog: dict[str, Any] = {
-        "USED": [channels],
-        "RATE": float(how.analog_rate or rate * samples),
-        "GEN_SCALE": float(how.analog_scale),
-    }
+        "USED": [channels], "RATE": float(how.analog_rate or rate * samples), "GEN_SCALE": float(how.analog_scale),
+    }  # fmt: skip
     analog |= (
         {"LABELS": [f"ch{k}" for k in range(channels)], "SCALE": np.concatenate([one.scales for one in plates])}
         if channels
@@ -151,13 +149,11 @@ def _parameters(
     platform: dict[str, Any] = {"USED": [len(plates)]}
     if plates:
         platform |= {
-            "TYPE": [plate.kind for plate in plates],
-            "ZERO": [*plates[0].zero],
+            "TYPE": [plate.kind for plate in plates], "ZERO": [*plates[0].zero],
             "CORNERS": np.array([plate.corners for plate in plates]),
-            "ORIGIN": np.array([plate.origin for plate in plates]),
-            "CHANNEL": _numbers(plates),
+            "ORIGIN": np.array([plate.origin for plate in plates]), "CHANNEL": _numbers(plates),
             "CAL_MATRIX": np.array([np.eye(6) if one.matrix is None else one.matrix.T for one in plates]),
-        }
+        }  # fmt: skip
     body = b""
     for number, (name, found) in enumerate({"POINT": point, "ANALOG": analog, "FORCE_PLATFORM": platform}.items(), 1):
         body += struct.pack("bb", len(name), -number) + name.encode() + how.integers([3]) + b"\0"

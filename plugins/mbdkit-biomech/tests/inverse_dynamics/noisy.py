@@ -15,10 +15,8 @@ from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 OBSERVED = {
-    "knee": ("shank.angle",),
-    "watt-six-bar": ("A.angle",),
-    "double-wishbone": ("lower inner.angle", "guide.angle"),
-}
+    "knee": ("shank.angle",), "watt-six-bar": ("A.angle",), "double-wishbone": ("lower inner.angle", "guide.angle"),
+}  # fmt: skip
 """Observed quantities of each example."""
 
 CUTOFF = {"knee": 12.0, "watt-six-bar": 12.0, "double-wishbone": 15.0}

@@ -50,23 +50,6 @@ def test_residual_actuators_on_the_lightest_body_of_a_part_cause_a_warning(mass:
     assert all("act on 'trunk' (0.1 kg)" in text and "lighter than 'arm' (1 kg)" in text for text in found)
 
 
-def test_a_free_root_has_residual_actuators_and_moves_itself() -> None:
-    m = mbdkit.Mechanism()
-    m.body("trunk", mass=3.0, inertia=0.5)
-    m.body("arm", mass=1.0, inertia=0.1, position=(1.0, 0.0))
-    m.revolute("shoulder", "trunk", "arm", at=(0.5, 0.0))
-    data = {"time": T, "x": 0.3 * T, "y": T**2, "tilt": 0.2 * np.sin(T), "shoulder": T**3}
-    columns = {"trunk.x": "x", "trunk.y": "y", "trunk.angle": "tilt", "shoulder.angle": "shoulder"}
-    run = mbdkit.inverse(
-        {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data, "columns": columns, "smooth": "quintic"}}
-    )
-    assert list(run.actuators) == ["shoulder", "root.x", "root.y", "root.angle"]
-    # the residual force moves the common centre of mass
-    force = np.column_stack([run.actuators["root.x"].value, run.actuators["root.y"].value])
-    needed = 3.0 * run["trunk"].acceleration + run["arm"].acceleration + [0.0, 4 * 9.81]
-    assert np.max(np.abs(force - needed)) < 1e-11 * np.max(np.abs(needed))
-
-
 def test_more_actuators_than_freedoms_share_by_least_norm() -> None:
     twice = {"left": {"joint": "hip"}, "right": {"joint": "hip", "weight": 2.0}, "knee": {"joint": "knee"}}
     run, single = mbdkit.inverse(double_pendulum(actuators=twice)), mbdkit.inverse(double_pendulum())
@@ -182,14 +165,6 @@ def test_measures_take_values_and_powers_of_actuators_in_their_units() -> None:
 def test_wrong_quantities_of_actuators_are_refused(expression: str, told: str) -> None:
     with pytest.raises(SpecError, match=rf"^measures\.one.*{told}"):
         mbdkit.inverse(double_pendulum(measures={"one": expression}))
-
-
-def test_names_of_actuators_may_follow_from_headings_of_the_table() -> None:
-    spec = double_pendulum(measures={"torque": "rms(actuators.knee.value)"})
-    data = spec["motion"]["data"]
-    spec["motion"] = {"data": {"time": T, "hip.angle": data["hip"], "knee.angle": data["knee"]}, "smooth": "quintic"}
-    mean_square = np.trapezoid(mbdkit.inverse(double_pendulum()).actuators["knee"].value ** 2, T) / T[-1]
-    assert mbdkit.inverse(spec).measures["torque"] == pytest.approx(np.sqrt(mean_square), rel=1e-12)
 
 
 def test_residual_actuators_are_quoted_in_measures_and_runs_have_no_actuators() -> None:

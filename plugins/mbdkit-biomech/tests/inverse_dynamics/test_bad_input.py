@@ -16,11 +16,8 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
-from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.files import table_files
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
-AXES = ("x", "y", "angle")
 ROWS = ["time,hip,text", *(f"{0.01 * i:.2f},{0.1 * i:.3f},a" for i in range(20))]
 
 
@@ -130,15 +127,6 @@ def test_a_motion_that_leaves_a_body_unobserved_is_refused_by_its_name() -> None
         mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion})
 
 
-def test_gaps_are_bridged_when_asked(tmp_path: Path) -> None:
-    (tmp_path / "t.csv").write_text("\n".join(with_row(5, "0.03,,a")), encoding="utf-8")
-    run = mbdkit.inverse(pendulum(str(tmp_path / "t.csv"), gaps={"longest": 0.05}))
-    assert np.isnan(run.motion["hip.angle"].raw[3])
-    assert run.motion["hip.angle"].fitted[3] == pytest.approx(0.3, abs=1e-12)
-    at = f"{run.time[3]:.6g}"
-    assert f"gaps          filled by interpolation: hip.angle, 1 sample from t = {at} to {at} s" in run.summary()
-
-
 def test_nan_in_data_from_python_is_a_gap_that_the_rule_of_its_column_bridges() -> None:
     t = 0.01 * np.arange(20)
     place = int(np.argmax(t[2:] - t[:-2])) + 1  # where the gap of 0.02 s exceeds 0.02 s by rounding
@@ -150,33 +138,6 @@ def test_nan_in_data_from_python_is_a_gap_that_the_rule_of_its_column_bridges() 
     assert np.isnan(run.motion["hip.angle"].raw[place])
     assert run.motion["hip.angle"].fitted[place] == pytest.approx(10 * t[place], abs=1e-12)
     assert run.spec["motion"]["data"]["hip"][place] is None
-
-
-def test_storage_files_are_in_degrees_where_their_header_says_so(tmp_path: Path) -> None:
-    lines = ["walk", "version=1", "nRows=20", "inDegrees=yes", "endheader", "time\thip.angle\ttip.x"]
-    lines += [f"{0.01 * i}\t{10 * i}\t{np.cos(np.radians(10 * i))}" for i in range(20)]
-    (tmp_path / "walk.mot").write_text("\n".join(lines), encoding="utf-8")
-    spec = pendulum(str(tmp_path / "walk.mot"))
-    del spec["motion"]["columns"]
-    run = mbdkit.inverse(spec)
-    assert list(run.motion) == ["hip.angle", "tip.x"]
-    assert run.joints["hip"].angle[-1] == pytest.approx(np.radians(190), abs=1e-12)
-
-
-def test_markers_of_a_trc_file_are_in_the_unit_of_its_header(tmp_path: Path) -> None:
-    lines = [
-        "PathFileType\t4\t(X/Y/Z)\tm.trc",
-        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
-        "100\t100\t20\t1\tmm",
-        "Frame#\tTime\tTOE\t\t",
-        "\t\tX1\tY1\tZ1",
-        "",
-    ]
-    lines += [f"{i}\t{0.01 * i}\t{1000 * np.cos(0.1 * i)}\t{1000 * np.sin(0.1 * i)}\t0" for i in range(20)]
-    (tmp_path / "m.trc").write_text("\n".join(lines), encoding="utf-8")
-    spec = pendulum(str(tmp_path / "m.trc"), columns={"tip.x": "TOE.x", "tip.y": "TOE.y"})
-    run = mbdkit.inverse(spec, actuators={"hip": {"joint": "hip"}})
-    assert np.allclose(run.joints["hip"].angle, 0.1 * np.arange(20), rtol=0, atol=1e-12)
 
 
 def test_c3d_files_need_a_package_that_the_message_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,18 +201,6 @@ def test_validate_gives_the_warnings_that_need_no_computation(tmp_path: Path) ->
     assert told("validate", ["units", "outliers"]) == []
 
 
-@pytest.mark.parametrize("is_declared", [False, True], ids=["residuals", "declared"])
-def test_validate_names_the_body_with_residual_actuators_if_there_are_any(tmp_path: Path, is_declared: bool) -> None:
-    m = mbdkit.Mechanism()
-    m.body("rod", mass=1.0, inertia=0.1)
-    data = {"time": [0.1 * i for i in range(20)], **{f"rod.{name}": [0.1 * i for i in range(20)] for name in AXES}}
-    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data}}
-    spec["actuators"] = {name: {"body": "rod", "coordinate": name} for name in AXES} if is_declared else {}
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump(spec), encoding="utf-8")
-    done = CliRunner().invoke(app, ["validate", str(tmp_path / "s.yaml")])
-    assert ("residuals    on rod" in done.output) != is_declared
-
-
 def test_commands_compute_check_and_print(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(pendulum("t.csv")), encoding="utf-8")
@@ -283,33 +232,6 @@ def test_commands_compute_check_and_print(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit")
     assert done.exit_code == 2
     assert "out.h5: its data are in t.csv, which is not in the folder of the archive" in done.stderr
-
-
-def test_a_rerun_reads_no_file_outside_of_the_folder_of_the_archive(tmp_path: Path) -> None:
-    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
-    (tmp_path / "sub").mkdir()
-    for name in ("../t.csv", str(tmp_path / "t.csv")):
-        (tmp_path / "sub" / "s.yaml").write_text(yaml.safe_dump(pendulum(name)), encoding="utf-8")
-        mbdkit.inverse(tmp_path / "sub" / "s.yaml", archive=tmp_path / "sub" / "out.h5", overwrite=True)
-        done = CliRunner().invoke(app, ["rerun", str(tmp_path / "sub" / "out.h5")], prog_name="mbdkit")
-        assert done.exit_code == 2
-        assert "which is not in the folder of the archive" in done.stderr.replace("\n", " ")
-
-
-def test_a_marker_whose_name_in_the_table_differs_in_punctuation_is_named() -> None:
-    m = mbdkit.Mechanism()
-    m.body("rod", mass=1.0, inertia=0.1)
-    for name, at in (("R.HIP", -0.2), ("R.KNEE", 0.2), ("R.SHIN", 0.1)):
-        m.marker(name, "rod", point=(at, 0.0))
-    t = np.linspace(0.0, 1.0, 101)
-    places = {"R.HIP": -0.2, "R.KNEE": 0.2, "r_shin": 0.1, "L.SHIN": 0.1}
-    columns = {f"{name}.{axis}": 0 * t + at * (axis == "x") for name, at in places.items() for axis in "xy"}
-    motion = {"data": {"time": t} | columns, "smooth": "none"}
-    (warning,) = InverseProblem.of(
-        load_inverse_spec({"mbdkit": 1, "model": m.to_spec(), "motion": motion}, ())
-    ).warnings
-    assert "markers r_shin of the table are not used" in warning
-    assert warning.endswith("did you mean R.SHIN?")
 
 
 def test_markers_without_data_and_columns_that_are_not_used_are_told(tmp_path: Path) -> None:

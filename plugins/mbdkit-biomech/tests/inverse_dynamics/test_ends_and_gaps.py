@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.inverse_dynamics.chain_with_gaps import DEVIATION, FILTER, TIME, chain_with_gap, measured, start, swing
+from tests.inverse_dynamics.chain_with_gaps import DEVIATION, TIME, chain_with_gap, measured, start, swing
 from tests.inverse_dynamics.noisy_pendulum import pendulum
 
 import mbdkit
@@ -47,40 +47,9 @@ def test_a_motion_that_starts_suddenly_from_rest_has_honest_bars_and_a_doubtful_
     assert np.mean(covered) > 0.9
 
 
-def test_bars_near_the_ends_cover_the_truth_if_effects_of_coordinates_add_up_with_opposite_signs() -> None:
-    # a rod folded back onto another one, with nearly their largest accelerations at the ends, in opposite directions;
-    # expected: the torques from the exact derivatives
-    m = mbdkit.Mechanism()
-    for name, angle in (("upper", 0.0), ("lower", np.pi)):
-        m.body(name, mass=1.0, inertia=0.1, position=(0.5, 0.0), angle=angle)
-    m.revolute("hip", m.ground, "upper", at=(0, 0))
-    m.revolute("knee", "upper", "lower", at=(1, 0))
-    omega, phase, data = 2 * np.pi, 2 * np.pi * TIME + 0.3, {"time": TIME}
-    for name, middle, size in (("upper", 0.0, 0.3), ("lower", np.pi, -0.3)):
-        wave = size * np.cos(phase)
-        data |= {
-            name: middle + wave,
-            f"{name}.v": -omega * size * np.sin(phase),
-            f"{name}.a": -(omega**2) * wave,
-        }
-    torques = []
-    for smooth in ("none", FILTER):
-        known = {"deviation": 1e-5} if smooth is FILTER else {}
-        columns = {
-            f"{name}.angle": {"column": name, **(known or {"rate": f"{name}.v", "acceleration": f"{name}.a"})}
-            for name in ("upper", "lower")
-        }
-        motion = {"data": data, "columns": columns, "smooth": smooth, "errors": {"samples": 40}}
-        actuators = {"knee": {"joint": "knee"}, "hip": {"joint": "hip"}}
-        spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "actuators": actuators}
-        torques.append(mbdkit.inverse(spec).actuators["knee"])
-    is_covered = np.abs(torques[1].value - torques[0].value) <= torques[1].value_error
-    assert np.mean(is_covered[np.r_[0:10, 191:201]]) > 0.9
-
-
 def test_bars_in_short_gaps_cover_the_truth_with_the_noise_of_the_values_that_fill_them() -> None:
     covered = []
-    for seed in range(20, 23):
+    for seed in (20, 21):
         angle, torque, random = swing(seed)
         gap = slice(90, 97)  # 0.08 s between the samples beside it; half a period of the cutoff is 0.083 s
         one = measured(angle, random, gap, measures={}).actuators["hip"]
@@ -118,26 +87,10 @@ def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted(monkeypatc
     assert not any("the largest values of hip (" in one for one in run.verdict_reasons)
 
 
-@pytest.mark.parametrize(("swing_size", "verdict"), [(0.3, "doubtful"), (0.03, "unknown")])
-def test_values_in_a_long_gap_between_peaks_are_doubted_if_they_may_change_much(
-    swing_size: float, verdict: str
-) -> None:
-    # torque and force are largest at 0.21 and 1.79 s, where the acceleration is largest, and smallest at 1 s
-    angle = 1.57 + swing_size * np.cos(4 * (TIME - 1.0))
-    run = measured(angle, np.random.default_rng(5), slice(93, 108), 1e-5, {})
-    told = run.summary().splitlines()[0]
-    assert run.verdict == verdict
-    if verdict == "doubtful":
-        assert "gaps: errors are unknown because of the gap of hip.angle from 0.92 to 1.08 s, whose" in told
-        assert "values of hip (by up to " in told
-    else:
-        assert "unknown: errors estimated, except those from t = 0.78 to 1.2" in told
-
-
 def test_bars_at_the_ends_of_a_quintic_spline_cover_the_truth_for_nearly_exact_data() -> None:
     columns = {"hip.angle": {"column": "hip", "deviation": 1e-9}}
     near, covered = np.r_[0:5, 196:201], []
-    for seed in range(30, 38):
+    for seed in range(30, 34):
         angle, torque, random = swing(seed)
         run = measured(angle, random, deviation=1e-9, measures={}, smooth="quintic", columns=columns)
         one = run.actuators["hip"]
@@ -158,7 +111,9 @@ def test_without_smoothing_the_ends_have_no_effect_of_their_own(smooth: str) -> 
     assert not any(reason.startswith("ends") for reason in run.verdict_reasons)
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.01], ids=["markers in place", "markers off their bodies"])
+@pytest.mark.parametrize(
+    "offset", [pytest.param(0.0, id="in place"), pytest.param(0.01, id="off their bodies", marks=pytest.mark.slow)]
+)
 def test_gaps_of_a_marker_on_a_body_with_others_are_filled_by_its_pose(offset: float) -> None:
     rows = slice(70, 106)  # 0.31 s, several periods of the cutoff, which interpolation over time cannot bridge
     drawn, complete, run = chain_with_gap(3, rows, offset)

@@ -7,6 +7,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 import mbdkit
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
@@ -23,6 +25,7 @@ def hashes() -> dict[str, str]:
     return found
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_routines_of_blas() -> None:
     # expected: results of the processor's own routines; those of another one round differently
     program = f"import json, runpy; print(json.dumps(runpy.run_path({__file__!r})['hashes']()))"

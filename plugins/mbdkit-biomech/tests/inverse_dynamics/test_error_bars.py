@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from tests.inverse_dynamics.noisy_pendulum import T, pendulum
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.archive import archive_check
 from mbdkit.spec import load_spec
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import _norm_bound
@@ -141,20 +139,6 @@ def test_every_smoothing_has_bars(smooth: dict[str, Any]) -> None:
     assert "0.8 and 1.25 times the cutoff" in (run.accuracy.method if run.accuracy else "")
 
 
-def test_bars_are_in_summary_workload_and_archive(tmp_path: Path) -> None:
-    spec = pendulum(smooth={"name": "butterworth", "cutoff": 6.0})
-    run = mbdkit.inverse(spec, archive=tmp_path / "a.h5")
-    assert "(95 %)" in run.summary()
-    row = int(np.argmax(np.abs(run.actuators["hip"].value)))
-    error = run.actuators["hip"].value_error[row]
-    found = workload(run)["hip"]
-    assert found.load.peak_error == error
-    assert f"+- {error:.2g} N m" in workload(run).text()
-    assert f"+- {error:.2g} N m at" in run.summary()
-    run.check()
-    assert archive_check.check(tmp_path / "a.h5") == []
-
-
 @pytest.mark.parametrize("motion", [{"errors": "none", "smooth": {"name": "butterworth", "cutoff": 6.0}}, {}])
 def test_without_noise_that_is_known_bars_are_nan(motion: dict[str, Any]) -> None:
     run = mbdkit.inverse(pendulum(**motion))
@@ -248,7 +232,7 @@ def test_without_noise_the_bar_is_the_change_with_the_cutoff(monkeypatch: pytest
     assert band[-1, 1] - band[0, 1] == pytest.approx(2 * run.actuators["hip"].value_error[0])
 
 
-@pytest.mark.parametrize("random_coordinates", [False, True])
+@pytest.mark.parametrize("random_coordinates", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_bars_cover_the_truth_of_random_mechanisms_whatever_is_smoothed(random_coordinates: bool) -> None:
     # a reduced size of `python -m tests.benchmarks.inverse_coverage`, with 48 mechanisms and 20 noises
     numbers = (3, 6, 13, 22) if not random_coordinates else (13, 22)

@@ -1,8 +1,8 @@
-"""Measured loads that contradict the motion or the model make the verdict doubtful; plausible loads do not."""
+"""Measured loads that contradict the motion or the model, and parts of models, are doubted; plausible ones are not."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import re
 from typing import Any
 
 import numpy as np
@@ -11,28 +11,13 @@ from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, no
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.guide.pages import find_page
 from mbdkit.spec.loading import example_table
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data, doubts_before_computation
+from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints, mechanism_doubts
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
-
-
-def test_a_unit_of_a_load_that_contradicts_the_file_is_named(tmp_path: Path) -> None:
-    (tmp_path / "plate.csv").write_text("time,fy,px,mz\nms,N,mm,N*mm\n0,700,100,0\n2000,700,100,0\n")
-    columns = {"force": [0.0, "fy"], "point": ["px", 0.0], "torque": "mz", "time": "time"}
-    spec = {
-        "mbdkit": 1,
-        "model": {"name": "leg"},
-        "motion": {"data": {"time": T, **{name: ANGLES[name] for name in ANGLES}}, "smooth": SMOOTH},
-        "loads": {"plate": {"body": "foot", "file": str(tmp_path / "plate.csv"), **columns}},
-    }
-    assert doubts_before_computation(InverseProblem.of(load_inverse_spec(spec))).open == ()
-    spec["loads"]["plate"] |= {"point": [{"column": "px", "unit": "m"}, 0.0], "torque": {"column": "mz", "unit": "N m"}}
-    told = doubts_before_computation(InverseProblem.of(load_inverse_spec(spec))).open
-    places = ["loads.plate.torque.unit", "loads.plate.point[0].unit"]
-    wanted = [f"units: the unit {unit} at {place}" for unit, place in zip(("N m", "m"), places, strict=True)]
-    assert [text.split(" contradicts")[0] for text in told] == wanted
 
 
 def test_a_centre_of_pressure_in_the_frame_of_the_laboratory_is_doubted() -> None:
@@ -98,30 +83,6 @@ def test_a_load_near_its_body_but_on_another_one_is_doubted() -> None:
         doubts = doubts_about_data(compute(InverseProblem.of(spec)), None)
         assert {one.partition(":")[0] for one in doubts.open} == criteria
         assert all("does the load act on foot?" in one for one in doubts.open)
-
-
-@pytest.mark.parametrize(("body", "criteria"), [("foot", set()), ("shank", {"load-point"})])
-def test_a_load_below_the_markers_of_a_foot_does_not_act_on_a_shank_as_wide_as_a_rod_is_long(
-    body: str, criteria: set[str]
-) -> None:
-    # the sole is 15 mm below the markers of the foot, and within half the length of the shank beside the ankle
-    m = mbdkit.Mechanism()
-    m.body("shank", mass=3.5, inertia=0.055, position=(0.0, 0.31))
-    m.body("foot", mass=1.1, inertia=0.004, position=(0.06, 0.02))
-    m.revolute("knee", m.ground, "shank", at=(0.0, 0.5))
-    m.revolute("ankle", "shank", "foot", at=(0.0, 0.065))
-    for name, x, y in (("heel", -0.11, -0.01), ("toe", 0.14, -0.02)):
-        m.marker(name, "foot", point=(x, y))
-    time = T[:100]
-    up = 700 * np.sin(np.pi * time) ** 2
-    data = {"time": time, "knee.angle": 0.1 * np.sin(3 * time), "ankle.angle": -0.1 * np.sin(3 * time)}
-    load = {"time": time, "fx": 0.1 * up, "fy": up, "x": -0.02 + 0.19 * time + 0.04 * np.sin(3 * time)}
-    plate = {"body": body, "data": load, "force": ["fx", "fy"], "point": ["x", -0.015]}
-    motion = {"data": data, "smooth": "quintic"}
-    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "loads": {"plate": plate}}
-    doubts = doubts_about_data(compute(InverseProblem.of(load_inverse_spec(spec, ()))), None)
-    assert {one.partition(":")[0] for one in doubts.open} == criteria, doubts.open
-    assert all("does the load act on foot?" in one for one in doubts.open)
 
 
 def test_the_force_on_the_plate_is_not_that_on_the_body() -> None:
@@ -221,22 +182,6 @@ def test_a_glitch_under_a_leg_that_hangs_at_its_hip_is_doubted_but_the_impact_of
     doubts = of_leg(stance(fy=np.where((rows == 40) | (rows == 60), 0.0, data["fy"])))
     assert set(doubts) == {"outliers"}
     assert "at t = 0.4 s and 0.6 s. The largest one is in the force along y" in doubts["outliers"]
-
-
-@pytest.mark.parametrize("delay", [-0.06, 0.03, 0.06])
-def test_a_late_plate_is_found_because_its_points_leave_the_sole(delay: float) -> None:
-    # a sole 6 cm below the center of the foot, along which the point moves by 20 cm
-    load = stance()
-    data, pose = load["ground"]["data"], leg(motion={"errors": "none"})["foot"]
-    c, s, along = np.cos(pose.angle), np.sin(pose.angle), -0.1 + 0.2 * T
-    data["x"], data["y"] = pose.position[:, 0] + c * along + 0.06 * s, pose.position[:, 1] + s * along - 0.06 * c
-    assert set(of_leg(load)) == set()
-    for name in ("fx", "fy", "x", "y"):
-        data[name] = np.interp(T - delay, T, data[name])
-    doubts = of_leg(load)
-    assert set(doubts) == {"load-time"}
-    assert float(doubts["load-time"].split()[7]) == pytest.approx(abs(delay), abs=0.005)
-    assert f"s too {'late' if delay > 0 else 'early'}: " in doubts["load-time"]
 
 
 @pytest.mark.parametrize("least", [pytest.param(-1.0, id="always"), pytest.param(500.0, id="under-large-forces")])
@@ -339,3 +284,35 @@ def test_other_criteria_find_faults_of_loads_and_masses_if_residuals_are_accepte
     assert all(" times the largest load and " in one for one in doubts.accepted)
     delays = [float(one.split()[7]) for one in doubts.open if one.startswith("load-time")]
     assert delays == pytest.approx([0.1] * len(delays), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "mass", "told"),
+    [
+        # shank of 3.5 kg and 0.42 m: 0.302, 0.528 and 0.643 lengths about centre, knee and ankle (Winter, table 4.1)
+        pytest.param(3.5 * (0.302 * 0.42) ** 2, 3.5, False, id="about the centre of mass"),
+        pytest.param(3.5 * (0.528 * 0.42) ** 2, 3.5, True, id="about the knee"),
+        pytest.param(3.5 * (0.643 * 0.42) ** 2, 3.5, True, id="about the ankle"),
+        pytest.param(3.5 * 0.21**2, 3.5, False, id="masses at both ends"),
+        pytest.param(3.5 * 0.42**2, 3.5, False, id="larger than its points"),
+        pytest.param(0.05 * 0.25**2, 0.05, False, id="light body"),
+        pytest.param(None, 3.5, False, id="point mass"),
+    ],
+)
+def test_an_inertia_about_a_joint_is_told(inertia: float | None, mass: float, told: bool) -> None:
+    m = mbdkit.Mechanism()
+    m.body("thigh", mass=8.0, inertia=0.1)
+    m.body("shank", mass=mass, inertia=inertia)
+    m.revolute("knee", "thigh", "shank", points=((-0.24, 0), (0.18, 0)))
+    m.marker("ankle", "shank", point=(-0.24, 0.0))
+    found = [*inertias_about_joints(m)]
+    assert len(found) == told
+    assert all("of body 'shank' at model.bodies.shank" in text for text in found)
+
+
+def test_a_model_says_what_it_leaves_out_as_printed() -> None:
+    section = find_page("plugins").text.split("# A model in twenty lines\n", 1)[1].split("\n#", 1)[0]
+    m = mbdkit.Mechanism()
+    exec(re.findall(r"^```python\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL)[1], {"m": m})
+    assert [one.criterion for one in mechanism_doubts(m)] == ["left-out"]
+    assert len(m.warnings) == 1

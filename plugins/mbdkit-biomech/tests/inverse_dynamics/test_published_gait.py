@@ -84,13 +84,9 @@ def walking_spec(data: Any) -> dict[str, Any]:
         inertia = 0.0145 * (0.475 * length) ** 2
         m.body(name, mass=0.0145, inertia=inertia, position=(start[0], start[1]), angle=start[2])
     sliders = {
-        "thigh top": ("thigh", "hip"),
-        "thigh end": ("thigh", "knee"),
-        "shank top": ("shank", "knee"),
-        "shank end": ("shank", "ankle"),
-        "foot slide": ("foot", ""),
-        "foot top": ("foot slide", "ankle"),
-    }
+        "thigh top": ("thigh", "hip"), "thigh end": ("thigh", "knee"), "shank top": ("shank", "knee"),
+        "shank end": ("shank", "ankle"), "foot slide": ("foot", ""), "foot top": ("foot slide", "ankle"),
+    }  # fmt: skip
     actuators: dict[str, Any] = {"hip": {"body": "thigh", "coordinate": "angle"}}
     for name, (body, marker) in sliders.items():
         at = (data[f"{marker}_x"][0], data[f"{marker}_y"][0]) if marker else m.bodies["foot"].position
@@ -106,12 +102,10 @@ def walking_spec(data: Any) -> dict[str, Any]:
         if joint != "hip":
             actuators[joint] = {"joint": joint}
     return {
-        "mbdkit": 1,
-        "model": m.to_spec(),
-        "motion": {"data": measured, "columns": columns},
+        "mbdkit": 1, "model": m.to_spec(), "motion": {"data": measured, "columns": columns},
         "loads": {"ground": {"body": "foot", "force": ["F_x", "F_y"], "point": [0.0, 0.0], "torque": "M_z"}},
         "actuators": actuators,
-    }
+    }  # fmt: skip
 
 
 def test_walking_has_the_published_moments_and_forces() -> None:

@@ -14,20 +14,12 @@ from tests.witness.running import gauss, run
 
 SEATED: dict[str, Any] = {"name": "four-bar-knee", "thigh_angle": 0.0, "flexion": 0.4, "flexion_rate": 0.5}
 SUPPORTED: dict[str, Any] = SEATED | {
-    "height": 1.65,
-    "body_mass": 60.0,
-    "rod_mass": 0.08,
-    "damping": 0.4,
+    "height": 1.65, "body_mass": 60.0, "rod_mass": 0.08, "damping": 0.4,
     "springs": {
-        "front": {
-            "points": [[0.05, 0.2], [0.04, -0.15]],
-            "stiffness": 300.0,
-            "damping": 8.0,
-            "free_length": 0.3,
-        },
+        "front": {"points": [[0.05, 0.2], [0.04, -0.15]], "stiffness": 300.0, "damping": 8.0, "free_length": 0.3},
         "back": {"points": [[-0.06, 0.15], [-0.05, -0.1]], "stiffness": 150.0, "free_length": 0.2},
     },
-}
+}  # fmt: skip
 END = 1.5
 models = pytest.mark.parametrize("model", [SEATED, SUPPORTED], ids=["bare", "supported"])
 
@@ -66,14 +58,9 @@ def linkage(data: dict[str, Any], damping: float) -> tuple[FourBar, float, float
     phi = bodies["acl"]["angle"] + crank.tilt
     for branch in (1, -1):
         four_bar = FourBar(
-            ground=(points["C", "ground"], points["D", "ground"]),
-            crank=crank,
-            coupler=link("shank", "B", "A"),
-            follower=link("pcl", "D", "A"),
-            branch=branch,
-            springs=springs,
-            damping=damping,
-        )
+            ground=(points["C", "ground"], points["D", "ground"]), crank=crank, coupler=link("shank", "B", "A"),
+            follower=link("pcl", "D", "A"), branch=branch, springs=springs, damping=damping,
+        )  # fmt: skip
         turn = four_bar.state(phi, 0.0).angle[1] - bodies["shank"]["angle"]
         if abs(math.remainder(turn, 2 * math.pi)) < 1e-6:
             return four_bar, phi, bodies["acl"]["angular_velocity"]
@@ -90,10 +77,8 @@ def test_the_knee_has_the_link_lengths_of_its_source_scaled_with_height(model: d
 
 
 METHODS: dict[str, tuple[dict[str, Any], float]] = {
-    "rk4": ({"name": "rk4"}, 0.0005),
-    "gauss3": (gauss(3), 0.005),
-    "gauss4": (gauss(4), 0.01),
-}
+    "rk4": ({"name": "rk4"}, 0.0005), "gauss3": (gauss(3), 0.005), "gauss4": (gauss(4), 0.01),
+}  # fmt: skip
 
 
 @models

@@ -185,14 +185,6 @@ def test_the_four_bar_leg_moves_like_the_seated_knee_when_its_thigh_is_held() ->
         assert force == pytest.approx(np.linalg.norm(seated.joints[name].reaction_force, axis=1), rel=1e-8)
 
 
-def test_a_free_leg_falls_with_its_trunk() -> None:
-    model = {"name": "leg", "root": "trunk", "hip_position": [0.0, 1.0]}
-    run = mbdkit.run({"model": model, **RK4, "time": {"end": 0.2, "step": 0.01}})
-    for body in ("trunk", "thigh", "shank", "foot"):
-        assert run[body].acceleration[:, 1] == pytest.approx(-9.81)
-    assert np.linalg.norm(run.joints["hip"].reaction_force, axis=1) == pytest.approx(0.0, abs=1e-11)
-
-
 @pytest.mark.parametrize(
     ("model", "message"),
     [

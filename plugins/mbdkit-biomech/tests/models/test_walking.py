@@ -1,7 +1,8 @@
-"""The example `walking`: its table is a fit to Winter's, and its moments are those that Winter published."""
+"""The examples `walking` and `walking-two-legs`: their tables fit Winter's, and their moments are published ones."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,16 @@ import pytest
 from tests.inverse_dynamics.running import reference, table_of
 
 import mbdkit
+from mbdkit import Run
 from mbdkit.spec.loading import example_table, read_source
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from tests.benchmarks.walking_both_legs import LEFT, residuals
 from tests.benchmarks.walking_data import (
+    ANGLES,
     CONTACT,
     FLAT,
+    GRAVITY,
+    GRID,
     HARMONICS,
     MISPRINTS,
     PERSON,
@@ -90,52 +97,131 @@ def test_the_moments_are_those_of_winter() -> None:
         assert np.corrcoef(found[right], published[right])[0, 1] > correlation
 
 
-def test_a_forward_run_whose_drivers_follow_the_table_has_the_same_torques() -> None:
-    rows, names = table_of(TEXT), ("hip_x", "hip_y", "trunk_tilt", *HARMONICS)
-    motion = {**read_source("walking").data["motion"], "smooth": "quintic", "errors": "none"}
-    with mbdkit.inverse("walking", motion=motion) as inverse:
-        time, raw = inverse.time, {name: inverse.motion[name].raw for name in names}
-        ground, foot = inverse.loads["ground"], inverse["foot"].position
-        arm = ground.point - foot
-        moment = arm[:, 0] * ground.force[:, 1] - arm[:, 1] * ground.force[:, 0]
-        expected = {name: inverse.actuators[name].value for name in names}
-    assert len(time) == len(rows)
+OF_TWO_LEGS = example_table("walking-two-legs") or ""
+HALF = 50
+"""Rows of half a stride."""
 
-    def over_time(values: Any, **how: Any) -> dict[str, Any]:
-        return {"table": [time.tolist(), np.asarray(values).tolist()], **how}
 
-    def driver(bodies: list[str], coordinate: str, values: Any, point: Any = None) -> dict[str, Any]:
-        how = {} if point is None else {"points": [[0, 0], point]}
-        smooth = over_time(values, interpolation="quintic", ends="natural")
-        return {"type": "driver", "bodies": bodies, "coordinate": coordinate, "motion": smooth, **how}
+@pytest.fixture(scope="module")
+def walked() -> Iterator[Run]:
+    with mbdkit.inverse(load_inverse_spec("walking-two-legs", ["motion.errors=none"])) as run:
+        yield run
 
-    hip = [0.0, -PERSON.trunk.centre.imag]
-    model = {
-        "name": "leg",
-        "root": "trunk",
-        "hip_position": [float(raw[f"hip_{axis}"][0]) for axis in "xy"],
-        "trunk_angle": float(raw["trunk_tilt"][0]),
-        **{name: float(raw[name][0]) for name in HARMONICS},
-        "joints": {
-            "to_x": driver(["ground", "trunk"], "x", raw["hip_x"], hip),
-            "to_y": driver(["ground", "trunk"], "y", raw["hip_y"], hip),
-            "to_angle": driver(["ground", "trunk"], "angle", raw["trunk_tilt"]),
-            "at_hip": driver(["trunk", "thigh"], "angle", raw["hip_flexion"]),
-            "at_knee": driver(["thigh", "shank"], "angle", -raw["knee_flexion"]),
-            "at_ankle": driver(["shank", "foot"], "angle", raw["ankle_dorsiflexion"]),
-        },
-        "forces": {
-            "push": {
-                "type": "force",
-                "body": "foot",
-                "value": [over_time(x, interpolation="linear") for x in ground.force.T],
-            },
-            "roll": {"type": "torque", "body": "foot", "value": over_time(moment, interpolation="linear")},
-        },
-    }
-    span = {"end": float(time[-1]), "step": float(time[1])}
-    with mbdkit.run({"mbdkit": 1, "model": model, "integrator": {"name": "gauss", "stages": 3}, "time": span}) as run:
-        run.check()
-        found = {name: run.joints[f"at_{name.partition('_')[0]}"].reaction_torque for name in HARMONICS}
-    for name, sign in {"hip_flexion": 1.0, "knee_flexion": -1.0, "ankle_dorsiflexion": 1.0}.items():
-        np.testing.assert_allclose(sign * found[name][:-1], expected[name][:-1], rtol=0, atol=1e-4)
+
+def test_the_table_has_the_series_of_its_comments_and_the_left_leg_half_a_stride_later() -> None:
+    gait, rows = series_in(OF_TWO_LEGS), table_of(OF_TWO_LEGS)
+    np.testing.assert_allclose(rows["time"], STRIDE * (PHASES - PHASES[0]), atol=1e-6)
+    for name, own in gait.series.items():
+        unit = np.radians(1.0) if name in ANGLES else 1.0
+        atol = (0.006 if name.startswith("force") else 1e-7) + 1e-5 * np.sum(np.abs(own))
+        np.testing.assert_allclose(unit * rows[name], gait.at(name, PHASES), rtol=0, atol=atol)
+    for name in LEFT:
+        later = rows[name][HALF:] - (SPEED * STRIDE / 2 if name == "pressure_x" else 0.0)
+        np.testing.assert_allclose(rows[f"{name}_left"][:-HALF], later, rtol=0, atol=1e-5)
+
+
+def test_the_mean_ground_force_is_the_weight_and_moves_the_whole_body_by_newtons_law() -> None:
+    gait, rows = series_in(OF_TWO_LEGS), table_of(OF_TWO_LEGS)
+    assert 2 * np.mean(gait.force(GRID)) == pytest.approx(1j * PERSON_MASS * GRAVITY, abs=1e-2)
+    stride = slice(30, 130)
+    arm = np.asarray(rows["pressure_x"] - rows["hip_x"])[stride]
+    for own, largest in zip(residuals(gait, PHASES[stride], arm), (2.0, 10.0, 5.0), strict=True):
+        assert np.max(np.abs(own)) < largest  # N and N m; the series end with the harmonic 20 of the stride
+
+
+def test_residuals_are_small_and_each_leg_has_the_moments_that_it_has_by_itself() -> None:
+    data = read_source("walking-two-legs").data
+    motion = {**data["motion"], "smooth": "none", "errors": "none"}
+    columns = {name: one for name, one in motion["columns"].items() if not name.endswith("_left")}
+    model = {"name": "leg", "root": "trunk"}
+    one = {"motion": {**motion, "columns": columns}, "loads": {"ground": data["loads"]["ground"]}, "model": model}
+    two = {"motion": motion, "model": {**model, "legs": 2}}
+    given = {"recruitment": None, "measures": {}, "accept": ["residuals"]}
+    runs = [mbdkit.inverse(load_inverse_spec("walking-two-legs", **given, **own)) for own in (two, one)]
+    for name, largest in (("hip_x", 2.0), ("hip_y", 10.0), ("trunk_tilt", 5.0)):
+        assert np.max(np.abs(runs[0].actuators[name].value)) < largest
+    for name in ("hip_flexion", "knee_flexion", "ankle_dorsiflexion"):
+        values = [run.actuators[name].value for run in runs]
+        np.testing.assert_allclose(values[0], values[1], rtol=0, atol=1e-9)
+
+
+def test_knees_carry_what_instrumented_knees_measure_in_walking(walked: Run) -> None:
+    # I. Kutzner et al. (2010): 2.6 body weights at the peak on average, 1,920 N here; see test_walking_muscles
+    names = list(walked.joint_names)
+    without = np.max(np.linalg.norm(walked.array("muscles/reaction_force_without"), axis=2), axis=0)
+    for side in ("", "_left"):
+        assert 2000 < walked.measures[f"knee_force{side}"] < 3400
+        assert without[names.index(f"knee{side}")] < 900
+    assert np.max(walked.array("muscles/certificate")) < 1e-12
+
+
+@pytest.fixture(scope="module")
+def walked_with_muscles():
+    spec = load_inverse_spec("walking-muscles", ["motion.errors=none"])
+    with mbdkit.inverse(spec) as run:
+        yield run
+
+
+def test_the_knee_carries_what_instrumented_knees_measure_in_walking(walked_with_muscles):
+    # Instrumented knees carry 2.6 body weights at their peak on average (I. Kutzner et al., Journal of Biomechanics
+    # 43:2164-2173, 2010, level walking), 1,920 N here; models with muscles give 3 to 4.5 for adults without prostheses.
+    peak = walked_with_muscles.measures["knee_force"]
+    assert 2000 < peak < 3400
+    without = np.max(np.linalg.norm(walked_with_muscles.array("muscles/reaction_force_without")[:, 1], axis=1))
+    assert walked_with_muscles.joint_names[1] == "knee"
+    assert without < 900
+
+
+def test_muscles_alone_produce_the_moments_and_leave_the_residuals_of_the_free_trunk(walked_with_muscles):
+    assert np.max(walked_with_muscles.array("muscles/certificate")) < 1e-12
+    assert all(not name.startswith("reserve.") for name in walked_with_muscles.actuators)
+    for coordinate in ("hip_flexion", "knee_flexion", "ankle_dorsiflexion"):
+        moment = sum(
+            walked_with_muscles.moment_arms(name, coordinate) * one.force
+            for name, one in walked_with_muscles.muscles.items()
+        )
+        np.testing.assert_allclose(moment, walked_with_muscles.actuators[coordinate].value, rtol=0, atol=1e-9)
+    with mbdkit.inverse(load_inverse_spec("walking", ["motion.errors=none"])) as bare:
+        for name, actuator in bare.actuators.items():
+            np.testing.assert_allclose(walked_with_muscles.actuators[name].value, actuator.value, rtol=0, atol=1e-10)
+        without = walked_with_muscles.array("muscles/reaction_force_without")
+        np.testing.assert_allclose(without, bare.array("joints/reaction_force"), rtol=0, atol=1e-9)
+
+
+def test_moments_are_arms_times_forces_over_a_knee_that_is_a_closed_loop(walked_with_muscles):
+    settings = ["motion.errors=none", "model.name=leg-four-bar", "recruitment.reserves=1.0"]
+    spec = load_inverse_spec("walking-muscles", settings, measures={})
+    with mbdkit.inverse(spec) as run:
+        for coordinate in ("hip_flexion", "knee_flexion", "ankle_dorsiflexion"):
+            moment = sum(run.moment_arms(name, coordinate) * one.force for name, one in run.muscles.items())
+            whole = moment + run.actuators[f"reserve.{coordinate}"].value
+            np.testing.assert_allclose(whole, run.actuators[coordinate].value, rtol=0, atol=1e-9)
+        peaks = [np.max(np.linalg.norm(run.joints[name].reaction_force, axis=1)) for name in ("ankle", "hip")]
+    for name, peak in zip(("ankle", "hip"), peaks, strict=True):  # another knee changes these little
+        assert peak == pytest.approx(walked_with_muscles.measures[f"{name}_force"], rel=0.02)
+
+
+def test_calf_muscles_are_active_in_late_stance_and_the_quadriceps_after_heel_strike(walked_with_muscles):
+    # Winter (1991), figures 5.5 and 5.9: peaks of the electromyogram at 40 to 50 % and 5 to 15 % of the stride
+    phase = np.mod(np.asarray(walked_with_muscles.time) / STRIDE + PHASES[0], 1.0)
+    for name, low, high in (("soleus", 0.35, 0.60), ("gastrocnemius", 0.30, 0.60), ("vasti", 0.0, 0.2)):
+        peak = phase[int(np.argmax(walked_with_muscles.muscles[name].activation))]
+        assert low <= peak <= high, name
+
+
+@pytest.mark.parametrize(
+    ("muscle", "arms"),
+    [
+        ("vasti", [-44.9, -45.8, -44.7, -41.5, -37.3]),
+        ("rectus_femoris", [-48.4, -50.4, -49.6, -45.4, -39.8]),
+        ("hamstrings", [31.5, 34.0, 34.8, 33.9, 30.6]),
+        ("biceps_femoris_short_head", [26.4, 30.5, 32.1, 33.8, 33.1]),
+    ],
+)
+def test_moment_arms_at_the_knee_are_those_of_the_model_that_the_muscles_come_from(walked_with_muscles, muscle, arms):
+    # OpenSim 4.6: moment arms of Gait10dof18musc at 10, 20, 30, 45 and 60 degrees of knee flexion [mm], hip at 0. Here,
+    # the thigh is 8 % longer, and the hip bends.
+    flexion = np.degrees(walked_with_muscles.bodies["thigh"].angle - walked_with_muscles.bodies["shank"].angle)
+    own = 1e3 * walked_with_muscles.moment_arms(muscle, "knee_flexion")
+    for angle, arm in zip((10, 20, 30, 45, 60), arms, strict=True):
+        np.testing.assert_allclose(own[np.abs(flexion - angle) < 2], arm, rtol=0.13)

@@ -1,4 +1,4 @@
-"""Lengths, rates and moment arms of paths against closed forms, their derivatives, and OpenSim 4.6."""
+"""Lengths, rates and moment arms of paths against closed forms, derivatives, and OpenSim 4.6; paths in pictures."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,9 @@ from tests.muscles.models import directions, leg_mechanism, poses
 from mbdkit import Mechanism, RunError, SpecError
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.muscles.fibers import fibers_on_rigid_tendon
+from mbdkit_biomech.muscles.muscle_lines import muscle_lines
 from mbdkit_biomech.muscles.muscle_path import MusclePath
+from mbdkit_report import draw_mechanism
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["geometry"]
 ANGLES = np.array(leg.ANGLES)
@@ -142,11 +144,9 @@ def test_a_tendon_longer_than_the_path_is_named_with_its_time():
 
 ROD = {"bodies": {"rod": {"mass": 1.0, "inertia": 0.1}}}
 MUSCLE = {
-    "path": [{"body": "ground", "point": [0.0, 1.0]}, {"body": "rod", "point": [0.1, 0.0]}],
-    "max_force": 100.0,
-    "optimal_length": 0.1,
-    "tendon_length": 0.2,
-}
+    "path": [{"body": "ground", "point": [0.0, 1.0]}, {"body": "rod", "point": [0.1, 0.0]}], "max_force": 100.0,
+    "optimal_length": 0.1, "tendon_length": 0.2,
+}  # fmt: skip
 
 
 WITH_BEND = {"table": [[0, 1], [0, 1]], "of": "bend"}
@@ -234,3 +234,28 @@ def test_a_condition_on_an_unknown_quantity_is_refused():
 def test_symbolic_equations_refuse_muscles():
     with pytest.raises(SpecError, match="muscles have no symbolic form"):
         LEG.to_sympy()
+
+
+def test_a_muscle_is_drawn_through_its_points_and_beside_its_circles():
+    m = Mechanism()
+    rod = m.body("rod", mass=1.0, inertia=0.1, position=(1.0, 0.0), angle=0.5)
+    m.revolute("pin", m.ground, rod, at=(0.0, 0.0))
+    m.coordinate("turn", "pin.angle")
+    path = [
+        {"body": "ground", "point": (-1.0, 0.0)},
+        {"wrap": {"body": "ground", "center": (0.0, -0.2), "radius": 0.1, "side": "left"}},
+        {"body": rod, "point": (5.0, 5.0), "when": {"turn": [2.0, 3.0]}},
+        {"body": rod, "point": ("0.2*turn", 0.0, 0.3)},
+        {"body": rod, "point": (0.0, 0.0)},
+    ]
+    m.muscle("m", path, max_force=1.0, optimal_length=0.1, tendon_length=0.1)
+    (places,) = muscle_lines(m.muscles["m"], m)
+    assert [body for body, _ in places] == ["ground", "ground", "rod", "rod"]
+    x, y = places[1][1]
+    assert np.isclose(np.hypot(x, y + 0.2), 0.1)  # on the circle, above its center: a path to the right has left up
+    assert y > -0.2
+    np.testing.assert_allclose(places[2][1], (0.1, 0.0), atol=1e-15)
+    drawing = draw_mechanism(m)
+    (line,) = drawing.muscles
+    np.testing.assert_allclose(drawing.local[list(line)], [place for _, place in places], atol=1e-12)
+    assert not set(line[:1]) & {index for outline in drawing.outlines for index in outline}

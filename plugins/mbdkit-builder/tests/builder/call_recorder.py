@@ -48,19 +48,15 @@ RUNS: list[tuple[str, float, dict[str, Any]]] = [
     ("double-pendulum", 0.04, {"integrator": {"name": "gauss", "stages": 3}}),
     ("double-pendulum", 0.04, INDEX_3 | {"integrator": {"name": "lobatto-pair", "stages": 3}}),
     ("knee", 0.04, INDEX_3 | {"integrator": {"name": "radau-iia"}}),
-    ("knee", 0.04, {"integrator": {"name": "scipy-radau"}}),
-    ("bouncing-ball", 0.4, {}),
-    ("limit-stop", 0.1, {}),
+    ("knee", 0.04, {"integrator": {"name": "scipy-radau"}}), ("bouncing-ball", 0.4, {}), ("limit-stop", 0.1, {}),
     ("belt", 0.1, {}),
     *((name, 0.04, {}) for name in ("car-axis", "elbow-curl", "flying-spaghetti", "squat", "sway", "walker")),
-]
+]  # fmt: skip
 """Names of examples, durations in s and further sections of their specs."""
 INTEGRATORS_OF_ENSEMBLES: list[dict[str, Any]] = [
-    {"name": "rk4"},
-    {"name": "dopri5", "adaptive": True},
-    {"name": "gauss", "stages": 2},
+    {"name": "rk4"}, {"name": "dopri5", "adaptive": True}, {"name": "gauss", "stages": 2},
     {"name": "radau-iia", "adaptive": True},
-]
+]  # fmt: skip
 """Integrators of runs that are advanced together in lanes, and of gradients."""
 MOST_CALLS = 4
 """Largest number of recorded calls of one kernel in one example."""
@@ -316,12 +312,10 @@ def main() -> None:
         touching = load_spec(
             "bouncing-ball",
             [
-                "model.bodies.ball.position.1=0.1",
-                "integrator={name: rk4}",
-                "time={end: 0.01, step: 0.002}",
+                "model.bodies.ball.position.1=0.1", "integrator={name: rk4}", "time={end: 0.01, step: 0.002}",
                 "events={}",
             ],
-        )
+        )  # fmt: skip
         mbdkit.gradient(touching, "final(ball.y)", ["model.bodies.ball.mass"])
         recorder.counts.clear()
         mbdkit.inverse("walking")

@@ -1,12 +1,14 @@
-"""The builder of machine code: what it is built from, and that stored code is compared with what it builds."""
+"""The builder of machine code: what it is built from, wheels, and that stored code is what it builds."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,7 +17,9 @@ import pytest
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import PLATFORMS, Platform, chosen_level, this_platform
 from mbdkit_builder import __main__ as builder
-from mbdkit_builder import libraries, sources
+from mbdkit_builder import libraries, method_stubs, sources
+from mbdkit_builder.element_kernels import TARGET, generated
+from mbdkit_builder.generated_files import write
 from tests.engine.hashed_runs import SPECS, hashes, stored
 
 LEVEL = "x86-64-v3"
@@ -99,3 +103,65 @@ def test_functions_are_not_simplified_for_the_processor_of_this_machine() -> Non
     environment = os.environ | {"NUMBA_CPU_NAME": "znver3", "NUMBA_CPU_FEATURES": "+avx2"}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["none", "generic"], done.stderr
+
+
+@pytest.fixture(scope="module")
+def fresh() -> str:
+    return generated()
+
+
+def test_the_checked_in_kernels_are_those_that_the_definitions_generate(fresh: str) -> None:
+    assert TARGET.read_text(encoding="utf-8") == fresh, "run `python -m mbdkit_builder elements`"
+
+
+def test_the_checked_in_signatures_are_those_that_the_models_generate() -> None:
+    text = method_stubs.generated()
+    assert method_stubs.TARGET.read_text(encoding="utf-8") == text, "run `python -m mbdkit_builder methods`"
+    assert "angle: float | None = None" in text
+    assert "\n            Initial angular velocity [rad/s].\n" in text
+
+
+def test_check_tells_fresh_kernels_from_stale_ones(fresh: str, tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "element_kernels.py"
+    target.write_text(fresh.replace("gx", "gy", 1), encoding="utf-8")
+    assert write(target, fresh, check=True) == 1
+    assert "element_kernels.py is out of date" in capsys.readouterr().out
+    assert write(target, fresh, check=False) == 0
+    assert write(target, fresh, check=True) == 0
+
+
+ROOT = Path(__file__).parents[4]
+TAGS = {
+    "linux-x86_64": "manylinux2014_x86_64", "linux-aarch64": "manylinux2014_aarch64", "windows-x86_64": "win_amd64",
+    "macos-arm64": "macosx_11_0_arm64", "macos-x86_64": "macosx_11_0_x86_64",
+}  # fmt: skip
+
+
+def built(target: Platform, into: Path) -> Path:
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(into), str(ROOT)]
+    subprocess.run(command, env=os.environ | {"MBDKIT_WHEEL": str(target)}, check=True)
+    (found,) = into.glob("*.whl")
+    return found
+
+
+@pytest.mark.end_to_end
+@pytest.mark.parametrize("target", PLATFORMS, ids=str)
+def test_a_wheel_has_the_libraries_of_its_platform(target: Platform, tmp_path: Path) -> None:
+    if not machine_code.stored_folder(machine_code.CORE, target).is_dir():
+        pytest.skip(f"no machine code is stored for {target}")
+    wheel = built(target, tmp_path / "first")
+    assert wheel.name.endswith(f"-py3-none-{TAGS[str(target)]}.whl")
+    if target == next(iter(PLATFORMS)):
+        assert wheel.read_bytes() == built(target, tmp_path / "second").read_bytes()
+    with zipfile.ZipFile(wheel) as file:
+        stored = {name: file.read(name) for name in file.namelist() if "/stored/" in name}
+        about = file.read(next(name for name in file.namelist() if name.endswith(".dist-info/WHEEL"))).decode()
+    assert "Root-Is-Purelib: false" in about
+    expected: dict[str, str] = {}
+    for package in machine_code.kernel_packages():
+        folder = machine_code.stored_folder(package, target)
+        inside = f"{package}/{folder.relative_to(machine_code.folder_of(package)).as_posix()}"
+        digests = json.loads((folder / machine_code.MANIFEST).read_bytes())["sha256"]
+        expected |= {f"{inside}/{name}": digest for name, digest in digests.items()}
+        del stored[f"{inside}/{machine_code.MANIFEST}"]
+    assert {name: hashlib.sha256(content).hexdigest() for name, content in stored.items()} == expected

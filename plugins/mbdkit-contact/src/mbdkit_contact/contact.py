@@ -95,7 +95,7 @@ class PolylineFile(StrictModel):
     """Unit of both columns."""
 
 
-def _polyline(value: Any) -> Any:
+def _polyline(value: object) -> Any:
     if isinstance(value, Mapping):
         raise SpecError("files of points are read from spec files only; in Python, give the points [[x, y], ...]")
     return sequence(value)
@@ -230,7 +230,7 @@ class Compliance(StrictModel):
     """Slip [m/s] at which the regularised friction force reaches its static value."""
 
     @classmethod
-    def chosen_unit(cls, name: str, data: Mapping[str, Any]) -> str:
+    def chosen_unit(cls, name: str, data: Mapping[str, object]) -> str:
         """Return the unit of stiffness or dissipation in the chosen law; see `StrictModel.chosen_unit`."""
         law = data.get("law")
         return {

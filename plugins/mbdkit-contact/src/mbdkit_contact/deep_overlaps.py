@@ -114,7 +114,7 @@ class RigidOverlaps(DeepOverlaps):
             is_sound = (values["mode"] > 0.0) & (values["gap"] > -INTERPOLATED * self._size)
             self._note(states.time, np.where(is_sound, 0.0, values["gap"]))
 
-    def findings(self, _energies: EnergyRecord, integrals: Mapping[str, Any]) -> tuple[str, ...]:
+    def findings(self, _energies: EnergyRecord, integrals: Mapping[str, object]) -> tuple[str, ...]:
         """Return a sentence for each contact that overlaps beyond its tolerance."""
         sentences = []
         for pair, depth, time in zip(self._pairs, self._depth.tolist(), self._time.tolist(), strict=True):

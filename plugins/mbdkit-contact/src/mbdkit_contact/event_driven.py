@@ -233,8 +233,7 @@ class EventDrivenLibrary(ExternalMethod):
         self._before, step.before = state, state.memory
         happens = None if event is None else ContactEvent(self._after_event, there.t)
         step.now = replace(step.now, work=0.0, dissipated=0.0)
-        shown = _with_forces(step.events, begin, state, inside)
-        return Step(state, dense=shown, event=happens, time=there.t)
+        return Step(state, dense=_with_forces(step.events, begin, state, inside), event=happens, time=there.t)
 
     def _after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         step = _LibraryStep(None, ContactEvents.on(equations, self.treatment), t, state)

@@ -259,8 +259,7 @@ class EventStep:
     def _places(self, there: StepPoint) -> int:
         """Return the number of places of the samples in a step, more than `SAMPLES` if a body turns far."""
         fastest = max(float(np.max(np.abs(at.v[2::3]), initial=0.0)) for at in (self.now, there))
-        turn = fastest * (there.t - self.now.t)
-        return max(SAMPLES, int(min(turn / TURN, MOST_SAMPLES)))
+        return max(SAMPLES, int(min(fastest * (there.t - self.now.t) / TURN, MOST_SAMPLES)))
 
     def _inside(self, there: StepPoint, share: float) -> StepPoint:
         now, made = self.now, there.made
@@ -297,5 +296,4 @@ def gains(equations: ForcedEquations, begin: StepPoint, end: StepPoint, made: St
 
 def power_at(equations: ForcedEquations, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Powers:
     """Return the power of loads and drivers and the dissipated power at a state [W]."""
-    lam = equations.derivatives(t, q, v, z)[1]
-    return equations.powers(t, q, v, lam)
+    return equations.powers(t, q, v, equations.derivatives(t, q, v, z)[1])

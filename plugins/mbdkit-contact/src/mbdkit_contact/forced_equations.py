@@ -68,8 +68,7 @@ class ForcedEquations(EquationsOfMotion):
         return a, lam, rates if len(rates) == len(z) else self._contacts.own(rates)
 
     def _residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        push = self._push(t, q, v)
-        return super()._residual(t, q, v, a, lam) - push
+        return super()._residual(t, q, v, a, lam) - self._push(t, q, v)
 
     def _derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         self._own = z

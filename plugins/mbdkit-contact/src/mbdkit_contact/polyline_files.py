@@ -22,7 +22,7 @@ LARGEST_FILE = 16 * 2**20
 
 
 @element_files
-def read_polylines(contacts: Mapping[str, Any], folder: Path) -> None:
+def read_polylines(contacts: Mapping[str, object], folder: Path) -> None:
     """Replace polylines that name a file by the points in the file.
 
     Parameters
@@ -45,7 +45,7 @@ def read_polylines(contacts: Mapping[str, Any], folder: Path) -> None:
                 raise error if error.file else error.located(prefix=f"{key}.polyline") from None
 
 
-def _shapes(contacts: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _shapes(contacts: Mapping[str, object]) -> Iterator[tuple[str, dict[str, Any]]]:
     for name, contact in contacts.items():
         shapes = contact.get("shapes") if isinstance(contact, Mapping) else None
         key = f"model.contacts.{quoted(name)}.shapes"
@@ -56,7 +56,7 @@ def _shapes(contacts: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]
         yield from ((place, shape) for place, shape in places if isinstance(shape, dict))
 
 
-def _points(given: Mapping[str, Any], folder: Path) -> list[list[float]]:
+def _points(given: Mapping[str, object], folder: Path) -> list[list[float]]:
     try:
         table = PolylineFile.model_validate(given)
     except ValidationError as error:

@@ -166,8 +166,7 @@ def _way_out(corners: np.ndarray, place: np.ndarray, along: np.ndarray, tiny: fl
     (ax, ay), (bx, by) = seen[:-1].T, seen[1:].T
     with np.errstate(divide="ignore", invalid="ignore"):
         at = ax - ay * (bx - ax) / (by - ay)
-    met = at[(ay * by <= 0.0) & (ay != by) & (at > tiny)]
-    return float(np.min(met, initial=ENDLESS))
+    return float(np.min(at[(ay * by <= 0.0) & (ay != by) & (at > tiny)], initial=ENDLESS))
 
 
 def _thickness(seen: np.ndarray, counts: np.ndarray, low: float, high: float, tiny: float) -> float:
@@ -180,8 +179,7 @@ def _thickness(seen: np.ndarray, counts: np.ndarray, low: float, high: float, ti
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.where(ax == bx, 0.0, (by - ay) / (bx - ax))
     heights = np.concatenate([ay + slope * (low - ax), ay + slope * (high - ax), np.where(ax == bx, by, -ENDLESS)])
-    behind = np.tile(low <= high, 3) & (heights < -tiny)
-    return -float(np.max(heights[behind], initial=-ENDLESS))
+    return -float(np.max(heights[np.tile(low <= high, 3) & (heights < -tiny)], initial=-ENDLESS))
 
 
 def _with_far_ends(corners: np.ndarray) -> tuple[np.ndarray, float]:

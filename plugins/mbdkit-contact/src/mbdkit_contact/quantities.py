@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -60,11 +60,11 @@ def ground_reactions_in(states: States) -> dict[str, np.ndarray]:
     return ground_reactions(states.mechanism.extensions["contacts"], states.of(contacts_in))
 
 
-def _of_contacts(name: str, units: str, what: str, **more: Any) -> Recorded:
+def _of_contacts(name: str, units: str, what: str, **more: object) -> Recorded:
     return computed(name, ("time", "contact"), units, what, lambda s: s.of(contacts_in)[name], **_MORE, **more)
 
 
-def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
+def _of_ground(name: str, units: str, what: str, **more: object) -> Recorded:
     dims = ("time", "foot", "axis") if "components" in more else ("time", "foot")
     return computed(name, dims, units, what, lambda s: s.of(ground_reactions_in)[name], **_MORE, **more)
 

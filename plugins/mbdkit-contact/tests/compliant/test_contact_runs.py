@@ -16,8 +16,6 @@ import mbdkit
 import mbdkit_contact
 from mbdkit.archive.run import Run
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.spec import load_spec
-from mbdkit_report import draw_mechanism
 from mbdkit_report.pages.run_tables import run_tables
 
 G = 9.81
@@ -212,25 +210,3 @@ def test_methods_keep_their_order_in_a_smooth_contact(integrator: dict[str, Any]
     ends = [run(m, 0.1, integrator, 0.1 / n)["ball"].position[-1] for n in (100, 200, 1600)]
     errors = [np.linalg.norm(end - ends[-1]) for end in ends[:-1]]
     assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.2)
-
-
-def test_formulations_agree_about_a_rod_that_a_pin_holds_and_a_floor_stops() -> None:
-    m = Mechanism()
-    m.body("rod", mass=2.0, inertia=0.1, position=(0.4, 0.3), angle=0.0)
-    m.revolute("pin", "ground", "rod", at=(0.0, 0.3))
-    shapes = [{"line": {"normal": (0, 1)}}, {"polygon": [(-0.4, -0.02), (0.4, -0.02), (0.4, 0.02), (-0.4, 0.02)]}]
-    m.contact("floor", "ground", "rod", shapes=shapes, friction=0.2, compliance={"stiffness": 1e5, "dissipation": 0.5})
-    angles = []
-    for formulation in ("index-1", "index-2", "index-3", "ggl"):
-        done = run(m, 0.5, {"name": "radau-iia"}, 2e-4, formulation=formulation)
-        assert list(done.contacts) == ["floor.0", "floor.1", "floor.2", "floor.3"]
-        assert done.contacts["floor.1"].normal_force.max() > 100.0
-        angles.append(done["rod"].angle[-1])
-    np.testing.assert_allclose(angles, angles[0], rtol=0, atol=1e-8)
-
-
-def test_drawings_have_the_shapes_of_contacts() -> None:
-    drawing = draw_mechanism(load_spec("bouncing-ball").mechanism())
-    floor, outline = drawing.shapes
-    assert len(floor) == 2
-    assert np.hypot(*drawing.local[list(outline)].T) == pytest.approx(0.1)

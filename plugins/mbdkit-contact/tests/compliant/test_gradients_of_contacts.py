@@ -10,7 +10,6 @@ from tests.gradients.bouncing_ball import GAUSS, MEASURES, PAD, expected
 from tests.gradients.bouncing_ball import ball as ball_on_pad
 
 import mbdkit
-from tests.benchmarks.contact_cases import biped
 
 ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9, "atol": 1e-11}
 LINEAR = {"law": "linear", "stiffness": "k", "dissipation": "c"}
@@ -21,11 +20,9 @@ def ball(end: float, integrator: dict[str, Any] = GAUSS, **compliance: Any) -> d
     spec = ball_on_pad(end, 0.01, integrator)
     model = {key: value for key, value in spec["model"].items() if key != "forces"}
     floor = {
-        "bodies": ["ground", "ball"],
-        "shapes": [{"line": {"normal": [0, 1]}}, {"circle": {"radius": PAD}}],
-        "friction": 0.0,
-        "compliance": compliance,
-    }
+        "bodies": ["ground", "ball"], "shapes": [{"line": {"normal": [0, 1]}}, {"circle": {"radius": PAD}}],
+        "friction": 0.0, "compliance": compliance,
+    }  # fmt: skip
     times = {"end": end} if integrator.get("adaptive") else spec["time"]
     return {**spec, "model": {**model, "contacts": {"floor": floor}}, "time": times}
 
@@ -84,38 +81,15 @@ def test_gradients_of_a_box_that_slides_tips_and_sticks() -> None:
     box = {"mass": 1.0, "inertia": 0.005, "position": [0.0, 0.1], "velocity": ["v", 0.0], "angular_velocity": -2.0}
     corners = [["-half", -0.1], ["half", -0.1], ["half", 0.1], ["-half", 0.1]]
     floor = {
-        "bodies": ["ground", "box"],
-        "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"polygon": corners}],
-        "friction": "mu",
-        "compliance": {"stiffness": "k", "dissipation": 0.5},
-    }
+        "bodies": ["ground", "box"], "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"polygon": corners}],
+        "friction": "mu", "compliance": {"stiffness": "k", "dissipation": 0.5},
+    }  # fmt: skip
     spec = {
-        "mbdkit": 1,
-        "parameters": {"v": 0.8, "mu": 0.6, "k": 2e4, "half": 0.05},
-        "model": {"name": "mechanism", "bodies": {"box": box}, "contacts": {"floor": floor}},
-        "integrator": ADAPTIVE,
+        "mbdkit": 1, "parameters": {"v": 0.8, "mu": 0.6, "k": 2e4, "half": 0.05},
+        "model": {"name": "mechanism", "bodies": {"box": box}, "contacts": {"floor": floor}}, "integrator": ADAPTIVE,
         "time": {"end": 0.3},
-    }
+    }  # fmt: skip
     _compare(spec, ["final(bodies.box.x)", "final(bodies.box.angle)"])
-
-
-def test_gradients_of_a_biped_whose_foot_strikes_the_ground() -> None:
-    model = biped().model
-    contacts = {
-        name: contact | {"friction": "mu", "compliance": {"stiffness": "k", "dissipation": 1.0}}
-        for name, contact in model["contacts"].items()
-    }
-    forces = {
-        name: force | ({"stiffness": "ankle"} if "ankle" in name else {}) for name, force in model["forces"].items()
-    }
-    spec = {
-        "mbdkit": 1,
-        "parameters": {"mu": 0.8, "k": 2e6, "ankle": 150.0},
-        "model": model | {"contacts": contacts, "forces": forces},
-        "integrator": ADAPTIVE,
-        "time": {"end": 0.15},
-    }
-    _compare(spec, ["final(bodies.torso.x)", "final(bodies.torso.y)"])
 
 
 def _compare(spec: dict[str, Any], measures: list[str]) -> None:

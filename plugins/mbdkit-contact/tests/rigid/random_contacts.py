@@ -213,12 +213,10 @@ def computed(model: dict[str, Any], treatment: str, step: float, end: float = EN
     """Return the run of a model."""
     method = "moreau-jean" if treatment == "time-stepping" else "dop853"
     return mbdkit.run(
-        {"mbdkit": 1, "model": model},
-        integrator={"name": method},
-        time={"end": end, "step": step},
+        {"mbdkit": 1, "model": model}, integrator={"name": method}, time={"end": end, "step": step},
         contact={"treatment": treatment} | ({"impact_law": law} if treatment == "event-driven" else {}),
         output={"every": max(1, round(STEP / step))},
-    )
+    )  # fmt: skip
 
 
 def moved(model: dict[str, Any], by: float) -> dict[str, Any]:

@@ -14,11 +14,9 @@ from tests.rigid.scenes import FLOOR, G
 import mbdkit
 
 METHODS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
-    "dopri5": ({"name": "dopri5", "adaptive": True}, {}),
-    "rk4": ({"name": "rk4"}, {"step": 0.1}),
-    "gauss": ({"name": "gauss", "stages": 2, "adaptive": True}, {}),
-    "scipy-dop853": ({"name": "scipy-dop853"}, {}),
-}
+    "dopri5": ({"name": "dopri5", "adaptive": True}, {}), "rk4": ({"name": "rk4"}, {"step": 0.1}),
+    "gauss": ({"name": "gauss", "stages": 2, "adaptive": True}, {}), "scipy-dop853": ({"name": "scipy-dop853"}, {}),
+}  # fmt: skip
 
 
 def run(method: str, bodies: dict[str, Any], contacts: dict[str, Any], end: float, **more: Any) -> mbdkit.Run:

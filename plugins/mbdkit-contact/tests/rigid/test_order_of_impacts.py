@@ -79,14 +79,3 @@ def test_the_remark_is_given_only_where_the_order_changes_velocities(
     treatment: tuple[str, str], model: dict[str, Any], depends: bool
 ) -> None:
     assert len(remarks(run(treatment, model, 0.33 if "ball0" in model["bodies"] else 0.12))) == depends
-
-
-def test_the_remark_omits_contacts_that_the_order_does_not_affect() -> None:
-    # a ball lands at the same time as a narrow box
-    model = box(0.1, 0.3, 0.0)
-    ball = {"mass": 1.0, "inertia": 0.004, "position": [1.0, 0.15]}
-    model["bodies"]["ball"] = ball
-    model["contacts"]["other"] = {"bodies": ["ground", "ball"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}]}
-    (remark,) = remarks(run(TREATMENTS[0], model, 0.12))
-    assert "'floor.0' and 'floor.1'" in remark
-    assert "other" not in remark.split("coincide")[0]

@@ -110,11 +110,9 @@ def test_compliant_contacts_stay_compliant_with_a_method_for_rigid_contacts(name
         "bodies": {"ball": {"mass": 0.5, "inertia": 1e-3, "position": [0.0, 0.1 - weight / stiffness]}},
         "contacts": {
             "k": {
-                "bodies": ["ground", "ball"],
-                "shapes": shapes,
-                "compliance": {"law": "linear", "stiffness": stiffness},
-            }
+                "bodies": ["ground", "ball"], "shapes": shapes, "compliance": {"law": "linear", "stiffness": stiffness},
+            },
         },
-    }
+    }  # fmt: skip
     result = run(model, name)
     np.testing.assert_allclose(result.contacts["k"].gap, -weight / stiffness, rtol=1e-6)

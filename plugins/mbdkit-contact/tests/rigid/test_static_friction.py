@@ -6,10 +6,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.rigid.cones import coulomb
 from tests.rigid.scenes import FLOOR, G, outline, run
 
 import mbdkit
+from mbdkit_contact.kernels.pivoting import new_cones, solve_cones
+
+
+def coulomb(
+    response: np.ndarray, normal: np.ndarray, tangent: np.ndarray, friction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normal and tangential forces (k,) of k contacts; see `mbdkit_contact.kernels.pivoting.Cones`."""
+    cones = new_cones(len(normal))
+    cones.response[:], cones.free[:] = response, np.concatenate([normal, tangent])
+    cones.friction[:] = friction
+    assert solve_cones(cones, len(normal))
+    along, across = np.split(cones.forces, 2)
+    return along, across
+
 
 METHODS = ("moreau-jean", "nonsmooth-generalized-alpha")
 STEP = 1e-2

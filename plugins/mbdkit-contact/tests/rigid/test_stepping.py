@@ -1,4 +1,4 @@
-"""Time-stepping in machine code."""
+"""Time-stepping in machine code, and many steps at once."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.integrators.loop.steps_ahead import StepsAhead
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit_contact.kernels.stepping_bundle import Stepping
@@ -30,13 +31,10 @@ def pile(count: int, friction: float) -> dict[str, Any]:
         contacts[f"on{i}"] = {"bodies": [below, f"box{i}"], "shapes": [lower, BOX], "friction": friction}
     bodies[f"box{count - 1}"]["velocity"] = [1.0, 0.0]
     return {
-        "mbdkit": 1,
-        "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts},
-        "contact": {"treatment": "time-stepping"},
-        "integrator": {"name": "moreau-jean"},
-        "time": {"end": 0.1, "step": 1e-3},
-        "output": {"every": 1},
-    }
+        "mbdkit": 1, "model": {"name": "mechanism", "bodies": bodies, "contacts": contacts},
+        "contact": {"treatment": "time-stepping"}, "integrator": {"name": "moreau-jean"},
+        "time": {"end": 0.1, "step": 1e-3}, "output": {"every": 1},
+    }  # fmt: skip
 
 
 def types_of(bundle: Any) -> tuple[Any, ...]:
@@ -71,3 +69,21 @@ def test_impulses_of_many_contacts_are_exact() -> None:
     normal = run.array("contacts/normal_force")
     assert np.max(np.sum(normal > 0.0, axis=1)) > 30
     assert not any("laws of contact" in warning for warning in run.warnings)
+
+
+@pytest.mark.parametrize("method", ["moreau-jean", "nonsmooth-generalized-alpha"])
+def test_many_steps_at_once_yield_the_same_bits_as_one_by_one(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run() -> mbdkit.Run:
+        events = {"seated": {"when": "contacts.seat.gap - 1e-4", "direction": "falling"}}
+        return mbdkit.run(
+            "sit-down", contact={"treatment": "time-stepping"}, integrator={"name": method}, events=events,
+            time={"end": 2.0, "step": 2e-3}, output={"every": 5},
+        )  # fmt: skip
+
+    several = run()
+    monkeypatch.setattr(StepsAhead, "of", lambda *_: None)
+    single = run()
+    assert len(several.events) > 0
+    assert several.data_sha256 == single.data_sha256
+    assert several.measures == single.measures
+    assert several.impacts.time.tolist() == single.impacts.time.tolist()

@@ -12,11 +12,9 @@ import mbdkit
 
 MASS, FRICTION, LIFT, PULL, END = 2.0, 0.4, 30.0, 12.0, 0.9
 METHODS: dict[str, dict[str, Any]] = {
-    "dopri5": {"name": "dopri5"},
-    "rk4": {"name": "rk4"},
-    "gauss": {"name": "gauss", "stages": 2},
+    "dopri5": {"name": "dopri5"}, "rk4": {"name": "rk4"}, "gauss": {"name": "gauss", "stages": 2},
     "adaptive": {"name": "dopri5", "adaptive": True, "rtol": 1e-8},
-}
+}  # fmt: skip
 
 OUTPUTS: list[dict[str, Any]] = [{"every": 10**6}, {"every": 3}, {"interval": 0.05}]
 CASES = [(method, output) for method in METHODS for output in OUTPUTS if (method, *output) != ("rk4", "interval")]
@@ -28,9 +26,7 @@ def lifted(integrator: dict[str, Any], output: dict[str, Any]) -> mbdkit.Run:
     contact = {"bodies": ["ground", "box"], "shapes": [FLOOR, outline(0.3, 0.1)]}
     model = {
         "bodies": {"box": {"mass": MASS, "inertia": 0.1, "position": [0.0, 0.1]}},
-        "forces": {
-            "pull": {"type": "force", "body": "box", "point": [0, 0], "value": [f"{PULL}*t", f"{LIFT}*t"]},
-        },
+        "forces": {"pull": {"type": "force", "body": "box", "point": [0, 0], "value": [f"{PULL}*t", f"{LIFT}*t"]}},
         "contacts": {"floor": contact | {"friction": FRICTION}},
     }  # fmt: skip
     step = None if integrator.get("adaptive") else 0.013

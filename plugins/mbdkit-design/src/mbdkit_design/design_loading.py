@@ -17,7 +17,7 @@ from mbdkit_report import stated_units
 from mbdkit_studies import base_source, document_of
 
 
-def load_design_spec(source: object, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
+def load_design_spec(source: object, assignments: Iterable[str] = (), **sections: object) -> DesignSpec:
     """Load and validate a design spec and the specs of its scenarios, and return the design spec.
 
     Parameters
@@ -131,7 +131,7 @@ def _scenario_spec(
     return spec
 
 
-def spec_class(data: Mapping[str, Any]) -> type[RunSpec] | type[InverseSpec]:
+def spec_class(data: Mapping[str, object]) -> type[RunSpec] | type[InverseSpec]:
     """Return the class of the spec of a scenario, given as plain data; other kinds are refused as run specs."""
     kind = kind_of(data)
     if kind.model is None or kind.run_kind not in ("forward", "inverse"):
@@ -148,7 +148,7 @@ def _put_all(data: dict[str, Any], given: Given) -> None:
             raise SpecError(error.message, key=where) from None
 
 
-def _check_variable(name: str, data: Mapping[str, Any]) -> None:
+def _check_variable(name: str, data: Mapping[str, object]) -> None:
     """Raise SpecError if a variable is neither a parameter of the base nor a key below an element of the base."""
     path, place = variable_path(name), dict(data)  # type: Path, Any
     for depth, part in enumerate(path):

@@ -240,7 +240,7 @@ class EvolutionStrategy(Section):
 Optimizer = LocalOptimizer | GlobalOptimizer | EvolutionStrategy
 
 
-def _check_goals(given: Any) -> Any:
+def _check_goals(given: object) -> Any:
     if not isinstance(given, str | Mapping):
         raise SpecError(f"should be an expression, or a mapping of names and expressions, not {value_text(given)}")
     if isinstance(given, Mapping) and not given:

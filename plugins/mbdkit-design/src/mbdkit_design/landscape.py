@@ -123,5 +123,4 @@ def _sides(evaluator: Evaluator, best: np.ndarray) -> np.ndarray:
             & (np.abs(second[0]) > LEAST_CORNER * larger)
             & inside[:, None, None]
         )
-    shown = np.where(is_corner, np.stack([down, up]) * SHARE / DISTANCES[0], np.nan)
-    return np.moveaxis(shown, 1, -1)
+    return np.moveaxis(np.where(is_corner, np.stack([down, up]) * SHARE / DISTANCES[0], np.nan), 1, -1)

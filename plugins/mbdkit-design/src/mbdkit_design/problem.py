@@ -113,8 +113,7 @@ class Problem:
 
     def residual_slopes(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R, n) of the terms of a sum of squares."""
-        by_variable = np.moveaxis(self._derivatives(x), -1, 0)
-        return np.asarray(self._terms(by_variable).T / np.sqrt(self.scale))
+        return np.asarray(self._terms(np.moveaxis(self._derivatives(x), -1, 0)).T / np.sqrt(self.scale))
 
     def cost(self, x: np.ndarray) -> float:
         """Return the goal at a point (n,), relative to its value at the start; `FAILED` if a run fails."""
@@ -196,8 +195,7 @@ def _cap(evaluator: Evaluator, goal: int, most: float) -> Bound:
 
 def _size(bound: Bound, first: float) -> float:
     """Return the magnitude to which the margins of a limit are relative; `first` is the value at the start."""
-    sizes = [abs(x) for x in (bound.low, bound.high, first) if np.isfinite(x)]
-    return max(sizes, default=1.0) or 1.0
+    return max([abs(x) for x in (bound.low, bound.high, first) if np.isfinite(x)], default=1.0) or 1.0
 
 
 def _sides(bound: Bound) -> list[tuple[float, float]]:

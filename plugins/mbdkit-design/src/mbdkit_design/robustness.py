@@ -113,11 +113,11 @@ def _inertia_of(path: Path) -> Path:
     return (*path[:place], _INERTIA.get(str(path[place]), ""), *path[place + 1 :])
 
 
-def _scaled(model: Any, paths: Sequence[Path], factor: float) -> Settings:
+def _scaled(model: object, paths: Sequence[Path], factor: float) -> Settings:
     return [one for path in paths for one in _setting(model, path, factor * _at(model, path))]
 
 
-def _paths(holder: Any, path: Path) -> Iterator[Path]:
+def _paths(holder: object, path: Path) -> Iterator[Path]:
     """Yield the paths of the numbers in plain data."""
     if isinstance(holder, dict | list):
         for key, value in holder.items() if isinstance(holder, dict) else enumerate(holder):
@@ -132,7 +132,7 @@ def _at(model: Any, path: Path) -> Any:
     return model
 
 
-def _setting(model: Any, path: Path, value: float) -> Settings:
+def _setting(model: object, path: Path, value: float) -> Settings:
     """Return the setting of a number. A number in a list is set with the whole list, because the base may omit the
     list.
     """

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from mbdkit.plugin import counted
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
@@ -40,7 +39,7 @@ def design(
     assignments: Sequence[str] = (),
     overwrite: bool = False,
     optimum_only: bool = False,
-    **sections: Any,
+    **sections: object,
 ) -> Design:
     """Choose numbers of a spec so that measures of its runs become small.
 

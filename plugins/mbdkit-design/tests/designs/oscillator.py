@@ -22,13 +22,10 @@ def tuned(**sections: Any) -> dict[str, Any]:
     m.torsion_spring("spring", m.ground, "wheel", stiffness=1.0, free_angle=0.0)
     method = {"integrator": {"name": "dop853"}, "time": {"end": 1.0, "step": 0.1}}
     return {
-        "mbdkit_design": 1,
-        "base": {"mbdkit": 1, "model": m.to_spec(), **method},
-        "variables": {STIFFNESS: {"bounds": [1.0, 4.0], "start": 1.5}},
-        "minimize": "final(wheel.angle)**2",
-        "optimizer": {"name": "slsqp", "tolerance": 1e-20},
-        **sections,
-    }
+        "mbdkit_design": 1, "base": {"mbdkit": 1, "model": m.to_spec(), **method},
+        "variables": {STIFFNESS: {"bounds": [1.0, 4.0], "start": 1.5}}, "minimize": "final(wheel.angle)**2",
+        "optimizer": {"name": "slsqp", "tolerance": 1e-20}, **sections,
+    }  # fmt: skip
 
 
 def tuned_stiffness() -> float:
@@ -56,12 +53,9 @@ def moved(goals: Any, **sections: Any) -> dict[str, Any]:
     method = {"integrator": {"name": "rk4"}, "time": {"end": 0.02, "step": 0.01}}
     bounds = {"bounds": [-1.0, 2.0], "start": 0.7}
     return {
-        "mbdkit_design": 1,
-        "base": {"mbdkit": 1, "model": m.to_spec(), **method},
-        "variables": {f"model.bodies.point.position.{axis}": bounds for axis in (0, 1)},
-        "minimize": goals,
-        **sections,
-    }
+        "mbdkit_design": 1, "base": {"mbdkit": 1, "model": m.to_spec(), **method},
+        "variables": {f"model.bodies.point.position.{axis}": bounds for axis in (0, 1)}, "minimize": goals, **sections,
+    }  # fmt: skip
 
 
 def distance(x: float, y: float) -> str:

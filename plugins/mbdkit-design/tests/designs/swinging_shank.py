@@ -53,10 +53,7 @@ def mean(x: np.ndarray) -> float:
 def design_of(base: Any, **sections: Any) -> dict[str, Any]:
     """Return a design of the brace, by default for the least mean square of the motor's torque."""
     return {
-        "mbdkit_design": 1,
-        "base": base,
+        "mbdkit_design": 1, "base": base,
         "variables": {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0]}, f"{BRACE}.free_angle": {"bounds": [-2.0, 2.0]}},
-        "minimize": "mean(joints.motor.torque**2)",
-        "optimizer": {"name": "slsqp", "tolerance": 1e-14},
-        **sections,
-    }
+        "minimize": "mean(joints.motor.torque**2)", "optimizer": {"name": "slsqp", "tolerance": 1e-14}, **sections,
+    }  # fmt: skip

@@ -108,55 +108,6 @@ def test_a_search_that_is_cut_short_says_first_that_its_result_may_not_be_an_opt
         assert "max_iterations" not in replace(found, message=message).doubt
 
 
-class RaisedArm(LargestOf):
-    """The largest torque that holds an arm with a spring from 0.4 m above its pivot to 0.25 m along the arm.
-
-    The variables are the stiffness, 50 to 1000 N/m, and the free length, 0.1 to 0.4 m. The torque is linear in the
-    stiffness and in its product with the free length, but the cost is not convex in the variables.
-    """
-
-    low, span = np.array([50.0, 0.1]), np.array([950.0, 0.3])
-
-    def __init__(self) -> None:
-        angle = np.linspace(0.0, np.pi / 2, 2001)
-        self.weight = 4 * 9.81 * 0.3 * np.cos(angle)
-        self.stretch = 0.4 * 0.25 * np.cos(angle)  # moment of a spring of 1 N/m and free length 0
-        self.shape = self.stretch / np.sqrt(0.4**2 + 0.25**2 - 2 * 0.4 * 0.25 * np.sin(angle))
-
-    def _largest(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        k, length = self.low + self.span * x
-        torque = self.weight - k * (self.stretch - length * self.shape)
-        at = int(np.argmax(np.abs(torque)))
-        slope = np.array([length * self.shape[at] - self.stretch[at], k * self.shape[at]])
-        return float(abs(torque[at])), np.sign(torque[at]) * slope * self.span
-
-    def cost(self, x: np.ndarray) -> float:
-        return self._largest(x)[0]
-
-    def slope(self, x: np.ndarray) -> np.ndarray:
-        return self._largest(x)[1]
-
-    def least(self) -> tuple[float, float, float]:
-        """Return the stiffness, the free length and the least cost, by a linear program."""
-        columns = np.column_stack([self.stretch, -self.shape])  # of k and of k times the free length
-        ones = np.ones((len(columns), 1))
-        rows = np.block([[-columns, -ones], [columns, -ones]])
-        rows = np.vstack([rows, [[0.1, -1.0, 0.0], [-0.4, 1.0, 0.0]]])
-        limits = np.r_[-self.weight, self.weight, 0.0, 0.0]
-        k, product, cost = linprog([0, 0, 1], rows, limits, bounds=[(50, 1000), (None, None), (None, None)]).x
-        return k, product / k, cost
-
-
-@pytest.mark.parametrize("start", [(300, 0.2), (600, 0.2), (900, 0.4)])
-def test_it_finds_the_minimum_at_a_bound_of_a_cost_that_is_not_convex(start: tuple[float, float]) -> None:
-    arm = RaisedArm()
-    k, length, least = arm.least()
-    first = (np.array(start) - arm.low) / arm.span
-    found = searched(arm, (first[0], first[1]))
-    np.testing.assert_allclose(arm.low + arm.span * found.x, [k, length], rtol=1e-5)
-    assert arm.cost(found.x) == pytest.approx(least, rel=1e-6)
-
-
 class OfWrongSign(LargestOf):
     """A smooth cost whose derivatives have the wrong sign."""
 

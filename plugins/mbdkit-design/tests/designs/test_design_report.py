@@ -114,17 +114,6 @@ def test_a_comparison_is_a_claim_a_row_and_a_curve(tmp_path: Path) -> None:
     assert "integrator: {name: rk-gill}, time.step: 0.5" in page.verdict.table("compared").note
 
 
-def test_the_front_of_three_goals_has_a_chart_for_each_pair(tmp_path: Path) -> None:
-    goals = {"a": distance(0, 0), "b": distance(1, 0), "c": distance(0, 1)}
-    rough = {"name": "slsqp", "tolerance": 1e-4}
-    page = page_of(moved(goals, front=3, optimizer=rough), tmp_path / "out")
-    titles = [page.verdict.figure(f"front-{k}").title for k in (1, 2, 3)]
-    assert titles == ["b against a", "c against a", "c against b"]
-    assert page.verdict.figure("front-1").x.unit == "m^2"
-    for a, b, c, x, y in page.verdict.table("front-points").rows:
-        assert [a, b, c] == pytest.approx([x**2 + y**2, (x - 1) ** 2 + y**2, x**2 + (y - 1) ** 2], abs=1e-9)  # type: ignore[operator]
-
-
 def test_device_is_shown_in_motion_and_at_several_times(brace: ReportPage) -> None:
     assert [film["label"] for film in brace.films] == ["best", "start"]
     anchors = [section.anchor for section in brace.sections]

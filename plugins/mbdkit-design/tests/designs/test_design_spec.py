@@ -81,13 +81,11 @@ def test_a_wrong_design_is_refused_with_line_and_key(case: str, tmp_path: Path) 
 
 
 LIMITS = {
-    "number": ("max(rod1.angle)", "70", True),
-    "below a turn": ("max(rod1.angle)", "6", False),
-    "degrees": ("max(rod1.angle)", "70 deg", False),
-    "radians": ("max(rod1.angle)", "70 rad", False),
+    "number": ("max(rod1.angle)", "70", True), "below a turn": ("max(rod1.angle)", "6", False),
+    "degrees": ("max(rod1.angle)", "70 deg", False), "radians": ("max(rod1.angle)", "70 rad", False),
     "converted measure": ("max(rod1.angle)*180/pi", "70", False),
     "no angle": ("max(rod1.angular_velocity)", "70", False),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("measure", "most", "warns"), LIMITS.values(), ids=LIMITS)

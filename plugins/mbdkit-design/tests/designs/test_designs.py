@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.base.errors import RunError
 from mbdkit.cli import app
-from mbdkit_design.design_verdict import design_verdict
 
 
 @pytest.mark.parametrize(("optimizer", "starts"), [("slsqp", 2), ("trust-constr", 1)])
@@ -120,23 +118,6 @@ def test_a_gain_within_the_error_of_the_method_counts_as_none() -> None:
     assert "does not count as a gain" in found.summary()
 
 
-def test_a_design_begins_with_the_reason_for_doubts_and_runs_do_not_repeat_it(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    m = shank()
-    m.driver("motor", m.ground, "shank", coordinate="angle", motion="0.9")  # the limb is drawn at 0.2 rad
-    base = {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
-    found = mbdkit.design(design_of({"mbdkit": 1, "model": m.to_spec(), **base}, variables=ONE))
-    assert found.trust.verdict == "doubtful"
-    assert found.summary().startswith("Verdict on the runs: doubtful at the best point: assembly moves a point")
-    worse = replace(found.trust, start_verdict="bad", start_reason="the step is too long.")
-    assert worse.judgement == f"{found.trust.judgement[:-1]}; bad at the start: the step is too long."
-    assert replace(worse, verdict="good").judgement == "Verdict on the runs: bad at the start: the step is too long."
-    assert found.summary().count("assembly moves a point") == 1
-    assert design_verdict(found).sentence.startswith(found.trust.judgement)
-    assert "warning" not in capsys.readouterr().err
-
-
 def test_a_best_point_at_a_bound_is_told() -> None:
     given = pendulum(**{"model.angle": {"bounds": [-1.0, 0.5]}})
     assert "model.angle is at its upper bound." in mbdkit.design(given | {"minimize": "-final(rod1.y)"}).summary()
@@ -189,28 +170,3 @@ def test_limits_that_cannot_be_met_are_told_by_the_exit_status(tmp_path: Path) -
     assert "violates them least: height in plain is" in done.stdout
     assert " below its limit of 10" in done.stdout
     assert told in done.stdout
-
-
-def test_a_design_names_an_initial_velocity_that_assembly_changes(tmp_path: Path) -> None:
-    # expected: two equal bodies that are welded move with the mean of their given velocities
-    m = mbdkit.Mechanism(gravity=(0, 0))
-    one = m.body("one", mass=1.0, inertia=0.1, velocity=(1.0, 0.0))
-    other = m.body("other", mass=1.0, inertia=0.1)
-    m.weld("weld", one, other, at=(0, 0))
-    path = "model.bodies.one.velocity[0]"
-    base = {"mbdkit": 1, "model": m.to_spec(), "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.05}}
-    spec = {
-        "mbdkit_design": 1,
-        "base": base,
-        "variables": {path: {"bounds": [0.0, 4.0], "start": 1.0}},
-        "minimize": "(final(bodies.one.vx) - 1)**2",
-        "optimizer": {"name": "slsqp"},
-    }
-    found = mbdkit.design(spec, out=tmp_path / "design", optimum_only=True)
-    (warning,) = found.changed_starts
-    assert warning.startswith(f"The runs vary {path} from 0 to 4, but the start after assembly from 0 to 2")
-    assert warning in found.summary()
-    assert warning in mbdkit.load_design(tmp_path / "design").warnings
-    result = CliRunner().invoke(app, ["report", str(tmp_path / "design"), "-o", str(tmp_path / "design.html")])
-    assert result.exit_code == 0, result.output
-    assert "but the start after assembly from 0 to 2" in (tmp_path / "design.html").read_text()

@@ -30,13 +30,10 @@ def sledge(**sections: Any) -> dict[str, Any]:
     model["bodies"]["sledge"]["mass"] = f"{LIMIT} - x"
     method = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
     return {
-        "mbdkit_design": 1,
-        "base": {"mbdkit": 1, "parameters": {"x": 1.0}, "model": model, **method},
-        "variables": {"x": {"bounds": [0.0, 10.0], "start": 0.5}},
-        "minimize": "final(sledge.x)",
-        "optimizer": {"name": "slsqp", "max_iterations": 20},
-        **sections,
-    }
+        "mbdkit_design": 1, "base": {"mbdkit": 1, "parameters": {"x": 1.0}, "model": model, **method},
+        "variables": {"x": {"bounds": [0.0, 10.0], "start": 0.5}}, "minimize": "final(sledge.x)",
+        "optimizer": {"name": "slsqp", "max_iterations": 20}, **sections,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr"])

@@ -81,12 +81,6 @@ def test_a_front_without_a_point_that_satisfies_the_limits_says_so() -> None:
     assert "No point that satisfies all limits was found" in found.summary()
 
 
-def test_four_goals_are_refused() -> None:
-    goals = goals_of(CORNERS) | {"more": "final(point.x)"}
-    with pytest.raises(SpecError, match="has 4 goals; a Pareto front has two or three"):
-        mbdkit.design(moved(goals))
-
-
 def test_bounds_without_room_say_how_to_fix_a_variable() -> None:
     variables = moved("")["variables"] | {"model.bodies.point.position.1": {"bounds": [0.5, 0.5]}}
     with pytest.raises(SpecError, match="to fix it, set its key under `overrides`"):

@@ -74,7 +74,7 @@ class Explorer:
         document.data = copied(data)
         return inverse(cast("InverseSpec", spec_loader.of(kind_of(document.data).load)(document, ())))
 
-    def _shown(self, made: Run, data: Mapping[str, Any]) -> dict[str, Any]:
+    def _shown(self, made: Run, data: Mapping[str, object]) -> dict[str, Any]:
         every = headline_texts(made, "\u00b1", max(MOST, len(made.measures)))  # all measures
         return {
             "film": film_of(made, NUMBERS),

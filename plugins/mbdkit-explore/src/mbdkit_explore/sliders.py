@@ -86,7 +86,7 @@ def _path_of(spec: ModelSpec, name: str) -> Path:
     return ("parameters", name) if name in spec.parameters else parse_path(name)
 
 
-def _numbers(holder: Any, path: Path) -> Iterator[Path]:
+def _numbers(holder: object, path: Path) -> Iterator[Path]:
     """Yield the paths of the numbers in plain data, except those of positions and settings."""
     if isinstance(holder, dict):
         for key, value in holder.items():

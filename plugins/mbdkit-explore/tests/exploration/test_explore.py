@@ -34,11 +34,9 @@ httpx = pytest.importorskip("httpx")
 pytest.importorskip("uvicorn")
 
 HANGING = {
-    "mbdkit": 1,
-    "model": {"name": "single-pendulum", "mass": 2.0, "angle": -math.pi / 2},
-    "integrator": {"name": "rk4"},
-    "time": {"end": 0.1, "step": 0.01},
-}
+    "mbdkit": 1, "model": {"name": "single-pendulum", "mass": 2.0, "angle": -math.pi / 2},
+    "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01},
+}  # fmt: skip
 BROWSER = executable()
 MOVE = """value => new Promise(done => {
     const slider = document.querySelector("input[data-key='model.body_mass']"), began = performance.now();

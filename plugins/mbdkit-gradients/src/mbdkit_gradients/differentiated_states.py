@@ -62,7 +62,7 @@ class DifferentiatedStates(States):
 
     @staticmethod
     def of_duals(
-        mechanism: CompiledMechanism, states: DualStates, count: int, energy: np.ndarray | None, **more: Any
+        mechanism: CompiledMechanism, states: DualStates, count: int, energy: np.ndarray | None, **more: object
     ) -> DifferentiatedStates:
         """Return states, with the first `count` of their derivatives, from what a kernel has computed; see
         `of_observed`.

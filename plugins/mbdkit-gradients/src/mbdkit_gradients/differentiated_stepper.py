@@ -162,8 +162,7 @@ class DifferentiatedSteps:
         """
         run = self.run
         q, v, energy = (np.asarray(x[:count]) for x in (run.row_q, run.row_v, run.row_energy))
-        z = np.array(self._row_z[:count]).reshape(count, *np.asarray(run.z).shape)
-        return q, v, z, energy
+        return q, v, np.array(self._row_z[:count]).reshape(count, *np.asarray(run.z).shape), energy
 
     def nodes(self) -> tuple[np.ndarray, ...]:
         """Return times, weights, positions and velocities of the stored stages."""

@@ -159,7 +159,7 @@ def gradient(
     *,
     parameters: Names | None = None,
     check: bool = True,
-    **sections: Any,
+    **sections: object,
 ) -> Gradient:
     """Run a spec, and return the exact derivatives of measures of the run with respect to parameters of its model.
 
@@ -306,8 +306,7 @@ class GradientProblem(ABC, Generic[S]):
         """Return the problem of a source that `load` reads, and its parameters; see `mbdkit.gradient`."""
         source, wanted = read_names(source, names, parameters, sections)
         spec = load(source, (), **sections)
-        chosen = resolved(spec, wanted)
-        return cls(spec, definitions_of(spec, measures)), chosen
+        return cls(spec, definitions_of(spec, measures)), resolved(spec, wanted)
 
     @abstractmethod
     def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:

@@ -38,7 +38,7 @@ class Parameter:
     value: float
 
 
-def read_names(source: Any, names: Any, parameters: Any, sections: dict[str, Any]) -> tuple[Any, list[str]]:
+def read_names(source: object, names: object, parameters: object, sections: dict[str, Any]) -> tuple[Any, list[str]]:
     """Return the source of a spec, with the values of parameters if `names` is a mapping, and the names as a list.
 
     If there are no names, `parameters` are the names; else they are added to the `sections`, and values of `names`
@@ -66,7 +66,7 @@ def read_names(source: Any, names: Any, parameters: Any, sections: dict[str, Any
     return source, [str(name) for name in found]  # NumPy has its own type of text
 
 
-def _put_values(data: dict[str, Any], values: Mapping[str, Any]) -> None:
+def _put_values(data: dict[str, Any], values: Mapping[str, object]) -> None:
     """Change the values of named parameters in the section `parameters` of a spec.
 
     Raises

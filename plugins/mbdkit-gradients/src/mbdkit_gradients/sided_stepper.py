@@ -112,8 +112,7 @@ class SidedStepper(DifferentiatedStepper):
         self._observer = StateObserver(workspace)
         self._at_once = 0
         self.set_sides(np.ones(len(conditions)))
-        here = self._here()
-        self.set_sides(np.where(self._conditions(here)[0] >= 0.0, 1.0, -1.0))
+        self.set_sides(np.where(self._conditions(self._here())[0] >= 0.0, 1.0, -1.0))
         self.set_sides(self._ahead(self._here()))
         self._note()
 
@@ -172,8 +171,7 @@ class SidedStepper(DifferentiatedStepper):
         None if no condition changes.
         """
         states = [self.inside(theta) for theta in PLACES[:-1]] + [step.between(1.0)]
-        values = self._values([step.time(theta) for theta in PLACES], states)
-        wrong = values * self.sides < 0.0
+        wrong = self._values([step.time(theta) for theta in PLACES], states) * self.sides < 0.0
         found = [one for number in np.flatnonzero(wrong.any(axis=0)) if (one := self._root(step, wrong, int(number)))]
         return min(found) if found else None
 
@@ -239,8 +237,7 @@ class SidedStepper(DifferentiatedStepper):
 
     def _ahead(self, here: DifferentiatedStates) -> np.ndarray:
         value, _, rate = self._conditions(here)
-        later = value + AHEAD * float(self.timetable.step or 1.0) * rate
-        return np.where(later >= 0.0, 1.0, -1.0)
+        return np.where(value + AHEAD * float(self.timetable.step or 1.0) * rate >= 0.0, 1.0, -1.0)
 
     def _pass(self, number: int) -> None:
         """Pass a corner: change the sides, and the derivatives of velocities, first-order states and energies."""

@@ -16,21 +16,18 @@ GAUSS = {"name": "gauss", "stages": 3}
 def ball(end: float, step: float, integrator: dict[str, Any] = GAUSS, **law: float) -> dict[str, Any]:
     """Return a ball of 1 kg that falls on a pad."""
     return {
-        "mbdkit": 1,
-        "parameters": {"y": HEIGHT, "k": STIFFNESS, "c": DAMPING},
+        "mbdkit": 1, "parameters": {"y": HEIGHT, "k": STIFFNESS, "c": DAMPING},
         "model": {
-            "name": "mechanism",
-            "bodies": {"ball": {"mass": 1.0, "position": [0.0, "y"]}},
+            "name": "mechanism", "bodies": {"ball": {"mass": 1.0, "position": [0.0, "y"]}},
             "forces": {
                 "pad": {
                     "type": "law", "law": "one-sided", "acts": "compression", "stiffness": "k", "damping": "c",
                     "free_length": PAD, **law,
                     "pathway": {"type": "two-points", "bodies": ["ground", "ball"], "points": [[0, 0], [0, 0]]},
-                }
+                },
             },
         },
-        "integrator": integrator,
-        "time": {"end": end, "step": step},
+        "integrator": integrator, "time": {"end": end, "step": step},
     }  # fmt: skip
 
 

@@ -6,11 +6,9 @@ from math import pi, sqrt
 from typing import Any
 
 SLIDER_CRANK: dict[str, Any] = {
-    "mbdkit": 1,
-    "parameters": {"k": 1.0, "c": 1.0},
+    "mbdkit": 1, "parameters": {"k": 1.0, "c": 1.0},
     "model": {
-        "name": "mechanism",
-        "gravity": [0.0, 0.0],
+        "name": "mechanism", "gravity": [0.0, 0.0],
         "bodies": {
             "crank": {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": pi / 2},
             "rod": {"mass": 1.0, "inertia": 2.0, "position": [sqrt(3) / 2, 0.0], "angle": -pi / 6},
@@ -22,8 +20,8 @@ SLIDER_CRANK: dict[str, Any] = {
         },
         "forces": {
             "s": {
-                "type": "spring-damper", "bodies": ["crank", "rod"], "points": [[0.25, 0], [-0.5, 0]],
-                "stiffness": "k", "damping": "c", "free_length": 1.0,
+                "type": "spring-damper", "bodies": ["crank", "rod"], "points": [[0.25, 0], [-0.5, 0]], "stiffness": "k",
+                "damping": "c", "free_length": 1.0,
             },
             "f": {"type": "force", "body": "rod", "point": [1, 0], "value": [1.0, 0.0]},
         },

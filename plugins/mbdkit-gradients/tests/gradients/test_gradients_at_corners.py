@@ -87,29 +87,13 @@ def test_measures_of_the_continuous_motion_through_corners_and_their_gradients(g
     turn = 10.0 * (0.4567 - gap)
     x, v = np.sin(turn) / 10.0, np.cos(turn)
     expected = {
-        "min(b.ax)": (-10.0, -10.0),
-        "max(b.x)": (0.1, 0.1),
-        "integral(abs(b.ax))": (2.0, 2.0),
-        "at(b.x, 0.4567)": (x, x + v * gap),
-        "at(b.ax, 0.4567)": (-100.0 * x, -100.0 * (x + v * gap)),
-    }
+        "min(b.ax)": (-10.0, -10.0), "max(b.x)": (0.1, 0.1), "integral(abs(b.ax))": (2.0, 2.0),
+        "at(b.x, 0.4567)": (x, x + v * gap), "at(b.ax, 0.4567)": (-100.0 * x, -100.0 * (x + v * gap)),
+    }  # fmt: skip
     found = mbdkit.gradient(spec, list(expected), "model.bodies.b.velocity.0")
     np.testing.assert_allclose(found.value, [value for value, _ in expected.values()], rtol=1e-7)
     np.testing.assert_allclose(found.jacobian[:, 0], [slope for _, slope in expected.values()], rtol=1e-6)
     assert_passed(found)
-
-
-def test_the_blow_of_a_limit_stop_has_a_gradient_that_agrees_with_differences() -> None:
-    found = mbdkit.gradient(
-        "limit-stop",
-        ["final(bodies.shank.angle)", "final(bodies.shank.angular_velocity)"],
-        ["model.forces.stop.stiffness", "model.bodies.shank.mass"],
-        integrator=GAUSS,
-        time={"end": 0.5, "step": 0.005},  # the stop is reached after 0.43 s
-        output={"every": 1},
-    )
-    assert_passed(found)
-    assert np.max(found.check.error / np.abs(found.check.derivative)) < 1e-4
 
 
 def test_controlled_steps_across_corners_are_doubted() -> None:

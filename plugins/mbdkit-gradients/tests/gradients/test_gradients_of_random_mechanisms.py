@@ -71,12 +71,10 @@ def groups_of_gradient(spec: RunSpec, names: list[str]) -> tuple[Groups, Groups]
     assert rows.work.size
     force, torque = rows.reactions[-1, :, :2], rows.reactions[-1, :, 2]
     joined = [
-        rows.q[-1, :-3],
-        rows.v[-1, :-3],
-        rows.observed.acc[-1, :-3],
+        rows.q[-1, :-3], rows.v[-1, :-3], rows.observed.acc[-1, :-3],
         np.concatenate([force.reshape(2 * len(force), force.shape[-1]), torque]),
         np.stack([rows.observed.kinetic[-1], rows.observed.potential[-1], rows.work[-1], rows.dissipated[-1]]),
-    ]
+    ]  # fmt: skip
     return [x[:, 0] for x in joined], [x[:, 1:] for x in joined]
 
 
@@ -127,12 +125,9 @@ def compare_batch(batch: int, count: int, most: int = MOST) -> None:
     """Compare the gradients of a batch of random mechanisms."""
     indices = count_from(1000 * batch)
     chosen = settings(
-        max_examples=count,
-        database=None,
-        deadline=None,
-        phases=[Phase.generate],
+        max_examples=count, database=None, deadline=None, phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
-    )
+    )  # fmt: skip
     seed(batch)(chosen(given(mechanisms())(lambda drawn: compare(drawn, next(indices), most))))()
 
 

@@ -19,20 +19,18 @@ ANGLE, LENGTH, INERTIA, GRAVITY = 1.0, 1.3, 1e-3, 9.81
 def pendulum(action: str) -> dict[str, Any]:
     """Return a pendulum that is released at an angle, and an event at its lowest position."""
     return {
-        "mbdkit": 1,
-        "parameters": {"L": LENGTH},
+        "mbdkit": 1, "parameters": {"L": LENGTH},
         "model": {
             "name": "mechanism",
             "bodies": {
                 "bob": {
                     "mass": 1.0, "inertia": INERTIA, "angle": ANGLE,
                     "position": [f"L*{sin(ANGLE)!r}", f"-L*{cos(ANGLE)!r}"],
-                }
+                },
             },
             "joints": {"A": {"type": "revolute", "bodies": ["ground", "bob"], "points": [[0, 0], [0, "L"]]}},
         },
-        "integrator": {"name": "gauss", "stages": 4},
-        "time": {"end": 1.0, "step": 0.01},
+        "integrator": {"name": "gauss", "stages": 4}, "time": {"end": 1.0, "step": 0.01},
         "events": {"low": {"when": "bob.angle", "action": action}},
     }  # fmt: skip
 

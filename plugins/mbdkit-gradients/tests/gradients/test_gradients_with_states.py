@@ -21,18 +21,16 @@ VALUES = {"Kp": 40.0, "Kd": 3.0, "lag": 0.05, "start": 0.1}
 def leg() -> dict[str, Any]:
     """A leg under proportional and derivative control, with a filtered angle as a nonlinear state."""
     return {
-        "name": "mechanism",
-        "bodies": {"leg": {"mass": 3.0, "inertia": 0.05, "position": [0.0, -0.2]}},
+        "name": "mechanism", "bodies": {"leg": {"mass": 3.0, "inertia": 0.05, "position": [0.0, -0.2]}},
         "joints": {"hip": {"type": "revolute", "bodies": ["ground", "leg"], "points": [[0, 0], [0, 0.2]]}},
         "forces": {
             "motor": {
-                "type": "torque",
-                "body": "leg",
+                "type": "torque", "body": "leg",
                 "value": "-Kp*(leg.angle - 0.5*sin(2*t)) - Kd*leg.angular_velocity + 5*states.i",
-            }
+            },
         },
         "states": {"i": {"rate": "(leg.angle - states.i - states.i**3)/lag", "initial": "start"}},
-    }
+    }  # fmt: skip
 
 
 def rates(t: float, y: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -181,13 +179,8 @@ def test_a_gradient_through_a_stop_includes_the_jump_of_the_rate_of_a_state(inte
     model = leg()
     model["bodies"]["leg"] |= {"angular_velocity": 1.0, "velocity": [0.2, 0.0]}
     stop = {
-        "type": "law",
-        "law": "one-sided",
-        "acts": "tension",
-        "stiffness": 60.0,
-        "damping": 0.3,
-        "free_length": 0.02,
-    }
+        "type": "law", "law": "one-sided", "acts": "tension", "stiffness": 60.0, "damping": 0.3, "free_length": 0.02,
+    }  # fmt: skip
     pathway = {"type": "relative-angle", "bodies": ["ground", "leg"]}
     model["forces"]["stop"] = stop | {"pathway": pathway}
     model["states"]["i"]["rate"] = "(forces.stop.value/10 + leg.angle - states.i)/lag"
@@ -200,9 +193,7 @@ def test_a_gradient_through_a_stop_includes_the_jump_of_the_rate_of_a_state(inte
 
 @pytest.mark.parametrize(
     ("method", "measure", "sentence"),
-    [
-        ("rk4", "max(leg.angle)", "the gradient of an extremum.* does not include first-order states \\(i\\)"),
-    ],
+    [("rk4", "max(leg.angle)", "the gradient of an extremum.* does not include first-order states \\(i\\)")],
 )
 def test_what_has_no_derivative_says_so(method: str, measure: str, sentence: str) -> None:
     time = {"end": 0.1, "step": 0.01}

@@ -52,8 +52,7 @@ class _Pose:
         """
         turned = _rotation(self.angle)
         arm = turned @ local
-        across = self.spin * np.array([-arm[1], arm[0]])
-        return self.place + arm, self.velocity + across + turned @ velocity
+        return self.place + arm, self.velocity + self.spin * np.array([-arm[1], arm[0]]) + turned @ velocity
 
 
 def build_mechanism(

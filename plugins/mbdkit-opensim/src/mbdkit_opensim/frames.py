@@ -38,8 +38,7 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
     """Return the rotation about a unit vector by an angle [rad], (3, 3)."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    result: np.ndarray = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
-    return result
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross))
 
 
 @dataclass(frozen=True)

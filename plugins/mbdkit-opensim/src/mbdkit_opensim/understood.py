@@ -3,7 +3,7 @@
 OpenSim publishes no schema. `registry.json` lists its types of components with their properties and default values; it
 is printed by ``tests.benchmarks.registry_of_opensim`` from the registry of the Python package `opensim`, whose version
 it states.
-A property is reported unless it is in `READ` or `IGNORED`, or has its default value.
+``understood.yaml`` lists the names that are read, and those that cannot change motions and forces.
 """
 
 from __future__ import annotations
@@ -16,97 +16,17 @@ from importlib.resources import files
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
+import yaml
+
 from mbdkit_opensim.osim_document import flag_of, name_of
 
-_JOINT = "socket_parent_frame socket_child_frame coordinates frames"
-_OLD_JOINT = "parent_body location_in_parent orientation_in_parent location orientation reverse"
-_MUSCLE = (
-    "appliesForce path GeometryPath max_isometric_force optimal_fiber_length tendon_slack_length "
-    "pennation_angle_at_optimal max_contraction_velocity activation_time_constant deactivation_time_constant "
-    "default_activation ignore_tendon_compliance"
+_NAMES = yaml.safe_load((files("mbdkit_opensim") / "understood.yaml").read_text("utf-8"))
+READ, IGNORED = (
+    {kind: frozenset(words.split()) for kind, words in _NAMES[section].items()} for section in ("read", "ignored")
 )
-_FUNCTIONS = "Constant LinearFunction PolynomialFunction MultiplierFunction SimmSpline NaturalCubicSpline"
-_POINT = "socket_parent_frame location body"
-
-READ: Mapping[str, frozenset[str]] = {
-    kind: frozenset(properties.split())
-    for kind, properties in {
-        "Model": "ground Ground gravity length_units force_units BodySet JointSet ConstraintSet ForceSet ControllerSet "
-        "MarkerSet",
-        "Ground": "WrapObjectSet",
-        "Body": "mass mass_center inertia inertia_xx inertia_yy inertia_zz inertia_xy inertia_xz inertia_yz "
-        "WrapObjectSet",
-        "PinJoint": f"{_JOINT} {_OLD_JOINT}",
-        "SliderJoint": f"{_JOINT} {_OLD_JOINT}",
-        "WeldJoint": f"{_JOINT} {_OLD_JOINT}",
-        "PlanarJoint": f"{_JOINT} {_OLD_JOINT}",
-        "CustomJoint": f"{_JOINT} {_OLD_JOINT} SpatialTransform",
-        "Coordinate": "default_value default_speed_value locked prescribed prescribed_function",
-        "SpatialTransform": "TransformAxis",
-        "TransformAxis": f"coordinates axis function {_FUNCTIONS}",
-        "Constant": "value",
-        "LinearFunction": "coefficients",
-        "PolynomialFunction": "coefficients",
-        "MultiplierFunction": f"function scale {_FUNCTIONS}",
-        "SimmSpline": "x y",
-        "NaturalCubicSpline": "x y",
-        "PiecewiseLinearFunction": "x y",
-        "PhysicalOffsetFrame": "socket_parent translation orientation",
-        "Marker": _POINT,
-        "GeometryPath": "PathPointSet PathWrapSet",
-        "PathPoint": _POINT,
-        "ConditionalPathPoint": f"{_POINT} socket_coordinate coordinate range",
-        "MovingPathPoint": f"{_POINT} x_location y_location z_location socket_x_coordinate socket_y_coordinate "
-        "socket_z_coordinate x_coordinate y_coordinate z_coordinate",
-        "PathWrap": "wrap_object",
-        "WrapCylinder": "xyz_body_rotation translation quadrant radius active",
-        "Millard2012EquilibriumMuscle": f"{_MUSCLE} fiber_damping ActiveForceLengthCurve",
-        "ActiveForceLengthCurve": "",
-        "DeGrooteFregly2016Muscle": f"{_MUSCLE} fiber_damping",
-        "Thelen2003Muscle": _MUSCLE,
-    }.items()
-}
-"""Properties that are read, by the type of the component."""
-
 SETS = ("ForceSet", "ControllerSet", "ConstraintSet")
 """Sets of a model whose objects `unread_in` does not look at."""
-
-IGNORED: Mapping[str, frozenset[str]] = {
-    kind: frozenset(properties.split())
-    for kind, properties in {
-        "": "Appearance attached_geometry frame_geometry FrameGeometry VisibleObject groups display display_preference",
-        "Model": "credits publications defaults assembly_accuracy ModelVisualPreferences ContactGeometrySet ProbeSet",
-        "Coordinate": "range clamped is_free_to_satisfy_constraints motion_type",
-        "Marker": "fixed",
-        "WrapCylinder": "length",
-        "PathWrap": "method",
-        "ActiveForceLengthCurve": "minimum_value",  # zero in muscles with a rigid tendon, whatever the file says
-        "Millard2012EquilibriumMuscle": "default_fiber_length optimal_force",
-        "DeGrooteFregly2016Muscle": "default_normalized_tendon_force optimal_force tendon_compliance_dynamics_mode",
-        "Thelen2003Muscle": "default_fiber_length optimal_force",
-    }.items()
-}
-"""Properties that cannot change motions and forces, by type; those of the empty name, in all types."""
-
-_IDLE = (
-    "BodyActuator CoordinateActuator PathActuator PointActuator PointToPointActuator TorqueActuator ClutchedPathSpring "
-    "McKibbenActuator"
-)
-IDLE = frozenset(_IDLE.split())
-"""Actuators that exert no force while their control is zero."""
-
-_GEOMETRY = (
-    "Arrow Brick Cone Cylinder Ellipsoid FrameGeometry LineGeometry Mesh Sphere Torus ContactCylinder ContactEllipsoid "
-    "ContactHalfSpace ContactMesh ContactSphere ContactTorus WrapCylinder WrapEllipsoid WrapSphere WrapTorus"
-)
-_PROBES = (
-    "ActuatorForceProbe ActuatorPowerProbe Bhargava2004MuscleMetabolicsProbe Bhargava2004SmoothedMuscleMetabolics "
-    "JointInternalPowerProbe SystemEnergyProbe Umberger2010MuscleMetabolicsProbe ConsoleReporter__Vec3_ "
-    "ConsoleReporter__double_ StatesTrajectoryReporter TableReporter__Vec3_ TableReporter__Vector_ "
-    "TableReporter__double_ TableSource__Vec3_ TableSource__double_"
-)
-INERT = frozenset(f"PhysicalOffsetFrame Station StationDefinedFrame Marker IMU {_GEOMETRY} {_PROBES}".split())
-"""Types of components that exert no force and constrain nothing."""
+IDLE, INERT = (frozenset(_NAMES[section].split()) for section in ("idle", "inert"))
 
 
 class Unread(NamedTuple):

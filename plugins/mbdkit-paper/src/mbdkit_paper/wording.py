@@ -5,10 +5,59 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
-from mbdkit_report import Answer, Claim
+import yaml
+
+from mbdkit_report import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Table, columns_of
 
 UNDECIDED = "Not decided: the required runs are missing or failed."
+
+
+class Words:
+    """Texts of the claims, tables, figures and notes of a study, from ``words.yaml`` beside its verdict.
+
+    They have places for values, as those of `str.format`. A text of a claim may be a mapping by answer, whose text for
+    all other answers has the key ``else``.
+    """
+
+    def __init__(self, module_file: str):
+        self._texts: dict[str, Any] = yaml.safe_load(Path(module_file).with_name("words.yaml").read_text("utf-8"))
+
+    def claim(self, key: str, answer: Answer, name: str = "", /, **values: object) -> Claim:
+        """Return a claim with the texts of this key, and with another name if one is given."""
+        texts = self._texts["claims"][key]
+        chosen = (texts.get(part, "") for part in ("statement", "published", "computed", "sentence"))
+        templates = [text if isinstance(text, str) else text.get(str(answer), text["else"]) for text in chosen]
+        statement, published, computed, sentence = (template.format(**values) for template in templates)
+        return Claim(name or key, statement, published, computed, answer, sentence)
+
+    def table(self, key: str, rows: Iterable[tuple[Cell, ...]], columns: Sequence[Column] = ()) -> Table:
+        """Return a table with the texts of this key, and with these columns if the texts have none."""
+        texts = self._texts["tables"][key]
+        given = columns_of(texts["columns"]) if "columns" in texts else tuple(columns)
+        return Table(key, texts["title"], given, tuple(rows), texts.get("note", ""), texts.get("headline", False))
+
+    def figure(
+        self,
+        key: str,
+        lines: Iterable[Line],
+        name: str = "",
+        *,
+        bands: Iterable[Band] = (),
+        equal: bool = False,
+        **values: object,
+    ) -> Figure:
+        """Return a figure with the texts of this key, and with another name if one is given."""
+        texts = self._texts["figures"][key]
+        title, caption = (texts[part].format(**values) for part in ("title", "caption"))
+        x, y = (Axis(**texts[axis]) for axis in "xy")
+        return Figure(name or key, title, caption, x, y, tuple(lines), tuple(bands), equal=equal)
+
+    def notes(self, **values: object) -> tuple[str, ...]:
+        """Return the notes of the verdict."""
+        return tuple(note.format(**values) for note in self._texts["notes"])
 
 
 def reported(claims: Sequence[Claim]) -> tuple[Claim, ...]:

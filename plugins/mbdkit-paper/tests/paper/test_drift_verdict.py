@@ -1,4 +1,4 @@
-"""The verdict on drift: orders and trends of synthetic studies that agree or disagree with the literature."""
+"""The verdicts on drift and on runs without it: synthetic studies that agree or disagree with the literature."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import pytest
 
 import mbdkit
 from mbdkit_paper.drift.combination import combinations
-from mbdkit_paper.drift.verdict import COLUMNS, order_meets
+from mbdkit_paper.drift.verdict import WORDS, order_meets
 from mbdkit_paper.drift.verdict import verdict as judge_drift
+from mbdkit_paper.no_drift.verdict import verdict as judge_no_drift
 from mbdkit_paper.wording import UNDECIDED
-from mbdkit_report import Answer, json_values, terminal_text
+from mbdkit_report import Answer
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.first_party import PARTS
@@ -28,6 +29,8 @@ LONG = {
     "energy_oscillation": 1e-9, "energy_scale": 4.0, "reversibility_defect": 2e-14, "mechanism_size": 2.0,
     "duration": 100.0, "steps": 1e4, "rhs_evaluations": 4e4, "factorizations": 1e4, "wall_s": 0.1,
 }  # fmt: skip
+
+COLUMNS = WORDS.table("drift", ()).columns
 
 
 def point(family: str, method: str, status: str = "complete", reversal: str = "complete", **values: float) -> Any:
@@ -188,16 +191,6 @@ def test_an_order_meets_another_within_a_fifth(found: float | str, answer: Answe
     assert order_meets(found, 5.0) is answer
 
 
-def test_the_table_goes_to_the_terminal_and_into_json() -> None:
-    verdict = judge_drift(projected())
-    text = terminal_text(verdict)
-    assert "rod        Gauss 2, projected " in text
-    assert "yes    Gauss is not reversible with ordinary projection" in text
-    values = json.loads(json.dumps(json_values(verdict), allow_nan=False))
-    assert [table["name"] for table in values["tables"]] == ["drift"]
-    assert len(values["tables"][0]["rows"]) == 3
-
-
 def test_a_study_of_other_families_is_no_study_of_drift() -> None:
     other = study(*method("any"))
     other.families = {"rod": ""}
@@ -247,3 +240,51 @@ def test_the_packaged_study_shows_on_one_mechanism_what_is_known_of_methods(tmp_
     assert rows["Gauss 2"][11] < 1e-12 < rows["RK4"][11]
     assert rows["Radau IIA 2"][8] < 0
     assert {rows["Generalized-alpha, index-3"][2]} <= {"not installed", "1.99", "2.00", "2.01"}
+
+
+def study_without_drift(*runs: tuple[float, float, str]) -> Any:
+    """Return a study of runs of a mechanism of 2 m, by position and velocity misalignment and status."""
+    points = [
+        SimpleNamespace(
+            family="rod",
+            axes={"method": f"method {number}"},
+            status=status,
+            values={
+                "misalignment_max": position, "velocity_misalignment_every_step": velocity, "mechanism_size": 2.0,
+                "steps": 1e5, "wall_s": 1.0, "projections": 1e5,
+            },
+        )
+        for number, (position, velocity, status) in enumerate(runs, start=1)
+    ]  # fmt: skip
+    return SimpleNamespace(points=points, spec=SimpleNamespace(title="Long runs", added=()))
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "answers"),
+    [
+        (1.5e-12, 1e-14, ("yes", "yes")),  # 0.75e-12 of 2 m
+        (3e-12, 1e-14, ("no", "yes")),
+        (1e-15, 1e-3, ("yes", "no")),
+        (2e-12, 1e-14, ("open", "yes")),
+    ],
+)
+def test_misalignments_are_held_to_the_mechanisms_size(
+    position: float, velocity: float, answers: tuple[str, str]
+) -> None:
+    verdict = judge_no_drift(study_without_drift((1e-15, 1e-15, "complete"), (position, velocity, "complete")))
+    assert tuple(str(claim.answer) for claim in verdict.claims) == answers
+    assert verdict.table("no-drift").rows[1][3] == pytest.approx(position / 2, rel=0.05)
+
+
+def test_a_run_that_failed_leaves_it_open_and_is_named() -> None:
+    verdict = judge_no_drift(study_without_drift((1e-15, 1e-15, "complete"), (1e-15, 1e-15, "failed")))
+    assert [claim.answer for claim in verdict.claims] == [Answer.OPEN] * 2
+    assert verdict.claim("positions").sentence == UNDECIDED
+    assert "unknown for rod, method 2" in verdict.claim("positions").computed
+    assert verdict.table("no-drift").rows[1][2:] == ("failed",) * 5
+
+
+def test_one_run_that_drifts_is_told_though_another_failed() -> None:
+    verdict = judge_no_drift(study_without_drift((1e-9, 1e-15, "complete"), (math.nan, math.nan, "left-out")))
+    assert verdict.claim("positions").answer is Answer.NO
+    assert "Exceptions: rod, method 1." in verdict.claim("positions").sentence

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,16 +16,20 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.guide.pages import find_page
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 from mbdkit_paper.paper import substitution_timing
 from mbdkit_paper.paper.computation_time import SPEED_UP
 from mbdkit_paper.paper.paper_predictions import joints, knee, steps_within
 from mbdkit_paper.paper.published_results import magnitudes, ranking
+from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
 from mbdkit_paper.wording import UNDECIDED
 from mbdkit_report import Answer, Range, exceeds
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
+from tests.benchmarks.paper_page import BEGIN, END, IN_SHORT, OF_A_MACHINE, full_entry
+from tests.first_party import ROOT
 
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
 METHODS = ("RK-Gill", "Gauss 2", "Gauss 3")
@@ -200,20 +205,6 @@ def test_part_of_the_paper_decides_what_it_can_and_leaves_the_rest_open(small: m
     json.dumps(verdict.to_dict(), allow_nan=False)
 
 
-def test_paths_and_drifts_of_both_pendulums_are_drawn_over_150_steps(small: mbdkit.Study) -> None:
-    verdict = judge(small)
-    for model, rods in (("single", 1), ("double", 2)):
-        path = verdict.figure(f"trajectory-{model}")
-        assert path.equal
-        assert [line.label for line in path.lines] == list(METHODS)
-        # expected: the end point keeps the distance of the rods' lengths from the support, let go 40 degrees below x
-        assert path.lines[0].x[0] == pytest.approx(20 * rods * math.cos(math.radians(40)))
-        assert path.lines[0].y[0] == pytest.approx(-20 * rods * math.sin(math.radians(40)))
-        drift = verdict.figure(f"drift-{model}")
-        assert len(drift.lines) == len(METHODS) * rods
-        assert all(len(line.x) == 151 for line in drift.lines)
-
-
 def test_added_methods_stand_beside_the_papers_and_leave_its_claims_alone(small: mbdkit.Study, tmp_path: Path) -> None:
     added = ("rattle, index-3", "scipy-dop853")
     plain = judge(small)
@@ -254,13 +245,11 @@ def test_a_folder_that_cannot_be_written_costs_nothing_but_time(tmp_path: Path) 
 def test_any_study_has_a_general_verdict(tmp_path: Path) -> None:
     # expected: order 4 of Gauss with two stages, in the error and in the misalignment
     spec = {
-        "mbdkit_study": 1,
-        "title": "Steps",
-        "base": "double-pendulum",
+        "mbdkit_study": 1, "title": "Steps", "base": "double-pendulum",
         "overrides": {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 0.4, "step": 0.04}},
         "axes": [{"time.step": [0.02, 0.01, 0.005, 0.0025]}],
         "reference": {"integrator": {"name": "gauss", "stages": 5}, "time.step": 0.0025},
-    }
+    }  # fmt: skip
     verdict = judge(mbdkit.study(spec, out=tmp_path / "study"))
     assert verdict.sentence.startswith("4 of 4 runs are complete.")
     assert "largest with step 0.02 s" in verdict.sentence
@@ -321,3 +310,52 @@ def test_every_packaged_verdict_has_a_packaged_study() -> None:
     assert judged == ["paper", "contact", "drift", "flexible-slider-crank", "no-drift", "textbook-four-bar"]
     for name in judged:
         assert load_study_spec(name).verdict == name
+
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def flat(text: str) -> str:
+    """Return text on one line, without the marks of quotations."""
+    return " ".join(text.replace("\n> ", "\n").split())
+
+
+def test_the_citation_has_the_title() -> None:
+    assert TITLE in flat(README)
+    assert TITLE in flat(BIBTEX)
+
+
+def test_its_claims_are_those_of_the_page_on_the_paper() -> None:
+    # one command writes both, from the verdict of the study
+    page = flat(find_page("paper").text)
+    _, _, rest = README.partition(BEGIN)
+    claims = [flat(claim) for claim in rest.partition(END)[0].split("\n- ")[1:]]
+    assert len(claims) == len(IN_SHORT)
+    for claim in claims:
+        statement, found = claim.split(" Found: ")
+        assert re.search(re.escape(statement) + " Published: .*?" + re.escape(f"Found: {found}"), page), claim
+
+
+def paper_study(families: tuple[str, ...], folder: Path, workers: int) -> mbdkit.Study:
+    """Run some families of the packaged study."""
+    spec = json.loads(load_study_spec("paper").canonical_json())
+    spec["families"] = {name: family for name, family in spec["families"].items() if name in families}
+    return mbdkit.study(spec, out=folder, workers=workers)
+
+
+def test_the_page_on_the_paper_agrees_with_the_study_on_the_published_misalignments(tmp_path: Path) -> None:
+    claim, _ = magnitudes(paper_study(("published",), tmp_path / "paper", workers=1))
+    assert claim.answer is Answer.YES
+    assert full_entry(claim) in find_page("paper").text
+
+
+@pytest.mark.slow
+def test_the_page_on_the_paper_agrees_with_the_study(tmp_path: Path) -> None:
+    # otherwise run: mbdkit study paper -o FOLDER, and python -m tests.benchmarks.paper_page FOLDER
+    told = ("published", "one-metre", "joints", "knee", "steps", "precision", "long", "coordinates")
+    verdict = judge(paper_study(told, tmp_path / "paper", workers=2))
+    assert TITLE in verdict.notes[0]
+    decided = [claim for claim in verdict.claims if claim.answer is not Answer.OPEN and claim.name not in OF_A_MACHINE]
+    assert len(decided) >= 8
+    for claim in decided:
+        assert full_entry(claim) in find_page("paper").text

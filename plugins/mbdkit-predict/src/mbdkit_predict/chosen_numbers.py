@@ -106,7 +106,7 @@ class ChosenNumbers:
                 raise SpecError(f"the mechanism has no '{part}' here{hint}", key=f"model.{path_text(path)}") from None
         return value
 
-    def _set(self, spec: dict[str, Any], key: str, value: Any) -> None:
+    def _set(self, spec: dict[str, Any], key: str, value: object) -> None:
         *path, last = parse_path(key)
         holder: Any = spec
         for i, part in enumerate(path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -13,7 +13,7 @@ from mbdkit.plugin.terminal import MotionSet, Overwrite, Printing, check_new, gr
 
 
 @spec_check
-def validate_predict(source: Any, name: str, assignments: list[str]) -> None:
+def validate_predict(source: object, name: str, assignments: list[str]) -> None:
     """Check the spec of a prediction and all its expressions, and print what would be computed."""
     from mbdkit_predict.export import require_casadi
     from mbdkit_predict.predict_loading import compared_spec, load_predict_spec

@@ -38,10 +38,10 @@ class ElementEquilibrium(Protocol):
     def sizes(self) -> tuple[float, float]:
         """Largest rate and force, in SI units."""
 
-    def in_si(self, rate: Any, force: Any, law: Mapping[str, Any]) -> tuple[Any, Any]:
+    def in_si(self, rate: object, force: object, law: Mapping[str, object]) -> tuple[Any, Any]:
         """Return rate and force in SI units, for the parameters of the law of the force element."""
 
-    def conditions(self, rate: Any, force: Any, length: Any, law: Mapping[str, Any]) -> tuple[Any, Any]:
+    def conditions(self, rate: object, force: object, length: object, law: Mapping[str, object]) -> tuple[Any, Any]:
         """Return two zeros in equilibrium: the force at this rate less the unknown `force`; and the difference between
         the length of the force element and that which this force determines.
 
@@ -131,7 +131,7 @@ class SymbolicElements(Protocol):
     def forms(self, tools: SymbolTools) -> Mapping[Callable[..., Any], Callable[..., Any]]:
         """Return functions that need a form for symbols, with this form."""
 
-    def values(self, call_law: Callable[..., None], top: Any, law_values: np.ndarray) -> Mapping[str, Sequence[Any]]:
+    def values(self, call_law: Callable[..., None], top: object, law_values: np.ndarray) -> Mapping[str, Sequence[Any]]:
         """Return the quantities `attributes` of each element, by its name.
 
         Parameters

@@ -53,7 +53,7 @@ def _chosen(pairs: Iterator[tuple[Any, Any]]) -> Any:
 
 
 def _operation(name: str, *, is_reflected: bool = False) -> Callable[..., Any]:
-    def combine(x: Any, y: Any) -> Any:
+    def combine(x: object, y: object) -> Any:
         first, second = (y, x) if is_reflected else (x, y)
         pairs = [(a, b) for a in _cases(first).items() for b in _cases(second).items()]
         return _chosen((getattr(operator, name)(a, b), both(is_a, is_b)) for (a, is_a), (b, is_b) in pairs)
@@ -78,19 +78,19 @@ class Numbers(np.ndarray):
         return value
 
 
-def both(first: Any, second: Any) -> Any:
+def both(first: object, second: object) -> Any:
     """Return whether two conditions hold."""
     if isinstance(first, Symbol):
         return first & second if isinstance(second, Symbol) else first if second else False
     return second if first else False
 
 
-def either(first: Any, second: Any) -> Any:
+def either(first: object, second: object) -> Any:
     """Return whether one of two conditions holds."""
     return negated(both(negated(first), negated(second)))
 
 
-def negated(condition: Any) -> Any:
+def negated(condition: object) -> Any:
     """Return whether a condition does not hold."""
     return ~condition if isinstance(condition, Symbol) else not condition
 
@@ -122,7 +122,7 @@ def some(*conditions: Callable[[], Any]) -> Any:
     return negated(every(*(lambda x=condition: negated(x()) for condition in conditions)))
 
 
-def if_else(condition: Any, x: Callable[[], Any], y: Callable[[], Any]) -> Any:
+def if_else(condition: object, x: Callable[[], Any], y: Callable[[], Any]) -> Any:
     """Return ``x()`` where the condition holds, else ``y()``."""
     return select(condition, x(), y()) if isinstance(condition, Symbol) else (x if condition else y)()
 
@@ -173,7 +173,7 @@ class MergedExecution:
         """End a branch."""
         self._stack.pop()
 
-    def returns(self, value: Any) -> bool:
+    def returns(self, value: object) -> bool:
         """Return a value; return whether the function ends."""
         is_first, guard = self._stack[0] is True and self.result is None, reduce(both, self._stack)
         self.result = value if is_first else select(guard, value, self.result)

@@ -290,8 +290,7 @@ def _one_thread() -> Iterator[None]:
 def solve_pose(program: Any, **given: Any) -> np.ndarray:
     """Return the unknowns (n,) that solve a small program ``{"x", "f", "g"}`` of SX."""
     with redirect_stderr(io.StringIO()):
-        solver = ca.nlpsol("pose", "ipopt", program, _SILENT)
-        return np.array(solver(**given)["x"]).ravel()
+        return np.array(ca.nlpsol("pose", "ipopt", program, _SILENT)(**given)["x"]).ravel()
 
 
 def _flat(x: np.ndarray) -> np.ndarray:

@@ -49,7 +49,7 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
     found: dict[str, list[tuple[Any, Symbol]]] = {INTEGRAL: [], FINAL: []}
     duration = ca.SX.sym("duration")
 
-    def functional(kind: str, x: Any) -> Symbol:
+    def functional(kind: str, x: object) -> Symbol:
         symbol = Symbol(ca.SX.sym(f"{kind}_{len(found[kind])}"))
         found[kind].append((x, symbol))
         return symbol

@@ -26,7 +26,7 @@ OF_GUESS = ("parameters", *KEYS[KEYS.index("controls") : KEYS.index("tolerance")
 """Keys that `guess` may replace."""
 
 
-def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> PredictSpec:
+def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections: object) -> PredictSpec:
     """Load and validate a spec of a prediction, build its mechanism, and return the spec.
 
     Arguments and errors are those of `load_spec`; the source may also be a `PredictSpec`.
@@ -44,7 +44,7 @@ def load_predict_spec(source: Any, overrides: Iterable[str] = (), **sections: An
 spec_loader(load_predict_spec)
 
 
-def _with_base(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _with_base(data: Mapping[str, object], folder: Path) -> dict[str, Any]:
     sections = dict(data)
     for key in sections:
         if key not in PredictSpec.model_fields and key not in OF_BASE:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from mbdkit.plugin import Run
 from mbdkit.plugin.seams import computed_run, repeated_run
@@ -14,7 +13,7 @@ from mbdkit_predict.predict_spec import PredictSpec
 
 
 def predict(
-    source: PredictSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Any
+    source: PredictSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: object
 ) -> Run:
     """Find the motion and the controls that minimize the objective of a spec.
 

@@ -41,12 +41,12 @@ class Symbol(NDArrayOperatorsMixin):
     def __repr__(self) -> str:
         return f"Symbol({self.sx})"
 
-    def __array_ufunc__(self, function: Any, method: str, *operands: Any, **options: Any) -> Any:
+    def __array_ufunc__(self, function: Any, method: str, *operands: Any, **options: object) -> Any:
         if any(isinstance(x, np.ndarray) and x.ndim for x in operands):  # NumPy goes through the elements of arrays
             return getattr(function, method)(*(np.array(x, dtype=object) for x in operands), **options)
         return apply(function, *operands)
 
-    def __array_function__(self, function: Any, types: Any, operands: Any, options: Any) -> Any:
+    def __array_function__(self, function: object, types: object, operands: Any, options: object) -> Any:
         if function is np.where:
             return where(*operands)
         return NotImplemented
@@ -72,7 +72,7 @@ class Symbol(NDArrayOperatorsMixin):
         return lambda *others: apply(function, self, *others)
 
 
-def where(condition: Any, x: Any, y: Any) -> Any:
+def where(condition: object, x: object, y: object) -> Any:
     """Return `x` where the condition holds, else `y`; of numbers, symbols, or arrays of them."""
     if any(isinstance(given, np.ndarray) and given.ndim for given in (condition, x, y)):
         return np.frompyfunc(where, 3, 1)(condition, x, y)
@@ -82,7 +82,7 @@ def where(condition: Any, x: Any, y: Any) -> Any:
     return x if ca.is_equal(first, second, 2) else Symbol(ca.if_else(condition.sx, first, second))
 
 
-def best(is_better: Callable[[Any, Any], Any], *values: Any) -> Any:
+def best(is_better: Callable[[Any, Any], Any], *values: object) -> Any:
     """Return the best of several numbers or symbols, as `max` and `min` do."""
     return reduce(lambda known, other: where(is_better(other, known), other, known), values)
 
@@ -95,7 +95,7 @@ def symbols(array: Any) -> np.ndarray:
     return result
 
 
-def column(values: Any) -> ca.SX:
+def column(values: object) -> ca.SX:
     """Return numbers and symbols as a column of CasADi."""
     return ca.vertcat(ca.SX(0, 1), *(_expression(x) for x in np.ravel(np.array(values, dtype=object))))
 
@@ -104,7 +104,7 @@ def _expression(x: Any) -> ca.SX:
     return x.sx if isinstance(x, Symbol) else ca.SX(float(x))
 
 
-def apply(function: np.ufunc, *operands: Any) -> Any:
+def apply(function: np.ufunc, *operands: object) -> Any:
     """Return the value of a function of NumPy at numbers and symbols."""
     if not any(isinstance(x, Symbol) for x in operands):
         with np.errstate(all="ignore"):
@@ -143,8 +143,7 @@ def _power(x: ca.SX, y: ca.SX) -> ca.SX:
         exponent = abs(int(y))
         power = x**exponent if exponent else ca.SX(1.0)
         return power if float(y) >= 0.0 else _quotient(ca.SX(1.0), power)
-    zero = ca.if_else(ca.logic_and(x == 0.0, y > 0.0), 0.0, math.nan)
-    return _guarded(x, x > 0.0, lambda x: x**y, zero)
+    return _guarded(x, x > 0.0, lambda x: x**y, ca.if_else(ca.logic_and(x == 0.0, y > 0.0), 0.0, math.nan))
 
 
 _INVERTED = ("sin", "cos", "tan", "sinh", "cosh", "tanh")

@@ -303,8 +303,7 @@ class Transcription:
             values = np.zeros((slopes[name].size // len(points), len(old)))
             values[:, points] = np.reshape(slopes[name], (-1, len(points)), order="F") / old[points]
             slopes[name] = values[:, nearest] * new
-        rows = len(mesh.values["start"])
-        costates = self._costates(mesh)[:, nearest].reshape(rows, s, -1, order="F")
+        costates = self._costates(mesh)[:, nearest].reshape(len(mesh.values["start"]), s, -1, order="F")
         if self.has_nodes:
             slopes[ENDS], slopes["nodes"] = costates[:, -1] / self._weights, 0.0 * costates[:, -1]
             slopes[JOINTS] = slopes["jumps"] = np.zeros((2 * len(self.system.constraint_names), len(grid.phase)))

@@ -21,14 +21,12 @@ from mbdkit_predict.predict_loading import load_predict_spec
 
 PUSH = "forces.push.value[0]"
 BLOCK: dict[str, Any] = {
-    "name": "mechanism",
-    "gravity": [0, 0],
-    "bodies": {"block": {"mass": 1.0, "inertia": 1.0}},
+    "name": "mechanism", "gravity": [0, 0], "bodies": {"block": {"mass": 1.0, "inertia": 1.0}},
     "joints": {
-        "rail": {"type": "prismatic", "bodies": ["ground", "block"], "points": [[0, 0], [0, 0]], "axis": [1, 0]}
+        "rail": {"type": "prismatic", "bodies": ["ground", "block"], "points": [[0, 0], [0, 0]], "axis": [1, 0]},
     },
     "forces": {"push": {"type": "force", "body": "block", "value": [0.0, 0.0]}},
-}
+}  # fmt: skip
 EFFORT = "integral(forces.push.value**2)"
 AT_REST = {"block.x": 0, "block.vx": 0}
 STILL = {f"dot.{name}": 0 for name in ("x", "y", "vx", "vy")}
@@ -57,43 +55,28 @@ def of_states(states: dict[str, Any], final: dict[str, float], bounds: list[floa
 
 DRAG = {"drag": {"type": "force", "body": "block", "value": ["-block.vx", 0]}}
 FALL = {
-    "x": {"rate": "states.v*sin(states.turn)"},
-    "y": {"initial": 10, "rate": "-states.v*cos(states.turn)"},
-    "v": {"rate": "9.80665*cos(states.turn)"},
-    "turn": {"rate": "0"},
-}
+    "x": {"rate": "states.v*sin(states.turn)"}, "y": {"initial": 10, "rate": "-states.v*cos(states.turn)"},
+    "v": {"rate": "9.80665*cos(states.turn)"}, "turn": {"rate": "0"},
+}  # fmt: skip
 CHAIN = {
-    "y": {"initial": 1, "rate": "states.turn"},
-    "length": {"rate": "sqrt(1 + states.turn**2)"},
-    "turn": {"rate": "0"},
-}
+    "y": {"initial": 1, "rate": "states.turn"}, "length": {"rate": "sqrt(1 + states.turn**2)"}, "turn": {"rate": "0"},
+}  # fmt: skip
 STEERED = {
-    "x": {"rate": "states.vx"},
-    "y": {"rate": "states.vy"},
-    "vx": {"rate": "100*cos(states.turn)"},
-    "vy": {"rate": "100*sin(states.turn)"},
-    "turn": {"rate": "0"},
-}
+    "x": {"rate": "states.vx"}, "y": {"rate": "states.vy"}, "vx": {"rate": "100*cos(states.turn)"},
+    "vy": {"rate": "100*sin(states.turn)"}, "turn": {"rate": "0"},
+}  # fmt: skip
 EXACT = {
     # the force is 6 - 12 t
     "least effort": (block(), 12.0),
     "least effort by gauss": (block(collocation={"method": "gauss", "points": 2, "intervals": 5}), 12.0),
-    "gauss, one point": (
-        block(collocation={"method": "gauss", "points": 1, "intervals": 10}, tolerance=1e-3), 12.0
-    ),
     # 12 / T^3 + w T with T^4 = 36 / w
     "effort and time": (
-        block(
-            duration={"bounds": [0.5, 20]}, minimize='integral(controls["forces.push.value[0]"]**2) + 0.1*final(t)'
-        ),
+        block(duration={"bounds": [0.5, 20]}, minimize='integral(controls["forces.push.value[0]"]**2) + 0.1*final(t)'),
         0.4 / 3.0 * 360.0**0.25,
     ),
     # bang-bang: 2 sqrt(m s / F)
     "least time": (
-        block(
-            2.0, controls={PUSH: {"bounds": [-50, 50]}}, duration={"bounds": [0.05, 5]}, minimize="final(t)"
-        ),
-        0.4,
+        block(2.0, controls={PUSH: {"bounds": [-50, 50]}}, duration={"bounds": [0.05, 5]}, minimize="final(t)"), 0.4,
     ),
     # D. E. Kirk, Optimal Control Theory (1970), example 5.1-1, in closed form
     "drag": (
@@ -106,15 +89,6 @@ EXACT = {
             initial={"block.x": 0, "block.vx": 1},
             final={"block.x": 0, "block.vx": -1},
             subject_to={"wall": {"value": "block.x", "max": 1 / 9}},
-            minimize=f"0.5*{EFFORT}",
-        ),
-        4.0,
-    ),
-    "wall as an expression": (
-        block(
-            initial={"block.x": 0, "block.vx": 1},
-            final={"block.x": 0, "block.vx": -1},
-            subject_to={"wall": {"value": "2*block.x", "max": 2 / 9}},
             minimize=f"0.5*{EFFORT}",
         ),
         4.0,
@@ -175,19 +149,11 @@ def swing_up(points: int, intervals: int, push: float = 0.0) -> float:
 def main() -> None:
     """Print the table."""
     problems: dict[str, tuple[Any, float]] = {
-        **EXACT,
-        "cart-pole": ("cart-pole", np.nan),
-        "cart-pole by gauss": (BY_GAUSS, np.nan),
-    }
+        **EXACT, "cart-pole": ("cart-pole", np.nan), "cart-pole by gauss": (BY_GAUSS, np.nan),
+    }  # fmt: skip
     heads = (
-        ("optimum", 19),
-        ("objective", 19),
-        ("error", 8),
-        ("bar", 8),
-        ("bar/error", 9),
-        ("bar/optimum", 11),
-        ("s", 6),
-    )
+        ("optimum", 19), ("objective", 19), ("error", 8), ("bar", 8), ("bar/error", 9), ("bar/optimum", 11), ("s", 6),
+    )  # fmt: skip
     print(f"{'problem':<24} " + " ".join(f"{head:>{width}}" for head, width in heads))
     for name, (spec, exact) in problems.items():
         if any(word not in name for word in sys.argv[1:]):

@@ -35,8 +35,6 @@ def pushed(impulse: float, at: float) -> float:
     ("value", "impulse", "at", "intervals"),
     [
         (TRIANGLE, 4.0, 0.5206, 20),
-        (TRIANGLE | {"table": [TRIANGLE["table"][0], [0, 0, 100, 0, 0]]}, 0.4, 0.5206, 20),
-        (SWITCHED, 4.0, 0.5206, 20),
         (f"{SWITCHED} + 0*block.vx", 4.0, 0.5206, 20),  # an expression of the state
         ("1000*exp(-((t - 0.52)/0.0005)**2)", 0.5 * np.pi**0.5, 0.52, 20),
         # no effect to first order: the multiplier of the force vanishes at half time
@@ -49,11 +47,11 @@ def test_a_short_pulse_belongs_to_the_optimum(value: Any, impulse: float, at: fl
     assert abs(run.objective - pushed(impulse, at)) <= run.objective_error < 2e-7 * run.objective
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.slow)])
-def test_no_drawn_pulse_is_skipped_with_a_good_verdict(count: int) -> None:
+@pytest.mark.slow
+def test_no_drawn_pulse_is_skipped_with_a_good_verdict() -> None:
     # widths from 1/10000 of the motion on, some 2 of the nodes at which equations are evaluated
     random, good = np.random.default_rng(68), 0
-    for _ in range(count):
+    for _ in range(60):
         width, at, force = 10.0 ** random.uniform(-4, -2), random.uniform(0.1, 0.9), random.uniform(-1000, 1000)
         method, points = [("radau", 2), ("radau", 3), ("radau", 5), ("gauss", 2), ("gauss", 3)][random.integers(5)]
         collocation = {"method": method, "points": points, "intervals": int(random.integers(5, 30))}
@@ -61,7 +59,7 @@ def test_no_drawn_pulse_is_skipped_with_a_good_verdict(count: int) -> None:
         is_right = abs(run.objective - pushed(force * width * np.pi**0.5, at)) <= run.objective_error
         assert is_right or run.verdict == "doubtful", (force, at, width, collocation, run.objective)
         good += run.verdict == "good"
-    assert good > 0.4 * count
+    assert good > 24
 
 
 def test_a_pulse_of_a_measured_function_belongs_to_the_objective() -> None:
@@ -74,7 +72,7 @@ def test_a_pulse_of_a_measured_function_belongs_to_the_objective() -> None:
     assert run.objective == pytest.approx(12.0 + 5.0 * np.pi**0.5, rel=1e-5)
 
 
-@pytest.mark.parametrize("collocation", [{}, {"points": 5, "intervals": 10}, {"method": "gauss", "intervals": 20}])
+@pytest.mark.parametrize("collocation", [{}, {"method": "gauss", "intervals": 20}])
 def test_a_jump_that_the_motion_passes_at_the_end_of_an_interval_is_doubtful(collocation: dict[str, Any]) -> None:
     # the optimum is 17.39; on these meshes, the derivative of the friction is zero at all points
     run = mbdkit.predict(loaded("-5*(1 + tanh(1e6*(block.x - .5)))", collocation=collocation))

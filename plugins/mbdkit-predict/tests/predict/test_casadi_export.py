@@ -5,6 +5,7 @@ Expected values are those of `EquationsOfMotion`, whose machine code is tested a
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -59,14 +60,11 @@ def check(m: Mechanism, t0: float = 0.0, spread: float = 0.05) -> CasadiSystem:
     residual = system.residual(*given_symbols)
     rows = system.constraints(*given_symbols)
     derivatives = {
-        "stiffness": ca.jacobian(residual, system.q),
-        "damping": ca.jacobian(residual, system.v),
-        "jacobian": ca.jacobian(residual, system.lam).T,
-        "mass": ca.jacobian(residual, system.a),
-        "phi_q": ca.jacobian(rows[0], system.q),
-        "gamma_v": -ca.jacobian(rows[2], system.v),
+        "stiffness": ca.jacobian(residual, system.q), "damping": ca.jacobian(residual, system.v),
+        "jacobian": ca.jacobian(residual, system.lam).T, "mass": ca.jacobian(residual, system.a),
+        "phi_q": ca.jacobian(rows[0], system.q), "gamma_v": -ca.jacobian(rows[2], system.v),
         "residual_q": ca.jacobian(rows[2], system.q),
-    }
+    }  # fmt: skip
     function = system.function("derivatives", derivatives)
     has_friction = any(getattr(joint, "friction", None) is not None for joint in m.joints.values())
     for k in range(3):
@@ -95,14 +93,16 @@ def check(m: Mechanism, t0: float = 0.0, spread: float = 0.05) -> CasadiSystem:
     return system
 
 
-@settings(max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
-@given(mechanisms())
-def test_a_hundred_random_mechanisms_are_those_of_the_machine_code(drawn: Drawn) -> None:
-    try:
-        EquationsOfMotion.of(drawn.mechanism, drawn.start)
-    except SpecError:  # no consistent start
-        return
-    check(drawn.mechanism, drawn.start)
+@pytest.mark.parametrize("count", [20, pytest.param(100, marks=pytest.mark.slow)])
+def test_random_mechanisms_are_those_of_the_machine_code(count: int) -> None:
+    @settings(max_examples=count, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(mechanisms())
+    def compare(drawn: Drawn) -> None:
+        with contextlib.suppress(SpecError):  # no consistent start
+            EquationsOfMotion.of(drawn.mechanism, drawn.start)
+            check(drawn.mechanism, drawn.start)
+
+    compare()
 
 
 GENERATORS: list[Callable[..., Mechanism]] = [
@@ -113,22 +113,12 @@ GENERATORS: list[Callable[..., Mechanism]] = [
 
 @pytest.mark.parametrize("generator", GENERATORS)
 def test_chains_loops_slides_and_beams_are_those_of_the_machine_code(generator: Callable[..., Mechanism]) -> None:
-    for seed in (1, 2, 5):
-        m = generator(np.random.default_rng(seed))
-        try:
-            EquationsOfMotion.of(m)
-        except SpecError:  # joints that cannot be assembled
-            continue
-        check(m)
+    check(generator(np.random.default_rng(1)))
 
 
-EXAMPLES = (
-    "bouncing-ball", "delayed-balance", "double-wishbone", "elbow-curl", "flexible-slider-crank", "four-bar", "knee",
-    "limit-stop", "quick-return", "series-elastic-knee", "sit-down", "slider-crank-clearance", "watt-six-bar",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(
+    "name", ["bouncing-ball", "delayed-balance", "limit-stop", "quick-return", "series-elastic-knee", "sit-down"]
+)
 def test_examples_are_those_of_the_machine_code(name: str) -> None:
     check(load_spec(name).mechanism())
 
@@ -176,8 +166,10 @@ LAWS = [
 ]
 
 
-@pytest.mark.parametrize("options", LAWS)
-@pytest.mark.parametrize("along", ["line", "x", "y", "angle"])
+@pytest.mark.parametrize(
+    ("options", "along"),
+    [*((options, "line") for options in LAWS), *((LAWS[0], along) for along in ("x", "y", "angle"))],
+)
 def test_every_law_is_that_of_the_machine_code(options: dict[str, Any], along: str) -> None:
     m = Mechanism()
     m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.6), angle=0.7, velocity=(0.1, 0.2), angular_velocity=0.4)
@@ -240,21 +232,17 @@ def test_cables_states_and_loads_of_the_state_are_those_of_the_machine_code() ->
     m.cable("cable", {"elbow": 0.03, "shoulder": -0.02}, stiffness=300.0, acts="tension", length=0.3)
     m.state("current", initial=0.3, rate="(2 - states.current - 0.1*elbow.angle + forces.cable.rate)/0.05", unit="A")
     m.torque(
-        "motor",
-        "lower",
-        value="0.2*states.current - 0.1*markers.hand.vx*max(markers.hand.y, -0.3)",
+        "motor", "lower", value="0.2*states.current - 0.1*markers.hand.vx*max(markers.hand.y, -0.3)",
         reaction_body="upper",
-    )
+    )  # fmt: skip
     m.force(
-        "wind",
-        "lower",
-        value=["-0.5*markers.hand.vx*abs(markers.hand.vx)", {"table": [[0, 1, 2], [0, 1, 0]]}],
+        "wind", "lower", value=["-0.5*markers.hand.vx*abs(markers.hand.vx)", {"table": [[0, 1, 2], [0, 1, 0]]}],
         frame="body",
-    )
+    )  # fmt: skip
     check(m)
 
 
-@pytest.mark.parametrize("name", ["knee", "flexible-slider-crank", "sit-down", "elbow-curl", "double-wishbone"])
+@pytest.mark.parametrize("name", ["knee", "flexible-slider-crank", "sit-down", "elbow-curl"])
 def test_quantities_have_the_names_and_values_of_runs(name: str) -> None:
     m = load_spec(name).mechanism()
     system, wanted = m.to_casadi(), EquationsOfMotion.of(acting(m))

@@ -139,8 +139,7 @@ def test_measured_functions_in_conditions_have_the_value_at_their_time(tmp_path:
         ({"goal": {"x": "angle", "y": "gap", "unit": "deg"}}, "measured.goal", "times should increase"),
         ({"goal": {"z": "angle"}}, "measured.goal.z", "unknown key"),
         (
-            {"goal": {"table": [[0, 1], [1, 2]], "interpolation": "linear", "ends": "clamped"}},
-            "measured.goal.ends",
+            {"goal": {"table": [[0, 1], [1, 2]], "interpolation": "linear", "ends": "clamped"}}, "measured.goal.ends",
             "linear",
         ),
         ({"goal": 5}, "measured.goal", "should be a mapping"),
@@ -148,12 +147,11 @@ def test_measured_functions_in_conditions_have_the_value_at_their_time(tmp_path:
         ({"goal": {"table": [[0, 1], [1, float("nan")]]}}, "measured.goal.table[1][1]", "finite number"),
         ({"a/b": {"table": [[0, 1], [1, 2]]}}, "measured.a/b", "without '/'"),
         (
-            {"gaol": {"table": [[0, 1], [1, 2]]}},
-            "minimize",
+            {"gaol": {"table": [[0, 1], [1, 2]]}}, "minimize",
             "there is no measured function 'goal' (did you mean 'gaol'?)",
         ),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_measured_function_is_one_sentence(
     changed: dict[str, Any], key: str, text: str, tmp_path: Path
 ) -> None:

@@ -40,18 +40,23 @@ def test_the_error_bar_of_exact_optima_covers_and_is_sharp(name: str) -> None:
         assert np.abs(run.energy.balance).max() < 1e-4
 
 
-def test_starts_find_the_local_optima_of_a_swing_up() -> None:
+def test_the_swing_up_of_a_cart_pole_has_its_optimum() -> None:
     run = mbdkit.predict("cart-pole")
     error = abs(run.objective - swing_up(5, 80))
     assert error <= run.objective_error <= max(10.0 * error, 1.0001e-8 * run.objective)
     assert run["pole"].angle[-1] == pytest.approx(np.pi / 2, abs=1e-8)
     assert np.max(run.joints["pin"].misalignment) < 1e-8
+
+
+@pytest.mark.slow
+def test_starts_find_the_local_optima_of_a_swing_up() -> None:
     run = mbdkit.predict("cart-pole", starts=5, tolerance=1e-2)
     assert abs(run.objective - 57.944781) <= run.objective_error < 0.6
     assert "starts        of 5, " in run.summary()
     assert sum(abs(value - 58.93) < 0.01 for value in run.starts) >= 1
 
 
+@pytest.mark.slow
 def test_gauss_methods_have_their_order_on_nonlinear_joints() -> None:
     # on meshes of equal intervals, errors of order 4 fall by 16; without projection, no motion is found
     exact, spec = (
@@ -132,11 +137,7 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"controls": {"forces.pull.value": {"bounds": [0, 1]}}}, "model.forces.pull.value", "no 'pull' here"),
         ({"collocation": {"points": 4}}, "collocation.points", "radau has 2, 3 or 5 points, not 4"),
         ({"base": "blok"}, "base", "examples: belt, bouncing-ball"),
-        (
-            {"durration": 1.0},
-            "durration",
-            "(did you mean 'duration'?); known here: base, overrides, title",
-        ),
+        ({"durration": 1.0}, "durration", "(did you mean 'duration'?); known here: base, overrides, title"),
         ({"phases": [{"duration": 1.0}]}, "duration", "each of the `phases` has its own"),
         ({"duration": None}, "duration", "is missing"),
         ({"compare": {"gravity": 0}}, "compare", "only parameters and model are compared"),
@@ -153,7 +154,7 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"final": {"block.x": [2, 1]}}, 'final."block.x"', "the lower bound 2 is above the upper bound 1"),
         ({"minimize": "integral(controls['forces.push.value[0]']"}, "minimize", "is written controls['forces.push"),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: str) -> None:
     with pytest.raises(SpecError) as caught:
         mbdkit.predict(block(**changed))
@@ -161,6 +162,7 @@ def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: s
     assert text in caught.value.message
 
 
+@pytest.mark.slow
 def test_a_first_mesh_above_the_limit_is_refined_once() -> None:
     run = mbdkit.predict(block(collocation={"points": 2, "intervals": 400}))
     assert run.status == "complete"
@@ -332,6 +334,7 @@ def test_what_has_no_optimum_is_told_in_one_sentence(changed: dict[str, Any], co
     assert "\n" not in run.status_reason
 
 
+@pytest.mark.slow
 def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_excitations() -> None:
     # expected: the motion of the engine with explicit rates of the fibres, by another method and in its own steps
     names = ("biceps", "brachialis", "triceps")
@@ -350,6 +353,7 @@ def test_muscles_with_elastic_tendons_move_a_forearm_as_in_a_run_with_their_exci
     assert 0.1 < np.abs(run.muscles["biceps"].fiber_rate[1:]).max() / (10 * 0.132) < 1.0
 
 
+@pytest.mark.slow
 def test_finer_meshes_of_a_squat_with_active_limits_confirm_its_spring() -> None:
     run = mbdkit.predict("assisted-squat")
     assert (run.status, run.verdict) == ("complete", "good")

@@ -165,7 +165,9 @@ def _values(dataset: h5py.Dataset | np.ndarray, rows: slice) -> np.ndarray:
 
 
 def data_frame(
-    columns: Mapping[Any, Sequence[Any] | np.ndarray], index: Sequence[Any] | np.ndarray | None = None, name: str = ""
+    columns: Mapping[Any, Sequence[Any] | np.ndarray],
+    index: Sequence[object] | np.ndarray | None = None,
+    name: str = "",
 ) -> pandas.DataFrame:
     """Return a DataFrame with the columns in the given order.
 

@@ -69,7 +69,7 @@ def key_unit(key: str | Path, specs: Iterable[BaseModel]) -> str:
     return ""
 
 
-def stated_units(base: Mapping[str, Any]) -> dict[str, str]:
+def stated_units(base: Mapping[str, object]) -> dict[str, str]:
     """Return the SI units of the parameters that have one in the data of a spec, by dotted key."""
     units = parameter_values(base.get("parameters")).units
     return {f"parameters.{name}": unit.si.removesuffix("1") for name, unit in units.items()}

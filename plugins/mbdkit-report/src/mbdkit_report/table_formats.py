@@ -122,8 +122,7 @@ def write_mat(table: ExportedTable, path: Path) -> None:
     variables = _matlab_names([name for name, _ in pairs])
     blocks = [[first, *others] for first, others in table.blocks()]
     columns = zip(*blocks, strict=True) if blocks else [[np.zeros(0)]] * len(variables)
-    values = [np.concatenate(parts) for parts in columns]
-    named: dict[str, Any] = dict(zip(variables, values, strict=True))
+    named: dict[str, Any] = dict(zip(variables, [np.concatenate(parts) for parts in columns], strict=True))
     named["units"] = {variable: units for variable, (_, units) in zip(variables, pairs, strict=True)}
     named["names"] = {variable: name for variable, (name, _) in zip(variables, pairs, strict=True)}
     with path.open("wb") as file:

@@ -1,7 +1,8 @@
-"""Growth laws, found in series made from each law with oscillation and noise, and in real runs."""
+"""Growth laws, trends of energies, observed orders and answers, in series made from each law and in real runs."""
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -9,16 +10,32 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_report import growth_law, worst_history
+from mbdkit_report import (
+    Answer,
+    Axis,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Range,
+    Table,
+    Trend,
+    Verdict,
+    exceeds,
+    growth_law,
+    observed_order,
+    together,
+    trend,
+    worst_history,
+)
 from mbdkit_report.analysis.growth import Law
+from mbdkit_studies.spec.reference_errors import LAST_ROW, offsets
 
 TIME = np.linspace(0.0, 100.0, 2001)
 ENVELOPES: dict[Law, np.ndarray] = {
-    "bounded": np.full_like(TIME, 3e-7),
-    "linear": 1e-9 * TIME,
-    "quadratic": 1e-11 * TIME**2,
+    "bounded": np.full_like(TIME, 3e-7), "linear": 1e-9 * TIME, "quadratic": 1e-11 * TIME**2,
     "exponential": 1e-12 * np.exp(0.1 * TIME),
-}
+}  # fmt: skip
 
 
 def oscillating(envelope: np.ndarray, period: float, seed: int = 1) -> np.ndarray:
@@ -105,3 +122,158 @@ def test_drift_of_a_symmetric_method_is_bounded_over_twenty_swings(stages: int) 
     # Geometric Numerical Integration, section XI.3)
     run = swinging({"name": "gauss", "stages": stages})
     assert growth_law(run.time, worst_history(run)).candidates == ("bounded",)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_slope_is_found_within_its_error_under_noise(seed: int) -> None:
+    # expected: made with slope 2e-6
+    value = 2e-6 * TIME + 1e-5 * np.random.default_rng(seed).standard_normal(len(TIME))
+    found = trend(TIME, value)
+    assert found.drifts
+    assert abs(found.slope - 2e-6) < 4 * found.error
+
+
+@pytest.mark.parametrize("period", [3.0, 17.0, 60.0])
+def test_oscillation_is_no_trend(period: float) -> None:
+    assert not trend(TIME, np.sin(2 * math.pi * TIME / period)).drifts
+
+
+def test_short_histories_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 12 values"):
+        trend(np.arange(5.0), np.arange(5.0))
+
+
+def test_radau_loses_energy_and_gauss_does_not() -> None:
+    # expected: Radau IIA damps what Gauss conserves (Hairer, Wanner, Solving ODEs II, section IV.5); over so
+    # many swings that the loss is steady
+    model = {"name": "single-pendulum", "length": 20.0, "angle": math.radians(-40.0)}
+    spec = {"mbdkit": 1, "model": model, "time": {"end": 150.0, "step": 0.1}}
+
+    def balance(name: str) -> Trend:
+        run = mbdkit.run(spec, integrator={"name": name, "stages": 3})
+        return trend(run.time, run.energy.balance)
+
+    radau = balance("radau-iia")
+    assert radau.drifts
+    assert radau.slope < 0
+    gauss = balance("gauss")
+    assert abs(gauss.slope) < 1e-2 * abs(radau.slope)
+
+
+STEPS = 0.5 / 2.0 ** np.arange(12)
+
+
+def curve(order: float, constant: float, floor: float, seed: int = 1) -> np.ndarray:
+    """Return errors of an order, with a pre-asymptotic part at the coarse steps and rounding at the fine ones."""
+    coarse = 1 + 40 * (STEPS / STEPS[0]) ** 2
+    rounding = floor * np.random.default_rng(seed).uniform(0.3, 1.0, len(STEPS))
+    return np.asarray(constant * STEPS**order * coarse + rounding)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("order", [2, 4, 6])
+def test_order_is_found_between_coarse_steps_and_rounding(order: int, seed: int) -> None:
+    # expected: the order that the curve was made with
+    found = observed_order(STEPS, curve(order, 1.0, 1e-14, seed))
+    assert found.order == pytest.approx(order, abs=0.2)
+    assert min(found.steps) ** order > 1e-14
+
+
+def test_floor_is_measured_at_the_steps_that_no_longer_help() -> None:
+    assert observed_order(STEPS, curve(4, 1.0, 1e-9)).floor == pytest.approx(1e-9, rel=0.5)
+    assert observed_order(STEPS, STEPS**4).floor == 0.0
+
+
+def test_errors_below_a_given_floor_are_left_out() -> None:
+    found = observed_order(STEPS, STEPS**4, floor=1e-6)
+    assert min(found.steps) ** 4 > 2e-5
+    assert found.order == pytest.approx(4.0)
+
+
+def test_floor_alone_shows_no_order() -> None:
+    found = observed_order(STEPS, 1e-15 * np.random.default_rng(1).uniform(0.3, 1.0, len(STEPS)))
+    assert not found.found
+    assert math.isnan(found.order)
+
+
+def test_order_of_steps_and_failed_runs_do_not_matter() -> None:
+    errors = STEPS**4
+    errors[0] = math.nan
+    errors[1] = math.inf
+    shuffled = np.random.default_rng(1).permutation(len(STEPS))
+    assert observed_order(STEPS[shuffled], errors[shuffled]) == observed_order(STEPS[2:], errors[2:])
+
+
+@pytest.mark.parametrize(
+    ("integrator", "order"),
+    [
+        ({"name": "rk-gill"}, 4),
+        ({"name": "gauss", "stages": 2}, 4),
+        ({"name": "gauss", "stages": 3}, 6),
+        ({"name": "radau-iia", "stages": 3}, 5),
+    ],
+    ids=["rk-gill", "gauss-2", "gauss-3", "radau-iia-3"],
+)
+def test_methods_show_their_order_on_the_double_pendulum(integrator: dict[str, Any], order: int) -> None:
+    # expected: Gill 1951; 2 s for Gauss and 2 s - 1 for Radau IIA with s stages, on an index-1 system
+    model = {"name": "double-pendulum", "lengths": [20.0, 20.0], "angles": [-0.7, -0.7]}
+
+    def run(method: dict[str, Any], step: float) -> mbdkit.Run:
+        time, output = {"end": 15.0, "step": step}, {"every": round(0.5 / step)}
+        return mbdkit.run({"mbdkit": 1, "model": model, "integrator": method, "time": time, "output": output})
+
+    reference = run({"name": "gauss", "stages": 6}, STEPS[4])
+    steps = STEPS[:8]
+    ends = [offsets(run(integrator, float(h)), reference, LAST_ROW)[0, :, :2] for h in steps]
+    errors = np.array([np.linalg.norm(end, axis=-1).max() for end in ends])
+    assert observed_order(steps, errors).order == pytest.approx(order, abs=0.2)
+
+
+YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
+
+
+@pytest.mark.parametrize(
+    ("value", "answer"),
+    [(0.5, YES), (2e-3, YES), (5e-4, NO), (3.0, NO), (1.0, OPEN), (1.02, OPEN), (9.9e-4, OPEN), (math.nan, OPEN)],
+)
+def test_a_range_leaves_open_what_lies_on_its_border(value: float, answer: Answer) -> None:
+    assert Range(1e-3, 1.0, "mm").holds(value) is answer
+
+
+def test_one_value_exceeds_another_only_beyond_the_margin() -> None:
+    assert [exceeds(a, 1.0) for a in (2.0, 1.01, 0.5, math.nan)] == [YES, OPEN, NO, OPEN]
+
+
+@pytest.mark.parametrize(
+    ("answers", "answer"),
+    [
+        ([YES, YES], YES),
+        ([NO, NO], NO),
+        ([YES, NO], PARTLY),
+        ([YES, NO, OPEN], PARTLY),
+        ([YES, OPEN], OPEN),
+        ([], OPEN),
+        ([YES, PARTLY], PARTLY),
+    ],
+)
+def test_answers_together(answers: list[Answer], answer: Answer) -> None:
+    assert together(answers) is answer
+
+
+def test_a_verdict_is_json() -> None:
+    table = Table("t", "Table", (Column("a"), Column("b", "m")), (("x", math.nan), (1, None)))
+    figure = Figure("f", "Figure", "", Axis("t", "s"), Axis("x", "m", True), (Line("l", np.arange(2), np.zeros(2)),))
+    claim = Claim("c", "It holds.", "1", "2", Answer.NO, "It does not.")
+    verdict = Verdict("v", "Verdict", "So it is.", (claim,), (table,), (figure,))
+    plain = json.loads(json.dumps(verdict.to_dict(), allow_nan=False))
+    assert plain["tables"][0]["rows"] == [["x", None], [1, None]]
+    assert plain["figures"][0]["lines"][0]["x"] == [0, 1]
+    assert plain["claims"][0]["answer"] == "no"
+    assert verdict.claim("c") is claim
+    with pytest.raises(KeyError, match=r"there is no 'd'; there are c"):
+        verdict.claim("d")
+
+
+def test_a_table_whose_rows_do_not_fit_is_refused() -> None:
+    with pytest.raises(ValueError, match="2 columns, but a row of 1 cells"):
+        Table("t", "Table", (Column("a"), Column("b")), ((1,),))

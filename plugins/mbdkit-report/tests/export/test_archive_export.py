@@ -32,13 +32,6 @@ def test_another_folder_and_quiet(mbdkit: Callable[..., Any]) -> None:
     assert Path("out/energy.json").is_file()
 
 
-def test_files_are_replaced_only_with_overwrite(mbdkit: Callable[..., Any], refusal: Callable[..., str]) -> None:
-    command = ("archive", "export", "run.h5", "--to", "sto", "-o", "out")
-    assert mbdkit(*command).exit_code == 0
-    assert "exists already" in refusal(*command)
-    assert mbdkit(*command, "--overwrite").exit_code == 0
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

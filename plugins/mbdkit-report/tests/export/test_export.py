@@ -29,18 +29,16 @@ from tests.synthetic_runs import make_run as make_run
 SPEC: dict[str, Any] = {
     "mbdkit": 1,
     "model": {
-        "name": "mechanism",
-        "bodies": {"=rod": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}},
+        "name": "mechanism", "bodies": {"=rod": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}},
         "joints": {"pin A": {"type": "revolute", "bodies": ["ground", "=rod"], "points": [[0, 0], [-0.5, 0]]}},
         "forces": {
             "damper": {"type": "torsion-spring", "bodies": ["ground", "=rod"], "stiffness": 0.0, "damping": 0.01},
         },
         "markers": {"tip": {"body": "=rod", "point": [0.5, 0.0]}},
     },
-    "integrator": {"name": "gauss", "stages": 2},
-    "time": {"end": 2.0, "step": 0.01},
+    "integrator": {"name": "gauss", "stages": 2}, "time": {"end": 2.0, "step": 0.01},
     "events": {"low": {"when": 'bodies["=rod"].angle + pi/2'}},
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -56,16 +54,14 @@ def columns(run: mbdkit.Run, group: str) -> dict[str, np.ndarray]:
     known = {
         "trajectory": {"=rod.x": rod.position[:, 0], "=rod.angle": rod.angle, "=rod.ay": rod.acceleration[:, 1]},
         "joints": {
-            "pin A.misalignment": joint.misalignment,
-            "pin A.force_y": joint.reaction_force[:, 1],
-            "pin A.force_second_x": joint.reaction_force_second[:, 0],
-            "pin A.torque": joint.reaction_torque,
+            "pin A.misalignment": joint.misalignment, "pin A.force_y": joint.reaction_force[:, 1],
+            "pin A.force_second_x": joint.reaction_force_second[:, 0], "pin A.torque": joint.reaction_torque,
             "pin A.angle": joint.angle,
         },
         "forces": {"damper.value": run.forces["damper"].value},
         "markers": {"tip.y": tip.position[:, 1], "tip.vx": tip.velocity[:, 0]},
         "energy": {"kinetic": run.energy.kinetic, "balance": run.energy.balance},
-    }
+    }  # fmt: skip
     return {"time": run.time, **known[group]}
 
 

@@ -27,14 +27,11 @@ def complete() -> Iterator[Callable[[str, object], set[str]]]:
     shell.history_manager.end_session()
 
 
-@pytest.mark.parametrize("group", ["bodies", "joints", "forces", "constraints"])
-def test_names_of_a_run_complete(group: str, knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
-    names = set(getattr(knee, group))
-    assert len(names) > 1
-    assert complete(f'it.{group}["', knee) == names
-
-
-def test_a_run_completes_its_bodies(knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
+def test_names_of_a_run_complete(knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
+    for group in ("bodies", "joints", "forces", "constraints", "stats", "provenance"):
+        names = set(getattr(knee, group))
+        assert len(names) > 1
+        assert complete(f'it.{group}["', knee) == names
     assert complete('it["', knee) == {"acl", "pcl", "shank"}
 
 
@@ -50,26 +47,13 @@ def test_bodies_of_an_equilibrium_complete(complete: Callable[[str, object], set
     assert complete('it["', mbdkit.equilibrium("knee")) == {"acl", "pcl", "shank"}
 
 
-def test_energies_and_plots_complete(knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
-    assert {"kinetic", "potential", "total", "work"} <= complete("it.energy.", knee)
-    assert {"reactions", "torques", "drift"} <= complete("it.plot.", knee)
-
-
-def test_histories_complete_without_a_name_of_their_own(
-    knee: mbdkit.Run, complete: Callable[[str, object], set[str]]
-) -> None:
-    for history, names in {
+def test_histories_energies_and_plots_complete(knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
+    for line, names in {
+        "it.energy.": {"kinetic", "potential", "total", "work"},
+        "it.plot.": {"reactions", "torques", "drift"},
         'it.joints["A"].': {"reaction_force", "misalignment", "angle"},
         'it.bodies["shank"].': {"position", "angular_velocity"},
         f'it.forces["{next(iter(knee.forces))}"].': {"value", "power"},
     }.items():
-        assert names <= complete(history, knee)
-
-
-def test_statistics_and_provenance_complete(knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
-    assert complete('it.stats["', knee) == set(knee.stats)
-    assert complete('it.provenance["', knee) == set(knee.provenance)
-
-
-def test_kinds_of_history_complete(knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
+        assert names <= complete(line, knee)
     assert {"reaction_force", "misalignment"} <= complete("it.", knee.joints["A"])

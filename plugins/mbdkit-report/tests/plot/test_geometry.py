@@ -1,13 +1,19 @@
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.archive.stored_mechanism import built_mechanism
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit_report import draw_mechanism, view_box
-from mbdkit_report.figures.drawing_geometry import GROUND, choose_traces, draw_centres, trace_points
+from mbdkit_report import bands, draw_mechanism, view_box
+from mbdkit_report.figures import curves
+from mbdkit_report.figures.curves import evenly, take
+from mbdkit_report.figures.drawing_geometry import GROUND, choose_traces, draw_centres, draw_run, trace_points
+from mbdkit_report.figures.element_places import contact_places
 from mbdkit_report.figures.plane_geometry import convex_hull, zigzag
+from mbdkit_report.figures.player_data import film_data, gaps
 
 
 def rods(count: int) -> Mechanism:
@@ -142,15 +148,6 @@ def test_a_weld_is_marked_at_its_point():
     assert outline(mechanism, 0) == [[0.0, 0.0], [2.0, 0.0]]
 
 
-@pytest.mark.parametrize("name", ["single-pendulum", "double-pendulum", "four-bar-knee"])
-def test_models_are_drawn_from_the_spec_alone(name):
-    built = built_mechanism({"model": {"name": name}})
-    assert built.mechanism is not None
-    drawing = draw_mechanism(built.mechanism)
-    assert list(drawing.bodies) == list(built.mechanism.bodies)
-    assert all(len(points) >= 2 for points in drawing.outlines)
-
-
 @pytest.mark.parametrize("model", [{"name": "acme:thing"}, {"name": "double-pendulum", "odd": 1}, {}])
 def test_a_model_that_cannot_be_built_is_drawn_as_centres_of_mass(model):
     built = built_mechanism({"model": model})
@@ -223,3 +220,119 @@ def test_the_line_of_a_contact_crosses_the_whole_picture_of_a_motion(angle):
     np.testing.assert_allclose((np.array([start, end]) - [3.0, 0.0]) @ [-along[1], along[0]], 0.0, atol=1e-9)
     assert min(start @ along, end @ along) < (corners @ along).min()
     assert max(start @ along, end @ along) > (corners @ along).max()
+
+
+def test_lines_and_polylines_are_drawn_beyond_the_bodies_by_half_of_their_extent() -> None:
+    m = mbdkit.Mechanism()
+    ball = m.body("ball", mass=1.0, inertia=0.1, position=(3.0, 1.0))
+    round_shape = {"circle": {"radius": 0.1}}
+    m.contact("floor", m.ground, ball, shapes=[{"line": {"normal": [0, 1]}}, round_shape])
+    m.contact("steps", m.ground, ball, shapes=[{"polyline": [[-1, 0], [0, 0], [0, 0.5], [1, 0.5]]}, round_shape])
+    floor, steps = ([point for _, point in contact_places(m, "ground", one.shapes[0])] for one in m.contacts.values())
+    np.testing.assert_allclose(floor, [[-3.0, 0.0], [5.0, 0.0]], atol=1e-15)  # bodies and points are 4 m apart
+    np.testing.assert_allclose(steps, [[-3.0, 0.0], [-1, 0], [0, 0], [0, 0.5], [1, 0.5], [5.0, 0.5]], atol=1e-15)
+
+
+ROUND_OFF = 1e-14  # m, of lengths of some metres
+
+
+@pytest.mark.parametrize("example", ["knee", "double-pendulum", "slider-crank", "watt-six-bar", "car-axis"])
+def test_the_length_of_a_gap_is_the_recorded_misalignment(example):
+    with mbdkit.run(example, integrator={"name": "rk4"}) as run:
+        drawing, poses = draw_run(run), run.array("trajectory/position")
+        found = gaps(run, drawing, poses)
+        assert found.joints
+        for column, name in enumerate(found.joints):
+            length = np.hypot(*found.vectors[:, column].T)
+            np.testing.assert_allclose(length, run.joints[name].misalignment, rtol=1e-9, atol=ROUND_OFF)
+
+
+def test_the_gap_of_a_moving_center_is_the_recorded_misalignment():
+    m = mbdkit.Mechanism()
+    base = m.body("base", mass=1.0, inertia=0.3, position=(0.4, 0.0))
+    disc = m.body("disc", mass=1.0, inertia=0.1, position=(0.9, 0.1), angle=0.3, angular_velocity=4.0)
+    m.revolute("pivot", m.ground, base, at=(0.0, 0.0))
+    m.revolute("rolls", base, disc, at=(0.9, 0.0), center={"x": "-0.2*angle", "y": "0.1*cos(angle)"})
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 2, "step": 0.02}) as run:
+        drawing, poses = draw_run(run), run.array("trajectory/position")
+        length = np.hypot(*gaps(run, drawing, poses).vectors[:, 1].T)
+        assert length.max() > 1e-6
+        np.testing.assert_allclose(length, run.joints["rolls"].misalignment, rtol=1e-8, atol=ROUND_OFF)
+
+
+def test_the_ends_of_a_gap_are_the_joints_points(make_run):
+    run = make_run(rods=3)
+    drawing, poses = draw_run(run), run.array("trajectory/position")
+    found = gaps(run, drawing, poses)
+    world = drawing.world(poses)
+    for (a, b), vector in zip(found.ends, np.moveaxis(found.vectors, 1, 0), strict=True):
+        np.testing.assert_allclose(world[:, b] - world[:, a], vector, rtol=0, atol=ROUND_OFF)
+
+
+def test_of_many_joints_those_that_come_apart_the_most_are_magnified(make_run):
+    def pull(data):
+        data["trajectory/position"][:, 50:, 0] += 1e-3
+
+    data = film_data(make_run(rods=80, rows=40, change=pull), numbers=10_000)
+    assert len(data["gaps"]["joints"]) == 40
+    assert "J51" in data["gaps"]["joints"]
+    assert data["gaps"]["largest"] == pytest.approx(1e-3, rel=1e-9)
+
+
+def test_a_model_that_is_not_installed_has_no_gaps(make_run):
+    data = film_data(make_run(model={"name": "acme:crane"}), numbers=10_000)
+    assert data["gaps"] == {"joints": [], "ends": [], "largest": 0.0, "vectors": []}
+
+
+def test_bands_of_a_short_recording_are_its_rows():
+    values = np.array([[1.0, -2.0], [3.0, 4.0]])
+    cut = bands(np.array([0.0, 1.0]), values)
+    assert cut.exact
+    np.testing.assert_array_equal(cut.high, values)
+    np.testing.assert_array_equal(cut.peaks, [3.0, 4.0])
+    np.testing.assert_array_equal(cut.curve(1), [[0.0, 1.0], [-2.0, 4.0]])
+
+
+@pytest.mark.parametrize("block", [1, 1_000, 4_000_000])
+def test_bands_keep_every_extreme_whatever_the_size_of_a_block(monkeypatch, block):
+    monkeypatch.setattr(curves, "BLOCK", block)
+    rows = 30_011 if block > 1 else 1_009
+    values = np.random.default_rng(2).normal(size=(rows, 2))
+    values[rows // 2, 1] = -99.0
+    cut = bands(np.arange(rows, dtype=float), values, points=100)
+    edges = np.linspace(0, rows, len(cut.time) + 1).astype(int)
+    for low, high, first, last in zip(cut.low, cut.high, edges[:-1], edges[1:], strict=True):
+        np.testing.assert_array_equal(low, values[first:last].min(axis=0))
+        np.testing.assert_array_equal(high, values[first:last].max(axis=0))
+    assert cut.peaks[1] == 99.0
+    assert np.all(np.diff(cut.time) > 0)
+    assert cut.curve(1)[1].min() == -99.0
+
+
+def test_values_that_are_not_finite_leave_no_trace_in_bands():
+    values = np.array([[1.0, np.nan], [np.inf, np.nan], [2.0, np.nan]])
+    cut = bands(np.arange(3.0), values)
+    np.testing.assert_array_equal(cut.high, [[1.0, np.nan], [np.nan, np.nan], [2.0, np.nan]])
+    np.testing.assert_array_equal(cut.peaks, [2.0, np.nan])
+
+
+def test_bands_of_no_curves_are_empty():
+    assert bands(np.arange(5.0), np.empty((5, 0))).high.shape == (5, 0)
+
+
+def test_rows_are_spread_evenly_with_both_ends():
+    assert evenly(5, 10).tolist() == [0, 1, 2, 3, 4]
+    assert evenly(101, 3).tolist() == [0, 50, 100]
+    assert evenly(1, 2).tolist() == [0]
+
+
+@pytest.mark.parametrize("rows", [[0, 99], list(range(100)), [3, 4, 50], []])
+@pytest.mark.parametrize("block", [40, 4_000_000])
+def test_rows_taken_from_a_file_are_those_of_the_array(tmp_path, monkeypatch, rows, block):
+    monkeypatch.setattr(curves, "BLOCK", block)
+    values = np.random.default_rng(3).normal(size=(100, 4, 3))
+    wanted = values[np.array(rows, dtype=int)]
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        data = file.create_dataset("x", data=values, chunks=(10, 4, 3))
+        np.testing.assert_array_equal(take(data, np.array(rows, dtype=int)), wanted)
+        np.testing.assert_array_equal(take(data, np.array(rows, dtype=int), [2, 0]), wanted[:, [2, 0]])

@@ -14,14 +14,12 @@ from matplotlib.figure import Figure
 
 import mbdkit
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit_report.plot import reactions_plot
 
 MASS, HALF, RATE, STIFFNESS = 2.0, 0.5, 3.0, 40.0
 
 # A rod turns about its end at a constant rate, driven by a motor; a spring is hooked to its tip.
 DRIVEN: dict[str, Any] = {
-    "mbdkit": 1,
-    "title": "a driven rod",
+    "mbdkit": 1, "title": "a driven rod",
     "model": {
         "name": "mechanism",
         "bodies": {"rod": {"mass": MASS, "inertia": 0.2, "position": [HALF, 0.0], "angular_velocity": RATE}},
@@ -31,23 +29,19 @@ DRIVEN: dict[str, Any] = {
         },
         "markers": {"tip": {"body": "rod", "point": [HALF, 0.0]}},
     },
-    "integrator": {"name": "gauss", "stages": 2},
-    "time": {"end": 2.0, "step": 0.01},
-}
+    "integrator": {"name": "gauss", "stages": 2}, "time": {"end": 2.0, "step": 0.01},
+}  # fmt: skip
 
 
 def with_spring(spec: dict[str, Any]) -> dict[str, Any]:
     """Return the spec with a vertical spring between the ground and the tip, and a spring about the pin."""
     forces = {
         "hook": {
-            "type": "spring-damper",
-            "bodies": ["ground", "rod"],
-            "points": [[0, 3], [HALF, 0]],
-            "stiffness": STIFFNESS,
+            "type": "spring-damper", "bodies": ["ground", "rod"], "points": [[0, 3], [HALF, 0]], "stiffness": STIFFNESS,
             "free_length": 1.0,
         },
         "coil": {"type": "torsion-spring", "bodies": ["ground", "rod"], "stiffness": 0.3},
-    }
+    }  # fmt: skip
     return spec | {"model": spec["model"] | {"forces": forces}}
 
 
@@ -80,13 +74,10 @@ def lines(axes: Axes) -> dict[str, np.ndarray]:
 
 def test_every_kind_draws_on_the_given_axes_and_returns_them(sprung: mbdkit.Run) -> None:
     labels = {
-        "trajectory": ("x [m]", "y [m]"),
-        "drift": ("time [s]", "misalignment [m]"),
-        "energy": ("time [s]", "energy [J]"),
-        "reactions": ("time [s]", "joint force [N]"),
-        "torques": ("time [s]", "torque [N m]"),
-        "forces": ("time [s]", "force [N]"),
-    }
+        "trajectory": ("x [m]", "y [m]"), "drift": ("time [s]", "misalignment [m]"),
+        "energy": ("time [s]", "energy [J]"), "reactions": ("time [s]", "joint force [N]"),
+        "torques": ("time [s]", "torque [N m]"), "forces": ("time [s]", "force [N]"),
+    }  # fmt: skip
     for kind, named in labels.items():
         axes = Figure().add_subplot()
         assert getattr(sprung.plot, kind)(axes) is axes
@@ -128,13 +119,10 @@ def test_components_of_forces_in_the_global_frame_and_along_the_rod(driven: mbdk
     up = MASS * (9.81 - RATE**2 * HALF * np.sin(angle))
     right = -MASS * RATE**2 * HALF * np.cos(angle)
     known = {
-        "x": {"pin": right},
-        "y": {"pin": up},
-        "global": {"pin, x": right, "pin, y": up},
+        "x": {"pin": right}, "y": {"pin": up}, "global": {"pin, x": right, "pin, y": up},
         "axial": {"pin": right * np.cos(angle) + up * np.sin(angle)},
-        "shear": {"pin": up * np.cos(angle) - right * np.sin(angle)},
-        "magnitude": {"pin": np.hypot(right, up)},
-    }
+        "shear": {"pin": up * np.cos(angle) - right * np.sin(angle)}, "magnitude": {"pin": np.hypot(right, up)},
+    }  # fmt: skip
     known["body"] = {f"pin, {name}": known[name]["pin"] for name in ("axial", "shear")}
     for components, expected in known.items():
         axes = driven.plot.reactions(Figure().add_subplot(), joints="pin", components=components)  # type: ignore[arg-type]
@@ -215,15 +203,6 @@ def test_of_many_joints_those_with_the_largest_values_are_drawn_and_all_lines_ar
     assert list(both) == ["J4, x", "J4, y", "J8, x", "J8, y", "J12, x", "J12, y"]
 
 
-def test_names_are_taken_literally(make_run: Any, axes: Axes) -> None:
-    run = make_run(joints=["_a$x^$", r"$\b$"])
-    run.plot.reactions(axes)
-    legend = axes.get_legend()
-    assert legend is not None
-    assert [text.get_text().strip() for text in legend.get_texts()] == ["_a$x^$", r"$\b$"]
-    axes.figure.canvas.draw()
-
-
 def test_wrong_names_and_empty_plots_are_explained(driven: mbdkit.Run, axes: Axes) -> None:
     with pytest.raises(MbdkitError, match=r"no joint 'pni' \(did you mean 'pin'\?\)"):
         driven.plot.reactions(axes, joints=["pni"])
@@ -247,27 +226,6 @@ def test_estimated_errors_are_bands_around_components_too() -> None:
         corners = band.get_path().vertices[: 2 * len(values), 1]
         np.testing.assert_allclose(corners[: len(values)], values - error)
         np.testing.assert_allclose(corners[len(values) :], (values + error)[::-1])
-
-
-def test_of_long_runs_both_extremes_are_drawn(make_run: Any, axes: Axes) -> None:
-    def swing(data: dict[str, np.ndarray]) -> None:
-        data["joints/reaction_force"][:] = 1.0
-        data["joints/reaction_force"][40_001, 0, 0] = -70.0
-        data["joints/reaction_force"][40_002, 0, 0] = 50.0
-
-    drawn = lines(make_run(rows=100_000, change=swing).plot.reactions(axes, joints="J1", components="x"))["J1"]
-    assert len(drawn) < 5_000
-    assert (drawn.min(), drawn.max()) == (-70.0, 50.0)
-
-
-def test_a_motor_without_a_force_is_drawn_among_the_torques_only(driven: mbdkit.Run) -> None:
-    axes = Figure().subplots(2)
-    for panel, one in zip(reactions_plot.panels(driven), axes, strict=True):
-        panel.draw(one)
-    force, torque = ([text.get_text() for text in one.get_legend().get_texts()] for one in axes)
-    assert "motor" in torque
-    assert "motor" not in force
-    assert "pin" in force
 
 
 def test_runs_are_compared_by_what_differs(driven: mbdkit.Run) -> None:

@@ -3,12 +3,12 @@ from __future__ import annotations
 import json
 import re
 import subprocess
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from matplotlib.animation import FFMpegWriter
 from PIL import Image
+from tests.report.page_elements import Elements
 
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.scene import nearest_rows, round_speed, scene
@@ -17,32 +17,8 @@ from mbdkit_report.pages.animate import animate, page
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> @@DATA@@ & \"q\""
 
 
-class Outline(HTMLParser):
-    """The elements of a page, and the text of each script."""
-
-    def __init__(self, text: str):
-        super().__init__()
-        self.tags: list[str] = []
-        self.links: list[str] = []
-        self.scripts: list[str] = []
-        self.title = ""
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.links += [value for name, value in attrs if name in ("src", "href", "action", "srcset") and value]
-        if tag == "script":
-            self.scripts.append("")
-
-    def handle_data(self, data):
-        if self.cdata_elem == "script":
-            self.scripts[-1] += data
-        elif self.tags and self.tags[-1] == "h1":
-            self.title += data.strip()
-
-
 def data_of(text: str) -> dict:
-    (film,) = json.loads(next(script for script in Outline(text).scripts if script.startswith("[")))
+    (film,) = json.loads(next(script for script in Elements(text).scripts if script.startswith("[")))
     return film
 
 
@@ -105,7 +81,7 @@ def test_the_nearest_row_is_nearest():
 
 def test_a_page_holds_all_that_it_needs_and_asks_the_network_for_nothing(make_run, tmp_path):
     text = animate(make_run(), tmp_path / "a.html").read_text(encoding="utf-8")
-    outline = Outline(text)
+    outline = Elements(text)
     assert outline.links == ["data:,"]
     assert not re.search(r"(?i)https?:|//[a-z0-9-]+\.[a-z]|url\(|@import|\bfetch\(|XMLHttpRequest|\bimport\b", text)
     assert "default-src 'none'" in text
@@ -117,7 +93,7 @@ def test_text_from_a_spec_can_do_no_harm_in_a_page(make_run):
         title=EVIL, bodies=[EVIL, "b"], model={"name": "acme:<b>"}, status="failed", reason=f"not-finite: {EVIL}"
     )
     text = page(run)
-    outline = Outline(text)
+    outline = Elements(text)
     assert outline.tags.count("script") == 3
     assert "img" not in outline.tags
     assert "b" not in outline.tags

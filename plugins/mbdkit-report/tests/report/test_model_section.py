@@ -1,19 +1,30 @@
-"""The first section of a report: the drawing with names, and the tables of the model."""
+"""The first section of a report: the drawing with names, of laws and of archives too, and the tables of the model."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit import Mechanism
+from mbdkit.archive.stored_mechanism import mechanism_json, read_mechanism
+from mbdkit.base.units import read_unit
 from mbdkit.mechanism.beams import parts_of
 from mbdkit.spec import example_names, load_spec
-from mbdkit_report import Illustration, NamedPose, run_report
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_report import Drawing, Illustration, NamedPose, draw_mechanism, run_report
+from mbdkit_report.figures.drawing_geometry import draw_run
 from mbdkit_report.figures.label_placement import LINE, Name, place_names
 from mbdkit_report.figures.mechanism_drawing import mechanism_svg, names_shown
+from mbdkit_report.unit_of_use import unit_of_use
+from tests.archive.stored import SHORT, stored, swing
+from tests.laws.walker import SWEEP, walker
 from tests.linkages import driven_wheel
 
 
@@ -96,31 +107,6 @@ def test_a_motor_is_drawn_at_its_own_joint_where_ends_of_other_bars_meet():
     assert math.dist(axle, [float(number) for number in turn]) == pytest.approx(15.0, abs=0.2)  # px, its radius
 
 
-def test_a_table_of_a_motor_is_told_by_its_first_and_last_point():
-    spec = {
-        "mbdkit": 1,
-        "model": {
-            "name": "mechanism",
-            "bodies": {"arm": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}},
-            "joints": {
-                "pin": {"type": "revolute", "bodies": ["ground", "arm"], "at": [0, 0]},
-                "motor": {
-                    "type": "driver", "bodies": ["ground", "arm"], "coordinate": "angle",
-                    "motion": {"table": [[0, 1, 2], [0, 0.25, 1.5]], "ends": "clamped"},
-                },
-            },
-            "markers": {"tip": {"body": "arm", "point": [0.5, 1e-17]}},
-        },
-        "integrator": {"name": "gauss"},
-        "time": {"end": 0.1, "step": 0.05},
-    }  # fmt: skip
-    with mbdkit.run(spec) as run:
-        tables = {table.name: table for table in run_report(run).sections[0].tables}
-    told = tables["model-joints"].rows[1][-1]
-    assert told == "angle from 0 rad at 0 s to 1.5 rad at 2 s, table of 3 points (cubic)"
-    assert tables["markers"].rows[0][2:4] == (0.5, 0.0)  # a rounding error is no coordinate
-
-
 def test_the_tables_say_what_the_spec_says():
     m = driven_wheel()
     m.marker("rim", "wheel", point=(5.551e-17, 0.5))  # as a difference of global coordinates leaves
@@ -160,11 +146,114 @@ def test_without_its_mechanism_a_run_shows_what_its_archive_holds(make_run):
     assert {"rod1", "rod2"} <= set(texts(section.drawing.wide))
 
 
-def test_the_table_of_joints_tells_how_a_center_moves():
-    m = mbdkit.Mechanism()
-    wheel = m.body("wheel", mass=1.0, inertia=0.1)
-    heights = {"table": [[-1.0, 0.0, 1.0], [0.01, 0.0, 0.01]]}
-    m.revolute("rolls", m.ground, wheel, at=(0.0, 0.0), center={"x": "-0.3*angle", "y": heights})
-    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.05}) as run:
-        tables = {table.name: table for table in run_report(run).sections[0].tables}
-    assert "center x = -0.3*angle m, center y = table of 3 points (cubic) m" in tables["model-joints"].rows[0]
+def test_a_cable_is_drawn_beside_its_joints() -> None:
+    # expected: thigh and shank hang straight down from the hip at the origin. To raise the angle of the hip, the cable
+    # passes it on the side of +x: there its pull up along the thigh turns the thigh counter-clockwise.
+    m = walker()
+    m.cable("tendon", {"hip": 0.05, "knee": -0.03}, stiffness=1e4, acts="tension")
+    drawing = draw_mechanism(m)
+    assert len(drawing.springs) == 2
+    ends = drawing.world(np.array([[0, -0.2, -np.pi / 2], [0, -0.6, -np.pi / 2]]))[np.array(drawing.springs)]
+    np.testing.assert_allclose(ends, [[[0.05, 0], [-0.03, -0.4]], [[-0.03, -0.4], [-0.03, -0.6]]], atol=1e-15)
+
+
+def test_the_report_draws_and_names_a_cable() -> None:
+    m = walker()
+    m.cable("tendon", {"hip": 0.05, "knee": -0.03}, stiffness=1e4, acts="tension")
+    run = mbdkit.run(m, integrator={"name": "rk4"}, time=SWEEP)
+    pose = run.array("trajectory/position")[0]
+    drawn = str(mechanism_svg(NamedPose.of(m, run.bodies, pose, run.time), 600.0))
+    assert "tendon" in drawn
+    assert drawn.count('class="spring') == 2
+
+
+def test_laws_between_two_points_are_drawn_as_springs() -> None:
+    m = Mechanism()
+    m.body("arm", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.body("ball", mass=1.0, position=(1.0, 0.5))
+    m.law("stop", m.ground, "arm", law="one-sided", from_=(0, 1), to=(0.5, 0), stiffness=9.0, acts="tension")
+    m.law("bush", "arm", "ball", law="table", along="y", table=np.array([[0.0, 0.5, 1.0], [-3.0, 0.0, 2.0]]))
+    m.law("mine", m.ground, "ball", law="linear", points=((0, 0), (0, 0)), stiffness=3.0)
+    drawing = draw_mechanism(m)
+    assert len(drawing.springs) == 2
+    ends = drawing.world(np.array([[0.5, 0.0, 0.0], [1.0, 0.5, 0.0]]))[np.array(drawing.springs)]
+    np.testing.assert_allclose(ends, [[[0, 1], [0.5, 0]], [[0, 0], [1, 0.5]]], atol=1e-15)
+
+
+USES: dict[str, tuple[list[tuple[str, str]], str]] = {
+    "alone": ([("k", "N m/rad")], "N m/rad"), "share": ([("L/2 + k", "m"), ("-k", "m")], "m"),
+    "rate": ([("k*t", "rad")], "rad/s"), "rate in degrees": ([("degrees(k)*t", "rad")], "deg/s"),
+    "argument": ([("3.7*sin(k*t)", "N m")], "rad/s"), "frequency": ([("F*sin(2*pi*k*t)", "N")], "Hz"),
+    "amplitude": ([("k*sin(2*pi*f*t)", "N")], "N"), "speed": ([("0.1 + k*t", "m")], "m/s"),
+    "with a parameter": ([("k*L", "N m")], "N"), "denominator": ([("L/k", "m/s")], "s"),
+    "constant of nature": ([("9.81*k", "N")], ""), "contradiction": ([("k", "m"), ("k", "kg")], ""),
+    "power": ([("k**2", "m^2")], ""), "two units": ([("k", "N or N m")], ""), "other parameter": ([("L", "m")], ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("uses", "unit"), USES.values(), ids=USES)
+def test_the_unit_of_a_parameter_follows_from_its_uses(uses: list[tuple[str, str]], unit: str) -> None:
+    assert unit_of_use("k", uses, {"L": read_unit("m"), "f": read_unit("Hz")}) == unit
+
+
+def same(first: Drawing, second: Drawing) -> bool:
+    rest = {"owner": None, "local": None}
+    return (
+        vars(first) | rest == vars(second) | rest
+        and np.array_equal(first.owner, second.owner)
+        and np.array_equal(first.local, second.local)
+    )
+
+
+@pytest.mark.parametrize("name", [*example_names("run"), *example_names("inverse")])
+def test_the_stored_mechanism_of_an_example_is_drawn_as_the_one_that_its_model_builds(name: str) -> None:
+    load = load_inverse_spec if name in example_names("inverse") else load_spec
+    built = load(name).mechanism()
+    read = read_mechanism(mechanism_json(built), list(built.bodies))
+    assert read.not_drawn == ""
+    assert read.mechanism is not None
+    assert read.mechanism.to_spec() == built.to_spec()
+    assert same(draw_mechanism(read.mechanism), draw_mechanism(built))
+
+
+def test_elements_of_unknown_kinds_and_those_that_refer_to_them_are_named_and_the_others_drawn() -> None:
+    data = json.loads(mechanism_json(swing()))
+    data["joints"]["thread"] = {"type": "screw", "bodies": ["ground", "rod"], "pitch": 0.1}
+    cable = {"type": "joint-angles", "angles": {"thread": 0.1}}
+    data["forces"]["cable"] = {"type": "law", "law": "linear", "pathway": cable, "stiffness": 1.0}
+    data["forces"]["spring"]["later"] = 1.0
+    read = stored(data)
+    assert read.not_drawn == "not drawn, because not known here: joints.thread, forces.spring, forces.cable"
+    assert list(read.mechanism.joints) == ["pin"]
+    assert draw_mechanism(read.mechanism).pins
+
+
+def test_options_of_a_law_of_a_plugin_are_kept_without_the_plugin() -> None:
+    data = json.loads(mechanism_json(swing()))
+    pathway = {"type": "two-points", "bodies": ["ground", "rod"], "points": [[0.0, 1.0], [0.5, 0.0]]}
+    data["forces"]["pull"] = {"type": "law", "law": "acme:spring", "pathway": pathway, "pretension": 5.0}
+    read = stored(data)
+    assert read.not_drawn == ""
+    assert dict(read.mechanism.forces["pull"])["pretension"] == 5.0
+    assert len(draw_mechanism(read.mechanism).springs) == 2
+
+
+def test_a_mechanism_of_more_than_64_kib_is_stored(tmp_path: Path) -> None:
+    model = {"name": "n-pendulum", "n": 500}
+    with mbdkit.run({"mbdkit": 1, "model": model, **SHORT}, archive=tmp_path / "a.h5") as run:
+        assert len(run.file.attrs["mechanism"]) > 1 << 16
+        built = mbdkit.RunSpec(mbdkit=1, model=model, **SHORT).mechanism()
+        assert same(draw_run(run), draw_mechanism(built))
+
+
+def test_an_archive_that_lacks_the_mechanism_of_a_plugin_is_drawn_as_points_and_says_so(tmp_path: Path) -> None:
+    with mbdkit.run(swing(), archive=tmp_path / "a.h5", **SHORT) as run:
+        spec = dict(run.spec)
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        del file.attrs["mechanism"]
+        file.attrs["spec"] = json.dumps(spec | {"model": {"name": "acme:crane", "file": str(tmp_path / "secret")}})
+    with mbdkit.load(tmp_path / "a.h5") as run:
+        assert "the model 'acme:crane' is of a plugin, which may read files" in run.not_drawn
+        assert draw_run(run).pins == ()
+        with pytest.raises(mbdkit.ArchiveError, match="only points of bodies"):
+            assert run.mechanism

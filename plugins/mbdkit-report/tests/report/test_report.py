@@ -2,36 +2,30 @@ from __future__ import annotations
 
 import json
 import re
-from html.parser import HTMLParser
+from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
+import h5py
 import numpy as np
 import pytest
+from tests.report.page_elements import Elements
 
 import mbdkit
+from mbdkit.archive.fingerprint import attributes_sha256
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
-from mbdkit_report import Answer, methods, report, run_report
+from mbdkit_report import Answer, Claim, Column, Table, Verdict, json_values, methods, report, run_report, terminal_text
 from mbdkit_report.pages import run_verdict as module
 from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_report.pages.run_verdict import run_verdict
+from mbdkit_report.pages.verdict_text import headlines
+from mbdkit_report.plot.plot_kinds import plot_kinds
+from mbdkit_report.plot.save_plot import plot
+from tests.trust.mechanisms import spec
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
-
-
-class Elements(HTMLParser):
-    """What a page is made of: tags, ids, and every attribute that names an address."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.ids, self.links = [], [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.ids += [value for name, value in attrs if name == "id"]
-        self.links += [value for name, value in attrs if name in ("src", "href", "action", "srcset")]
 
 
 def test_a_page_is_whole_and_names_no_address_outside_of_itself(make_run):
@@ -261,3 +255,112 @@ def test_a_run_that_an_event_ended_completed():
         claim = run_verdict(run).claim("completion")
         assert claim.answer is Answer.YES
         assert "It ended at an event: 'low' crossed zero downwards at t = 0.4833" in claim.sentence
+
+
+SHOWN = Table(
+    "shown", "What it is for", (Column("method"), Column("drift", "m")), (("RK4", 1.23456e-5), ("a | b", None)),
+    "A note.", headline=True,
+)  # fmt: skip
+OTHER = Table("other", "All runs", (Column("run"),), ((1,),))
+CLAIM = Claim("held", "Joints hold.", "below 1e-12", "2e-5 m", Answer.NO, "They do not.")
+
+
+def verdict(*tables: Table) -> Verdict:
+    return Verdict("any", "Any", "They do not.", (CLAIM,), tables)
+
+
+def test_the_terminal_gets_headline_tables_and_claims_alone() -> None:
+    assert headlines(verdict(OTHER, SHOWN)) == (SHOWN,)
+    assert terminal_text(verdict(OTHER, SHOWN)).splitlines() == [
+        "What it is for", "  method  drift [m]", "  RK4     1.235e-05", "  a | b", "A note.",
+        "no     Joints hold. Found: 2e-5 m.",
+    ]  # fmt: skip
+    assert terminal_text(verdict(OTHER)) == ""
+    assert json_values(verdict(OTHER)) == {}
+    values = json.loads(json.dumps(json_values(verdict(OTHER, SHOWN))))
+    assert [table["name"] for table in values["tables"]] == ["shown"]
+    assert values["claims"][0]["answer"] == "no"
+
+
+def test_a_study_is_reported_in_markdown_with_every_cell_in_its_column(study_folder, tmp_path) -> None:
+    target = report(study_folder, tmp_path / "page.md")
+    text = target.read_text(encoding="utf-8")
+    assert text.startswith("# ")
+    assert "## All runs" in text
+    table = [line for line in text.splitlines() if line.startswith("|")]
+    assert len({len(re.findall(r"(?<!\\)\|", line)) for line in table[-7:]}) == 1
+    assert list(tmp_path.iterdir()) == [target]
+
+
+DOUBLE, RK4 = {"name": "double-pendulum"}, {"name": "rk4"}
+
+
+def test_a_complete_run_that_is_bad_has_an_alarm() -> None:
+    with mbdkit.run(spec(DOUBLE, {"name": "rk-gill"}, 2.0, 0.05)) as run:
+        assert (run.status, run.verdict) == ("complete", "bad")
+        assert run_report(run).alarm == "VERDICT: BAD"
+
+
+def test_energy_is_conserved_to_rounding_errors_of_the_sizes_of_bodies() -> None:
+    # the potential energy is zero, so that only the lengths of the rod give the level of rounding errors
+    rod = {"mass": 10, "inertia": 0.1, "position": [0, 0], "angle": -1.2}
+    pin = {"type": "revolute", "bodies": ["ground", "rod"], "at": [0, 0.5]}
+    model = {"name": "mechanism", "bodies": {"rod": rod}, "joints": {"pin": pin}}
+    run = mbdkit.run(spec(model, {"name": "gauss", "stages": 2}, 0.5, 0.001), check=True)
+    assert [claim.answer for claim in run_verdict(run).claims if claim.name == "energy"] == [Answer.YES]
+
+
+def test_an_archive_without_verdict_is_reported_as_that(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    mbdkit.run(spec(DOUBLE, RK4, 0.1, 0.01), archive=path).close()
+    with h5py.File(path, "r+") as file:
+        del file.attrs["warnings"], file.attrs["verdict"], file.attrs["verdict_reasons"]
+        file.attrs["attributes_sha256"] = attributes_sha256(file)
+    with mbdkit.load(path) as run:
+        assert "The archive contains no verdict" in run_report(run).verdict.sentence
+
+
+ESCAPE = "red \x1b[31m\x00\x07\u202egnp \ufffe"
+"""Colours of a terminal, a null character, a bell, reversed text, and a character that XML does not allow."""
+
+HARMFUL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\ufffe]")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Run:
+    """A run whose title has control characters."""
+    archive = tmp_path_factory.mktemp("run") / "run.h5"
+    return mbdkit.run("double-pendulum", title=ESCAPE, time={"end": 0.1, "step": 0.01}, archive=archive)
+
+
+@pytest.mark.parametrize("kind", plot_kinds())
+def test_pictures_are_valid_xml(kind: str, run: mbdkit.Run, tmp_path: Path) -> None:
+    try:
+        plot(run, kind, tmp_path / "one.svg")
+    except mbdkit.MbdkitError:
+        pytest.skip("the double pendulum has none of these quantities")
+    text = "".join(ElementTree.parse(tmp_path / "one.svg").getroot().itertext())
+    assert "\\u001b[31m" in text
+    assert not HARMFUL.search(text)
+
+
+def test_pages_show_them_escaped(run: mbdkit.Run, tmp_path: Path) -> None:
+    page = report(run.path, tmp_path / "run.html").read_text(encoding="utf-8")
+    assert "\\u001b[31m" in page
+    assert not HARMFUL.search(page)
+
+
+@pytest.mark.usefixtures("pictures")
+def test_reports_of_studies_and_their_pictures_show_them_escaped(tmp_path: Path) -> None:
+    labels = [
+        {"label": f"{ESCAPE[:9]}{number}", "value": {"name": name}} for number, name in enumerate(["rk4", "gauss"])
+    ]
+    base = {"model": {"name": "double-pendulum"}, "time": {"end": 0.1, "step": 0.01}}
+    axes = [{"integrator": labels}, {"time.step": [0.01, 0.02]}]
+    mbdkit.study({"mbdkit_study": 1, "title": ESCAPE, "base": base, "axes": axes}, out=tmp_path / "s")
+    page = report(tmp_path / "s", tmp_path / "page.html", figures=tmp_path / "figures")
+    assert not HARMFUL.search(page.read_text(encoding="utf-8"))
+    pictures = list((tmp_path / "figures").glob("*.svg"))
+    assert pictures
+    for picture in pictures:
+        ElementTree.parse(picture)

@@ -1,7 +1,10 @@
-"""The report in a real headless browser, by eye, by keyboard, by screen reader, on a telephone."""
+"""The report in a real headless browser, by eye, by keyboard, by screen reader, on a telephone, and on paper."""
 
 from __future__ import annotations
 
+import csv
+import shutil
+import subprocess
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,15 +13,12 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
-from mbdkit.spec import example_names, load_spec
+from mbdkit.base.text import csv_cell
+from mbdkit.spec import load_spec
 from mbdkit.spec.yaml_reader import read_yaml
-from mbdkit_report import Illustration, NamedPose, render, report, run_report
-from mbdkit_report.figures.mechanism_drawing import mechanism_svg, names_shown
-from mbdkit_report.figures.palette import PALETTE
+from mbdkit_report import render, report, run_report
 from mbdkit_report.figures.player_data import film_data
-from mbdkit_report.pages.templating import inline
 from mbdkit_report.plot.caption import caption
-from mbdkit_report.plot.energy_plot import COLORS
 from tests.browser import opened, until
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
@@ -39,14 +39,6 @@ def position(page):
     return int(page.locator("#scrub").input_value())
 
 
-def test_answers_come_first(shared_page):
-    tab = shared_page.page
-    headings = tab.locator("main h2").all_inner_texts()
-    assert headings[:3] == ["Motion", "Largest forces and torques", "Verdict"]
-    assert tab.locator("header dt").all_inner_texts()[0] == "verdict"
-    assert "The run completed" in tab.locator("p.verdict").inner_text()
-
-
 def test_the_animation_moves_and_can_be_stopped(page):
     tab = page.page
     tab.locator("#stage").scroll_into_view_if_needed()
@@ -60,45 +52,6 @@ def test_the_animation_moves_and_can_be_stopped(page):
     tab.wait_for_timeout(300)
     assert position(tab) == stopped
     assert tab.evaluate("document.getElementById('stage').toDataURL()") == picture
-
-
-def alarmed(page):
-    """Count the pixels of the colour in which gaps are drawn."""
-    return page.evaluate(
-        """() => {
-            const canvas = document.getElementById("stage");
-            const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-            let count = 0;
-            for (let k = 0; k < data.length; k += 4)
-                if (Math.hypot(data[k] - 0xb0, data[k + 1], data[k + 2] - 0x20) < 30) count++;
-            return count;
-        }"""
-    )
-
-
-def test_the_slider_magnifies_the_gaps(page):
-    tab = page.page
-    tab.get_by_role("button", name="Pause").click()
-    tab.locator("#scrub").evaluate("e => { e.value = e.max; e.dispatchEvent(new Event('input')); }")
-    slider = tab.get_by_label("Magnify the gaps in the joints")
-    assert slider.get_attribute("aria-valuetext") == "not magnified"
-    assert alarmed(tab) == 0
-    counts = []
-    for share in (0.8, 0.9, 1.0):
-        slider.evaluate(f"e => {{ e.value = e.max * {share}; e.dispatchEvent(new Event('input')); }}")
-        counts.append(alarmed(tab))
-    assert 0 < counts[0] < counts[1] < counts[2]
-    assert "times" in slider.get_attribute("aria-valuetext")
-    # At its end the slider draws the largest gap over an eighth of the picture, whatever it is in metres.
-    drawn = tab.evaluate(
-        """() => {
-            const [film] = JSON.parse(document.getElementById("films").textContent);
-            const [left, right, bottom, top] = film.view;
-            const factor = 10 ** document.getElementById("magnify").valueAsNumber;
-            return factor * film.gaps.largest / Math.max(right - left, top - bottom);
-        }"""
-    )
-    assert drawn == pytest.approx(0.12, rel=0.03)  # the slider has steps of a hundredth of a decade
 
 
 def test_the_gap_of_a_joint_is_drawn_between_its_bodies_ends(shared_page):
@@ -173,18 +126,6 @@ def test_the_button_of_a_curve_hides_it_and_brings_it_back(shared_page):
     assert figure.locator(".scatterlayer .trace").count() == 2
 
 
-def test_the_times_of_events_are_marked_in_figures(browser, tmp_path):
-    events = {"low": {"when": "rod1.angle + pi/2"}}
-    with mbdkit.run("pendulum", time={"end": 2.0, "step": 0.01}, events=events, archive=tmp_path / "run.h5"):
-        pass
-    tab = browser.new_page()
-    tab.goto(report(tmp_path / "run.h5").as_uri())
-    shapes = "chart => chart._fullLayout.shapes.map(shape => shape.x0)"
-    assert tab.locator('[data-figure="energy"]').evaluate(shapes) == pytest.approx([0.48333371, 1.45000114], abs=1e-6)
-    assert tab.locator('[data-figure="energy"] .annotation-text').all_text_contents() == ["low"]
-    tab.close()
-
-
 def test_the_player_of_inverse_dynamics_shows_and_hides_forces(browser, tmp_path):
     m = mbdkit.Mechanism()
     rod = m.body("rod", mass=2.0, inertia=0.2, position=(0.0, -0.5))
@@ -203,21 +144,6 @@ def test_the_player_of_inverse_dynamics_shows_and_hides_forces(browser, tmp_path
     tab.get_by_role("checkbox", name="Forces").check()
     assert tab.evaluate(picture) == shown
     tab.context.close()
-
-
-def test_the_mouse_zooms_a_figure(shared_page):
-    tab = shared_page.page
-    chart = tab.locator('[data-figure="misalignment"]')
-    chart.scroll_into_view_if_needed()
-    box = chart.locator(".nsewdrag").first.bounding_box()
-    width = "e => e._fullLayout.xaxis.range[1] - e._fullLayout.xaxis.range[0]"
-    whole = chart.evaluate(width)
-    tab.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.2 * box["height"])
-    tab.mouse.down()
-    tab.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.8 * box["height"], steps=5)
-    tab.mouse.up()
-    tab.wait_for_timeout(200)
-    assert chart.evaluate(width) == pytest.approx(0.3 * whole, rel=0.05)
 
 
 def test_headings_are_in_order_and_everything_that_is_seen_has_a_name(browser, any_path):
@@ -373,55 +299,138 @@ def test_the_spec_can_be_saved_and_copied(page):
     assert tab.evaluate("navigator.clipboard.readText()") == saved
 
 
-def test_a_body_has_one_colour_in_drawing_player_and_chart(browser, tmp_path):
-    archive = tmp_path / "arm.h5"
-    mbdkit.run("gravity-balanced-arm", time={"end": 0.2, "step": 0.02}, archive=archive).close()
-    watched = opened(browser, report(archive))
-    tab = watched.page
-    legend = tab.evaluate(
-        "Object.fromEntries([...document.querySelectorAll('#legend li')].map(li => "
-        "[li.textContent, li.firstChild.style.background]))"
-    )
-    patches = tab.evaluate("[...document.querySelectorAll('.wide .patch')].map(p => p.style.getPropertyValue('--own'))")
-    assert patches == list(legend.values())
-    figures = tab.evaluate("JSON.parse(document.getElementById('figure-data').textContent).figures")
-    components = {line["label"]: line["color"] for line in figures["components-1"]["lines"]}
-    assert f"var(--{components['x of upper']})" == legend["upper"]
-    energy = {line["label"]: line["color"] for line in figures["energy"]["lines"]}
-    assert {name: PALETTE.index(COLORS[name]) for name in ("kinetic", "potential", "work")} == {
-        name: int(energy[name][1:]) for name in ("kinetic", "potential", "work")
-    }
+def test_a_table_is_sorted_by_the_button_in_its_heading(page):
+    tab = page.page
+    table = tab.locator('table[data-file="joints"]')
+    head = table.locator("th[scope=col]").nth(2)
+    values = "table => [...table.tBodies[0].rows].map(row => Number(row.cells[2].dataset.value))"
+    first = table.evaluate(values)
+    head.get_by_role("button").focus()
+    for order, wanted in (("descending", sorted(first)[::-1]), ("ascending", sorted(first)), (None, first)):
+        tab.keyboard.press("Enter")
+        assert head.get_attribute("aria-sort") == order
+        assert table.evaluate(values) == wanted
+
+
+def test_a_table_is_saved_as_csv_with_all_digits_and_without_formulas(browser, tmp_path):
+    m = mbdkit.Mechanism()
+    names = ["=1+1", "+a", "@b", 'plain, "quoted"', "-c"]
+    for number, name in enumerate(names):
+        m.body(name, mass=1.0 / (3 + number), inertia=1.0)
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.05}) as run:
+        path = tmp_path / "page.html"
+        path.write_text(run_report(run).html(), encoding="utf-8")
+    watched = opened(browser, path)
+    watched.page.get_by_text("Bodies", exact=True).first.click()  # inputs are folded
+    with watched.page.expect_download() as begun:
+        watched.page.get_by_role("button", name="Download CSV: Bodies").click()
+    assert begun.value.suggested_filename == "bodies.csv"
+    with open(begun.value.path(), encoding="utf-8", newline="") as file:
+        heading, *rows = csv.reader(file)
+    assert heading[:2] == ["body", "mass [kg]"]
+    assert [row[0] for row in rows] == [csv_cell(name) for name in names]
+    assert [float(row[1]) for row in rows] == [1.0 / (3 + number) for number in range(len(names))]
+    assert watched.outside == []
+    watched.page.context.close()
+
+
+def test_nothing_sticks_out_to_the_side(browser, any_path):
+    tab = opened(browser, any_path).page
+    for width in (1400, 390):
+        tab.set_viewport_size({"width": width, "height": 900})
+        tab.wait_for_timeout(300)
+        wide, window = tab.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+        assert wide <= window == width
     tab.context.close()
 
 
-def test_names_in_drawings_of_examples_do_not_overlap(browser, tmp_path):
-    drawings = []
-    for name in sorted(example_names("run")):
-        mechanism = load_spec(name).mechanism()
-        pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
-        shown = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0]))
-        drawings += [f'<div class="wide" title="{name}">{mechanism_svg(shown, Illustration.WIDE)}</div>'] * names_shown(
-            shown
-        )
-    path = tmp_path / "drawings.html"
-    style = f"<style>:root {{ {inline('light.css')} }} {inline('style.css')}{inline('drawing.css')}</style>"
-    path.write_text(f'<!DOCTYPE html>{style}<figure class="drawing">{"".join(drawings)}</figure>', encoding="utf-8")
-    watched = opened(browser, path)
-    found = watched.page.evaluate(
-        """() => [...document.querySelectorAll("div.wide")].flatMap(drawing => {
-            const frame = drawing.querySelector("svg").getBoundingClientRect();
-            const names = [...drawing.querySelectorAll("text")].map(
-                text => [text.textContent, text.getBoundingClientRect()]);
-            const inside = ([, a]) => a.left >= frame.left && a.right <= frame.right
-                && a.top >= frame.top - 1 && a.bottom <= frame.bottom + 1;
-            const meet = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
-                && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 3;
-            return [
-                ...names.filter(name => !inside(name)).map(([text]) => `${drawing.title}: ${text} outside`),
-                ...names.flatMap(([text, a], k) => names.slice(0, k).filter(([, b]) => meet(a, b))
-                    .map(([other]) => `${drawing.title}: ${text} on ${other}`)),
-            ];
+def test_no_table_is_cut_off_on_a_telephone_and_every_value_has_its_name(browser, any_path):
+    tab = opened(browser, any_path, width=390).page
+    tab.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+    wide = "[...document.querySelectorAll('.scroll')].filter(box => box.scrollWidth > box.clientWidth + 1)"
+    assert tab.evaluate(f"{wide}.map(box => box.ariaLabel)") == []
+    labels = tab.evaluate(
+        """() => [...document.querySelectorAll("table.stack")].flatMap(table => {
+            const heads = [...table.tHead.rows[0].cells].map(head => head.textContent.trim());
+            const shown = cell => getComputedStyle(cell, "::before").content.replaceAll('"', "").trim();
+            return [...table.tBodies[0].rows].flatMap(row => [...row.cells].map((cell, k) => [shown(cell), heads[k]]));
         })"""
     )
-    assert found == []
+    assert labels
+    assert all(shown == head for shown, head in labels)
+    tab.context.close()
+
+
+def test_on_paper_everything_is_whole_light_and_without_controls(browser, any_path):
+    watched = opened(browser, any_path, width=703, color_scheme="dark")  # px: A4 without its margins
+    tab = watched.page
+    tab.emulate_media(media="print")
+    tab.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    tab.wait_for_timeout(300)
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 703
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert tab.locator(".main-svg").first.evaluate("svg => svg.style.background") == "rgb(255, 255, 255)"
+    for name in (".tools", ".player .controls", ".magnifier", ".modebar", ".on-screen", "nav", "summary"):
+        assert not any(one.is_visible() for one in tab.locator(name).all()), name
+    cut = tab.evaluate(
+        """() => [...document.querySelectorAll("figure, table, pre")].filter(one => {
+            const box = one.getBoundingClientRect();
+            return box.right > 703.5 || one.scrollWidth > one.clientWidth + 1
+                || [...one.querySelectorAll(".main-svg")].some(svg => {
+                    const own = svg.getBoundingClientRect();
+                    return own.right > box.right + 0.5 || own.bottom > box.bottom + 0.5 || own.width < 330;
+                });
+        }).map(one => one.id || one.outerHTML.slice(0, 60))"""
+    )
+    assert cut == []
+    heights = tab.evaluate("[...document.querySelectorAll('figure')].map(one => one.offsetHeight)")
+    assert max(heights) < 1000  # px: a page has 1017
+    kept = tab.evaluate(
+        "[...document.querySelectorAll('figure')].every(f => getComputedStyle(f).breakInside === 'avoid')"
+    )
+    assert kept
+    tab.context.close()
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext (poppler-utils) is not installed")
+def test_the_printed_report_has_every_figure(browser, page_path, tmp_path):
+    watched = opened(browser, page_path)
+    watched.page.pdf(path=tmp_path / "page.pdf", format="A4")
+    titles = watched.page.locator("#figures ~ .figures h3, #verdict ~ .figures h3").all_inner_texts()
+    subprocess.run(["pdftotext", tmp_path / "page.pdf", tmp_path / "page.txt"], check=True)
+    printed = (tmp_path / "page.txt").read_text(encoding="utf-8")
+    pages = [" ".join(sheet.split()) for sheet in printed.split("\f")]
+    captions = watched.page.locator(".figures figcaption").all_inner_texts()
+    for title, text in zip(titles, captions, strict=True):
+        assert any(title in sheet and text[:40] in sheet for sheet in pages), title  # on one page
+    assert "Download" not in printed
     watched.page.context.close()
+
+
+def test_the_motion_is_printed_as_frames_side_by_side_and_then_shown_as_before(browser, page_path):
+    tab = opened(browser, page_path, width=703).page
+    tab.get_by_role("button", name="Pause").click()
+    picture = tab.evaluate("document.getElementById('stage').toDataURL()")
+    drawn, last = tab.evaluate(
+        """() => {
+            const paint = Stage.prototype.paint, drawn = [];
+            Stage.prototype.paint = function (frame, ...others) {
+                const { a, e, f } = this.pen.getTransform(), { canvas } = this;
+                const inside = e + a * this.width <= canvas.width + a && f + a * this.height <= canvas.height + a;
+                drawn.push([frame, e / a, f / a, inside]);
+                paint.call(this, frame, ...others);
+            };
+            window.dispatchEvent(new Event("beforeprint"));
+            Stage.prototype.paint = paint;
+            return [drawn, Number(document.getElementById("scrub").max)];
+        }"""
+    )
+    frames = [frame for frame, *_ in drawn]
+    assert frames[0] == 0
+    assert frames[-1] == last
+    assert all(a < b for a, b in pairwise(frames))
+    assert len({(x, y) for _, x, y, _ in drawn}) == len(drawn) == 6
+    assert all(inside for *_, inside in drawn)
+    tab.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert tab.evaluate("document.getElementById('stage').toDataURL()") == picture
+    tab.context.close()

@@ -93,8 +93,7 @@ def _no_potential() -> sympy.Expr:
 @model_builder
 def of_urdf(options: UrdfOptions) -> mbdkit.Mechanism:
     """Return the planar mechanism of the file."""
-    model = read_urdf(options.file, floating=options.floating)
-    return _projected(model, options)
+    return _projected(read_urdf(options.file, floating=options.floating), options)
 
 
 @model_builder

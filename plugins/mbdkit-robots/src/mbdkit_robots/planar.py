@@ -258,7 +258,7 @@ class PlanarMechanism:
         data["forces"] |= self._forces(link, pathway, sign, zero)
         data["coordinates"][link.name] = {"of": f"{link.name}.angle", "scale": sign if link.kind == "turn" else 1.0}
 
-    def _forces(self, link: Link, pathway: Mapping[str, Any], sign: float, zero: float) -> dict[str, Any]:
+    def _forces(self, link: Link, pathway: Mapping[str, object], sign: float, zero: float) -> dict[str, Any]:
         """Return the spring, the friction and the limits of a joint as forces by name.
 
         The length of the pathway is ``zero + sign * coordinate``. The pathway is empty if the joint slides along a line

@@ -113,8 +113,7 @@ class Equilibrium(HtmlView):
 
     def __getitem__(self, body: str) -> np.ndarray:
         """Return x, y [m] and angle [rad] of a body by its name."""
-        found: np.ndarray = self.position[self.bodies.index(named_body(body, self.bodies))]
-        return found
+        return np.asarray(self.position[self.bodies.index(named_body(body, self.bodies))])
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self.bodies)

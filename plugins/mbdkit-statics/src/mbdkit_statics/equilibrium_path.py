@@ -127,8 +127,7 @@ class EquilibriumPath:
 
     def __getitem__(self, body: str) -> np.ndarray:
         """Return x, y [m] and angle [rad] of a body along the path, (K, 3)."""
-        found: np.ndarray = self.position[:, self.bodies.index(named_body(body, self.bodies))]
-        return found
+        return np.asarray(self.position[:, self.bodies.index(named_body(body, self.bodies))])
 
 
 def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> EquilibriumPath:

@@ -244,8 +244,7 @@ def remark(value: complex) -> str:
 
 def moves_most(modes: Modes, k: int) -> str:
     """Return the name of the body with the coordinate that changes most in a mode [m or rad]."""
-    size = np.abs(modes.shapes[k]).max(axis=1)
-    return modes.bodies[int(np.argmax(size))]
+    return modes.bodies[int(np.argmax(np.abs(modes.shapes[k]).max(axis=1)))]
 
 
 def _by_name(names: tuple[str, ...], rows: np.ndarray) -> dict[str, list[float]]:

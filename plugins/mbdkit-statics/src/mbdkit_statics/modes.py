@@ -133,8 +133,7 @@ class Modes(HtmlView):
     @property
     def natural_frequency(self) -> np.ndarray:
         """Absolute value of the eigenvalues, (K,) [rad/s]; the frequency of the undamped oscillation."""
-        size: np.ndarray = np.abs(self.eigenvalues)
-        return size
+        return np.asarray(np.abs(self.eigenvalues))
 
     @property
     def damped_frequency(self) -> np.ndarray:
@@ -159,8 +158,7 @@ class Modes(HtmlView):
     @property
     def unstable(self) -> np.ndarray:
         """Whether each mode grows, (K,)."""
-        found: np.ndarray = self.eigenvalues.real > 1e-9 * np.max(np.abs(self.eigenvalues), initial=0.0)
-        return found
+        return np.asarray(self.eigenvalues.real > 1e-9 * np.max(np.abs(self.eigenvalues), initial=0.0))
 
 
 def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpack[Sections]) -> Linearization:
@@ -421,8 +419,7 @@ def _normalised(shapes: np.ndarray, mass: np.ndarray) -> np.ndarray:
     shapes = shapes * (np.abs(phase) / np.where(phase == 0.0, 1.0, phase))
     norm = np.sqrt(np.sum(mass[:, None] * np.abs(shapes) ** 2, axis=0))
     norm = np.where(norm == 0.0, 1.0, norm)  # the shape is zero if only first-order states change
-    normalised: np.ndarray = shapes / norm
-    return normalised
+    return np.asarray(shapes / norm)
 
 
 def _require_freedoms(prepared: PreparedMechanism) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ class PreparedMechanism(AssembledMechanism):
     spec: RunSpec
 
     @classmethod
-    def of(cls, source: Any, overrides: Iterable[str] = (), **sections: Any) -> PreparedMechanism:
+    def of(cls, source: object, overrides: Iterable[str] = (), **sections: object) -> PreparedMechanism:
         """Prepare a mechanism from any source that `mbdkit.run` accepts; for a `Mechanism`, no other sections are
         needed.
 

@@ -253,8 +253,7 @@ def softest_motion(prepared: PreparedMechanism, at: State) -> tuple[float, np.nd
 def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
     """Return the largest stiffness of a single coordinate, for unit mass [1/s^2]."""
     p = prepared.equations
-    diagonal = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness.diagonal()
-    return float(np.max(np.abs(diagonal) / p.mass))
+    return float(np.max(np.abs(p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness.diagonal()) / p.mass))
 
 
 def softest_scale(prepared: PreparedMechanism, at: State) -> float:
@@ -344,8 +343,7 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
     root, no_rows = np.sqrt(p.mass), np.zeros(p.m)
 
     def inverse(x: np.ndarray) -> np.ndarray:
-        solved: np.ndarray = root * matrix.solve(root * x, no_rows)[0]
-        return solved
+        return np.asarray(root * matrix.solve(root * x, no_rows)[0])
 
     def extreme(matvec: Callable[[np.ndarray], np.ndarray], which: str, start: np.ndarray, tolerance: float) -> float:
         operator = LinearOperator((p.n, p.n), matvec=matvec, dtype=float)

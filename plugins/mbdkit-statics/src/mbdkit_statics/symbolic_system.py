@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -146,7 +145,7 @@ class SymbolicSystem:
 
 
 def _solved(
-    mass_matrix: np.ndarray, constraint_jacobian: np.ndarray, gamma: np.ndarray, forces: np.ndarray, **_: Any
+    mass_matrix: np.ndarray, constraint_jacobian: np.ndarray, gamma: np.ndarray, forces: np.ndarray, **_: object
 ) -> dict[str, np.ndarray]:
     """Return accelerations and multipliers, computed with coordinates for which the mass matrix is the identity."""
     n, m = len(forces), len(gamma)

@@ -67,11 +67,6 @@ def test_the_motion_is_that_of_a_run() -> None:
         np.testing.assert_allclose(run[name].velocity, found[name].velocity[at, :2], rtol=0, atol=1e-7)
 
 
-def test_what_is_left_free_is_named() -> None:
-    with pytest.raises(mbdkit.SpecError, match=r"1 degree of freedom is left in acl .*shank"):
-        mbdkit.kinematics("knee")
-
-
 def test_a_rod_too_short_to_turn_the_crank_stops_where_it_is_stretched() -> None:
     # expected: with a rod shorter than the crank the slider can follow until sin(phi) = l / r
     with pytest.raises(mbdkit.RunError, match="cannot follow its drivers beyond t = 0") as caught:

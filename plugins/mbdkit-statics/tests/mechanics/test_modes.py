@@ -161,24 +161,6 @@ def test_a_run_of_small_amplitude_shows_frequency_and_damping(name: str) -> None
     np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-9)
 
 
-def test_the_period_of_a_small_swing_is_that_of_the_mode() -> None:
-    # expected: a gauss run of the double pendulum in its first mode; zero crossings over ten periods
-    found = mbdkit.modes(spec({"name": "double-pendulum", "angles": [-1.5, -1.5]}))
-    amplitude = 1e-4 * found.shapes[0, :, 2].real
-    model = {"name": "double-pendulum", "angles": (-math.pi / 2 + amplitude).tolist()}
-    run = mbdkit.run(spec(model), integrator={"name": "gauss", "stages": 3}, time={"end": 24.0, "step": 0.01})
-    swing = run["rod1"].angle + math.pi / 2
-    before = np.flatnonzero(swing[:-1] * swing[1:] < 0)
-    crossings = run.time[before] + 0.01 * swing[before] / (swing[before] - swing[before + 1])
-    frequency = math.pi * (len(crossings) - 1) / (crossings[-1] - crossings[0])
-    assert frequency == pytest.approx(found.natural_frequency[0], rel=1e-6)
-
-
-def test_what_is_fully_driven_has_no_modes() -> None:
-    with pytest.raises(mbdkit.SpecError, match="no degrees of freedom"):
-        mbdkit.modes("slider-crank")
-
-
 def test_a_linearization_gives_the_modes_as_its_state_matrix() -> None:
     # expected: eigenvalues of A of x' = A x, by NumPy
     line, found = mbdkit.linearize("double-wishbone"), mbdkit.modes("double-wishbone")

@@ -72,11 +72,9 @@ def every_element() -> Mechanism:
 
 
 MECHANISMS: dict[str, Callable[[], Mechanism]] = {
-    "double pendulum": lambda: load_spec("double-pendulum").mechanism(),
-    "knee": lambda: load_spec("knee").mechanism(),
-    "slider-crank": lambda: load_spec("slider-crank").mechanism(),
-    "every element": every_element,
-}
+    "double pendulum": lambda: load_spec("double-pendulum").mechanism(), "knee": lambda: load_spec("knee").mechanism(),
+    "slider-crank": lambda: load_spec("slider-crank").mechanism(), "every element": every_element,
+}  # fmt: skip
 mechanisms = pytest.mark.parametrize("name", ["slider-crank", "every element"])
 forms = pytest.mark.parametrize("numbers", [True, False], ids=["numbers", "symbols"])
 
@@ -115,14 +113,11 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
             jacobian[i, columns] += w.jac[pair, 6 * place + 3 * side :][:3]
     mass = top.mass[:-1].ravel()
     return {
-        "mass_matrix": np.diag(mass),
-        "constraints": np.array([w.phi[row] for row in rows]),
-        "constraint_jacobian": jacobian[:, :n],
-        "gamma": np.array([w.gamma[row] for row in rows]),
+        "mass_matrix": np.diag(mass), "constraints": np.array([w.phi[row] for row in rows]),
+        "constraint_jacobian": jacobian[:, :n], "gamma": np.array([w.gamma[row] for row in rows]),
         "forces": w.force[:n] * bool(m.forces or m.beams) + mass * np.tile([*m.gravity, 0.0], len(m.bodies)),
-        "accelerations": acc[0, :n],
-        "multipliers": np.array([lam[0][row] for row in rows]),
-    }
+        "accelerations": acc[0, :n], "multipliers": np.array([lam[0][row] for row in rows]),
+    }  # fmt: skip
 
 
 @mechanisms

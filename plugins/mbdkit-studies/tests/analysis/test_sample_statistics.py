@@ -1,14 +1,18 @@
-"""Confidence intervals of means, standard deviations, quantiles and linear shares against known distributions."""
+"""Confidence intervals, linear shares, Sobol indices and costs against known distributions and functions."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 import scipy.stats
+from tests.analysis.ishigami import FIRST, TAIL_SHARES, TOTAL, tail, values
 
+import mbdkit
 from mbdkit_studies.points.sampled_values import sampled_values
+from mbdkit_studies.results.cost import at_equal_work, work_for
 from mbdkit_studies.spec.sample_section import Sample
 from mbdkit_studies.statistics.sample_statistics import (
     Estimate,
@@ -17,13 +21,11 @@ from mbdkit_studies.statistics.sample_statistics import (
     squared_correlation,
     standard_deviation,
 )
+from mbdkit_studies.statistics.sobol_indices import SobolIndices, sobol_indices
 
 ASKED: tuple[Callable[[np.ndarray], Estimate], ...] = (
-    mean,
-    standard_deviation,
-    lambda values: quantile(values, 0.05),
-    lambda values: quantile(values, 0.95),
-)
+    mean, standard_deviation, lambda values: quantile(values, 0.05), lambda values: quantile(values, 0.95),
+)  # fmt: skip
 SEEDS = 150
 """With this number of samples, the share of intervals that hold has a standard deviation of 0.018."""
 
@@ -110,3 +112,94 @@ def test_values_that_are_not_known_are_left_out() -> None:
 )
 def test_numbers_have_the_digits_that_their_intervals_justify(estimate: Estimate, text: str) -> None:
     assert estimate.text("N") == text
+
+
+def _error(indices: SobolIndices) -> float:
+    return float(np.max(np.abs([indices.first - FIRST, indices.total - TOTAL])))
+
+
+def test_the_indices_are_those_of_scipy() -> None:
+    given = 1e6 + values(128)  # the mean is subtracted first
+    mine = sobol_indices(given, resamples=1)
+    columns = {"f_A": given[:, 0][None], "f_B": given[:, 1][None], "f_AB": given[:, 2:].T[:, None]}
+    expected = scipy.stats.sobol_indices(func=columns, n=128)
+    assert mine.first == pytest.approx(np.ravel(expected.first_order), abs=1e-7)
+    assert mine.total == pytest.approx(np.ravel(expected.total_order), abs=1e-7)
+
+
+def test_the_indices_of_the_ishigami_function_converge_to_the_analytic_ones() -> None:
+    errors = [_error(sobol_indices(values(n), resamples=1)) for n in (64, 512, 4096, 32768)]
+    assert errors[0] > errors[1] > errors[2] > errors[3]
+    assert errors[3] < 1e-3
+
+
+@pytest.mark.parametrize("method", ["halton", "latin-hypercube", "random"])
+def test_other_samples_give_them_too(method: str) -> None:
+    assert _error(sobol_indices(values(16384, method), resamples=1)) < 0.04
+
+
+def test_intervals_contain_the_analytic_indices_as_often_as_they_say() -> None:
+    hits, count = np.zeros((2, 3)), 150
+    for seed in range(count):
+        found = sobol_indices(values(256, "random", seed), confidence=0.9, resamples=200, seed=seed)
+        hits[0] += (found.first_low <= FIRST) & (found.first_high >= FIRST)
+        hits[1] += (found.total_low <= TOTAL) & (found.total_high >= TOTAL)
+    assert np.all(hits / count > 0.8)  # 0.9, with a standard deviation of 0.025 and a bias of quantile intervals
+    assert np.all(hits / count < 0.99)
+
+
+def test_intervals_contain_small_total_indices_of_skewed_effects_more_often_than_quantiles_of_the_bootstrap() -> None:
+    hits, count = np.zeros(3), 300
+    for seed in range(count):
+        found = sobol_indices(tail(256, seed), resamples=200, seed=seed)
+        hits += (found.total_low <= TAIL_SHARES) & (found.total_high >= TAIL_SHARES)
+    assert np.all(hits[:2] / count > 0.9)
+    assert hits[2] / count > 0.83  # 0.78 with quantiles; the variance of few lognormal values is mostly too small
+
+
+def test_a_variable_that_acts_in_no_row_has_the_total_index_zero() -> None:
+    without = values(64)
+    without[:, 4] = without[:, 0]
+    found = sobol_indices(without, resamples=50)
+    assert (found.total_low[2], found.total[2], found.total_high[2]) == (0.0, 0.0, 0.0)
+
+
+def test_equal_values_have_no_indices() -> None:
+    noise = 1 + 1e-15 * values(32)
+    assert np.all(np.isnan(sobol_indices(noise, resamples=5).total))
+
+
+WORK = np.array([100.0, 200.0, 400.0, 800.0])
+ERROR = 1e6 * WORK**-4.0
+
+
+def test_cost_of_an_explicit_method_is_four_evaluations_a_step() -> None:
+    # expected: Gill's method has four stages, each one evaluation and one factorization
+    run = mbdkit.run("pendulum", integrator={"name": "rk-gill"}, time={"steps": 50, "step": 0.01})
+    counters = ("steps", "rhs_evaluations", "factorizations", "newton_iterations")
+    assert [run.stats[name] for name in counters] == [50, 200, 200, 0]
+    assert run.stats["wall_s"] > 0
+
+
+def test_result_at_equal_work_follows_a_power_law_exactly() -> None:
+    assert at_equal_work(WORK, ERROR, 300.0) == pytest.approx(1e6 * 300.0**-4, rel=1e-12)
+
+
+def test_nothing_is_extrapolated() -> None:
+    assert math.isnan(at_equal_work(WORK, ERROR, 1000.0))
+    assert math.isnan(at_equal_work(WORK, ERROR, 50.0))
+    assert math.isnan(work_for(WORK, ERROR, 1e-8))
+
+
+def test_work_for_a_result_follows_a_power_law_exactly() -> None:
+    assert work_for(WORK, ERROR, 1e6 * 300.0**-4) == pytest.approx(300.0, rel=1e-12)
+    assert work_for(WORK, ERROR, 1.0) <= 100.0
+
+
+def test_work_for_a_result_is_that_from_which_on_it_stays_good() -> None:
+    # An accurate run does not count if finer runs are less accurate.
+    assert work_for(WORK, [1e-9, 1e-2, 1e-4, 1e-8], 1e-5) > 400.0
+
+
+def test_runs_that_failed_count_as_too_large() -> None:
+    assert work_for(WORK, [math.nan, 1e-5, 1e-6, 1e-7], 1e-4) == 200.0

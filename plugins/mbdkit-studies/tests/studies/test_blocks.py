@@ -5,12 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import fcntl
-import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +13,20 @@ import h5py
 import netCDF4
 import numpy as np
 import pytest
-from tests.studies.stored_studies import BASE, GRID, METHODS, index_hash
+from tests.studies.stored_studies import BASE, GRID, index_hash
 
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets
+from mbdkit.archive.layout import TIMINGS
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.plugin.archives import COUNTERS
 from mbdkit.spec import RunSpec
-from mbdkit_studies.compute import batch, pool, run_blocks
+from mbdkit_studies.compute import batch, pool, run_blocks, unfinished_block
 from mbdkit_studies.compute import compute_block as compute_block_module
 from mbdkit_studies.compute.compute_block import compute_block
 from mbdkit_studies.compute.tasks import mark_of, run_at_work
+from mbdkit_studies.compute.unfinished_block import UnfinishedBlock, pieces_of
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoints
@@ -80,15 +77,6 @@ def test_a_stored_run_can_be_saved_as_an_archive(grid: mbdkit.Study, tmp_path: P
         run.save(tmp_path / "run.h5")
         assert run.to_xarray()["energy"]["total"].shape == (31,)
     assert check(tmp_path / "run.h5") == []
-
-
-def test_the_index_has_the_measures_of_a_study_with_files(grid: mbdkit.Study, tmp_path: Path) -> None:
-    files = mbdkit.study(GRID | {"axes": [{"integrator": METHODS[:2]}]}, store="files", out=tmp_path / "files")
-    in_files, in_blocks = files.to_frame(), grid.to_frame().iloc[[0, 3]]
-    for name in files.points[0].values:
-        if not name.endswith("_s"):
-            assert in_files[name].tolist() == pytest.approx(in_blocks[name].tolist(), nan_ok=True, rel=0, abs=0), name
-    assert in_files["data_sha256"].tolist() == in_blocks["data_sha256"].tolist()
 
 
 def test_other_programs_read_blocks(grid: mbdkit.Study) -> None:
@@ -262,13 +250,6 @@ def test_a_falsified_index_is_found_when_a_run_is_computed_again(tmp_path: Path)
         study.remake(dataclasses.replace(study.points[2], row=row))
 
 
-def test_shards_of_blocks_make_the_whole(grid: mbdkit.Study, tmp_path: Path) -> None:
-    parts = [mbdkit.study(GRID, out=tmp_path / "s", shard=Shard(number, 2)) for number in (1, 2)]
-    assert [part.computed for part in parts] == [8, 7]
-    assert parts[0].status == "partial"
-    assert index_hash(tmp_path / "s") == index_hash(grid.folder)
-
-
 def test_a_block_is_a_function_of_its_folder(grid: mbdkit.Study, tmp_path: Path) -> None:
     out = tmp_path / "s"
     mbdkit.study(GRID, out=out, shard=Shard(100, 100))  # computes nothing: there are four blocks
@@ -335,32 +316,6 @@ def test_a_run_that_kills_its_process_twice_fails_without_the_others(
     assert not list((tmp_path / "s" / "runs").glob(".block*"))
 
 
-def test_a_study_killed_in_the_middle_goes_on_to_the_index_of_an_undisturbed_one(tmp_path: Path) -> None:
-    spec = tmp_path / "s.json"
-    axes = [{"model.angles.0": {"linspace": [0.0, 1.0, 8]}}, {"model.angles.1": {"linspace": [0.0, 1.0, 5]}}]
-    spec.write_text(json.dumps({"mbdkit_study": 1, "base": BASE, "store": "hashes", "block": 5, "axes": axes}))
-    out = tmp_path / "killed"
-    command = [sys.executable, "-m", "mbdkit", "study", str(spec), "-o", str(out), "--workers", "1", "--quiet"]
-    call = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        while len(list(out.glob("runs/block-*.h5"))) < 3:
-            assert call.poll() is None
-            time.sleep(0.005)
-    finally:
-        call.send_signal(signal.SIGKILL)
-        call.wait()
-    kept = {path.name: path.stat().st_mtime_ns for path in out.glob("runs/block-*.h5")}
-    assert 3 <= len(kept) < 8
-    time.sleep(0.5)  # the worker ends by itself when its parent is gone
-    study = mbdkit.study(spec, out=out)
-    assert study.computed <= 40 - 5 * len(kept)
-    now = {path.name: path.stat().st_mtime_ns for path in out.glob("runs/block-*.h5")}
-    assert {name: now[name] for name in kept} == kept
-    mbdkit.study(spec, out=tmp_path / "undisturbed")
-    assert index_hash(out) == index_hash(tmp_path / "undisturbed")
-    assert not [name for name in os.listdir(out / "runs") if not name.startswith("block-") or name.endswith(".part")]
-
-
 def test_a_large_study_becomes_blocks_unless_it_asks_for_files(tmp_path: Path) -> None:
     many = {"mbdkit_study": 1, "base": BASE, "axes": [{"model.angles.0": {"linspace": [0.0, 1.0, 501]}}]}
     last = Shard(1000, 1000)
@@ -410,14 +365,6 @@ def test_a_study_begins_only_if_the_checked_specs_are_valid(tmp_path: Path) -> N
     assert [point.number for point in done.failures] == [4]
     assert done.failures[0].reason.startswith("wrong-input: ")
     assert done.run(done.failures[0]) is None
-
-
-def test_a_member_with_wrong_values_fails_alone(tmp_path: Path) -> None:
-    study = mbdkit.ensemble(BASE, {"time.step": [np.nan, np.nan, 0.01, 0.02]}, out=tmp_path / "s")
-    assert study.to_frame()["status"].tolist() == ["failed", "failed", "complete", "complete"]
-    assert "wrong-input" in study.points[1].reason
-    with pytest.raises(MbdkitError, match="run 2 has no results"):
-        study.remake(1)
 
 
 def test_an_ensemble_goes_on_from_its_folder_alone(tmp_path: Path) -> None:
@@ -484,20 +431,6 @@ def test_conditions_of_strangers_are_refused(grid: mbdkit.Study, condition: str)
         grid.select(condition)
 
 
-def test_hundred_thousand_rows_are_selected_in_a_second() -> None:
-    from mbdkit_studies.statistics.selection import select_rows
-
-    rng = np.random.default_rng(1)
-    columns = {f"c{number}": rng.random(100_000) for number in range(30)}
-    columns["time.step"] = rng.random(100_000)
-    columns["integrator"] = np.array(["gauss", "rk4"], object)[rng.integers(0, 2, 100_000)]
-    started = time.perf_counter()
-    rows = select_rows("c1 < 0.5 and integrator == 'gauss' and time.step >= 0.25", columns)
-    assert time.perf_counter() - started < 1.0
-    expected = (columns["c1"] < 0.5) & (columns["integrator"] == "gauss") & (columns["time.step"] >= 0.25)
-    np.testing.assert_array_equal(rows, expected)
-
-
 def test_the_table_of_runs_is_exported(grid: mbdkit.Study, tmp_path: Path) -> None:
     pandas = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
@@ -508,3 +441,103 @@ def test_the_table_of_runs_is_exported(grid: mbdkit.Study, tmp_path: Path) -> No
     assert table["misalignment_max"].equals(frame["misalignment_max"])
     assert table["data_sha256"].tolist() == frame["data_sha256"].tolist()
     assert len((tmp_path / "csv" / "runs.csv").read_text().splitlines()) == 16
+
+
+ONE_BLOCK = GRID | {"block": 15, "measures": ["misalignment_max", {"low": "min(rod2.y)"}]}
+ONE_BLOCK["base"] = BASE | {"time": {"end": 0.1, "step": 0.01}, "limits": {"max_steps": 20}}
+COMPUTED = 15
+"""Runs of the grid. Some fail, because their steps are so small that `max_steps` ends them."""
+
+
+@pytest.fixture
+def computed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return a list of the numbers of runs that each later call computes; all of them save each vector of runs."""
+    monkeypatch.setattr(unfinished_block, "INTERVAL", 0.0)
+    monkeypatch.setattr(unfinished_block, "LARGEST_RATE", np.inf)
+    simulate, counts = compute_block_module.simulate_in_any_order, []
+
+    def counted(specs: Any, **options: Any) -> Any:
+        counts.append(len(specs))
+        return simulate(specs, **options)
+
+    monkeypatch.setattr(compute_block_module, "simulate_in_any_order", counted)
+    return counts
+
+
+def begun(folder: Path, spec: Any = ONE_BLOCK) -> StudyFolder:
+    """Return the folder of a study of one block of which nothing has been computed."""
+    mbdkit.study(spec, out=folder, shard=Shard(2, 2))
+    return StudyFolder(folder)
+
+
+def interrupt(folder: StudyFolder, monkeypatch: pytest.MonkeyPatch, saves: int) -> None:
+    """Compute the block until it has saved runs several times."""
+    add = UnfinishedBlock.add
+
+    def interrupted(self: UnfinishedBlock, runs: Any) -> None:
+        add(self, runs)
+        if len(pieces_of(folder.block(0))) >= saves:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(UnfinishedBlock, "add", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            compute_block(folder.path, 0)
+
+
+def contents(block: Path) -> dict[str, Any]:
+    """Return the arrays of a block except for times, as bytes."""
+    with h5py.File(block) as file:
+        return {
+            item.name: item[()].tobytes() if item.dtype.kind != "O" else [str(one) for one in np.ravel(item[()])]
+            for item in datasets(file)
+            if item.name.rpartition("/")[2] not in (*TIMINGS, "elapsed_s")
+        }
+
+
+@pytest.mark.parametrize("store", ["hashes", "all"])
+def test_an_interrupted_block_is_completed_to_the_same_bits(
+    store: str, tmp_path: Path, computed: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, whole = (begun(tmp_path / name, ONE_BLOCK | {"store": store}) for name in ("interrupted", "whole"))
+    compute_block(whole.path, 0)
+    interrupt(folder, monkeypatch, 3)
+    interrupt(folder, monkeypatch, 4)
+    compute_block(folder.path, 0)
+    assert computed[0] == computed[1] == COMPUTED > computed[2] > computed[3] > 0
+    assert contents(folder.block(0)) == contents(whole.block(0))
+    assert [path.name for path in folder.runs.iterdir()] == ["block-000000.h5"]
+
+
+def test_runs_of_other_versions_and_truncated_files_are_computed_again(
+    tmp_path: Path, computed: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = begun(tmp_path / "s")
+    interrupt(folder, monkeypatch, 2)
+    (first, second) = sorted(pieces_of(folder.block(0)))
+    saved = [len(UnfinishedBlock(folder.block(0), heading(mbdkit_version)).saved()) for mbdkit_version in ("", "0.0.7")]
+    assert saved[0] > saved[1] == 0
+    for path in (first, second):
+        path.write_bytes(path.read_bytes()[:-200])
+    compute_block(folder.path, 0)
+    assert computed == [COMPUTED, COMPUTED]
+
+
+def heading(version: str) -> Any:
+    study = load_study_spec(ONE_BLOCK)
+    now = compute_block_module.surroundings()
+    return compute_block_module.BlockHeading(study.sha256(), "all", now | ({"mbdkit": version} if version else {}), {})
+
+
+def test_saved_runs_are_removed_with_the_study_and_when_their_block_is_complete(
+    tmp_path: Path, computed: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = begun(tmp_path / "s")
+    interrupt(folder, monkeypatch, 1)
+    folder.clear()
+    assert not list(folder.runs.iterdir())
+    folder = begun(tmp_path / "t")
+    compute_block(folder.path, 0)
+    (folder.runs / ".block-000000.piece-7").touch()  # the process was killed before it could remove this file
+    assert mbdkit.study(ONE_BLOCK, out=folder.path).computed == 0
+    assert [path.name for path in folder.runs.iterdir()] == ["block-000000.h5"]

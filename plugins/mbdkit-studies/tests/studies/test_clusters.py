@@ -15,10 +15,7 @@ from tests.studies.study_of_executors import BASE
 
 import mbdkit
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")]
 
 PART = ["--shard", "1/20", "--quiet"]
 """A twentieth of the packaged study, 24 runs or so; `python -m tests.benchmarks executors` takes all of it."""

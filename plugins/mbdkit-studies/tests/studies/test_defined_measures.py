@@ -1,9 +1,10 @@
-"""Studies with measures of their own: columns and units, refusals before the first run, and measures of plugins."""
+"""Studies with measures of their own: columns and units, refusals before the first run, plugins, and the guide."""
 
 from __future__ import annotations
 
 import copy
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,15 @@ from pydantic import BaseModel
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.measures.take import take
+from mbdkit.measures.measured_quantities import ATTRIBUTES
+from mbdkit.measures.take import describe, take
 from mbdkit.registry.catalogue import Origin, Registered, Registry
 from mbdkit.registry.item_options import named_options
+from mbdkit.spec import load_spec
+from mbdkit.spec.reading import read_text
 from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit_studies.compute.study_plan import plan_study
+from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_testing import verify
 from tests.installing import install_module, python
 
@@ -54,12 +60,6 @@ def test_units_stand_in_the_index_the_frame_and_the_dataset(fallen: mbdkit.Study
     assert fallen.to_frame().attrs["units"]["depth"] == "mm"
     assert fallen.to_xarray()["a_speed"].attrs["units"] == "m/s"
     assert [(name, column.units) for name, column in fallen.measures.items()] == [("depth", "mm"), ("a_speed", "m/s")]
-
-
-def test_a_second_call_computes_nothing_and_keeps_the_measures(fallen: mbdkit.Study) -> None:
-    again = mbdkit.study(FALL, out=fallen.folder)
-    assert again.computed == 0
-    assert list(again.to_frame()["depth"]) == pytest.approx([500.0, 2000.0])
 
 
 def test_a_list_takes_only_what_it_contains(tmp_path: Path) -> None:
@@ -191,12 +191,6 @@ def test_options_of_a_measure_are_checked_before_the_first_run(site: Path, tmp_p
     assert not (tmp_path / "s").exists()
 
 
-def test_a_measure_of_a_plugin_is_verified(site: Path, tmp_path: Path) -> None:
-    done = python("-m", "mbdkit", "plugins", "verify", "drop", "--set", "body=crank", path=(site,), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr + done.stdout
-    assert "measure.value" in done.stdout
-
-
 def test_what_is_not_a_number_is_the_fault_of_the_plugin(fallen: mbdkit.Study) -> None:
     plugin = mbdkit.MeasurePlugin("wordy", "No number", BaseModel, "m", lambda run, options: "much")
     item = Registered("measure", plugin, Origin("acme", "1.0", "main = acme"))
@@ -262,10 +256,29 @@ def test_wrong_measures_of_a_base_are_refused_where_they_stand(
     assert not (tmp_path / "falls").exists()
 
 
-def test_a_measure_of_a_base_is_refused_with_the_file_of_the_base(tmp_path: Path) -> None:
-    base = {"mbdkit": 1, **FALL["base"], "measures": {"depth": "final(bal.y)"}}
-    (tmp_path / "fall.json").write_text(json.dumps(base, indent=1))
-    with pytest.raises(SpecError, match=r"fall\.json:\d+: measures\.depth: "):
-        mbdkit.study(
-            {"mbdkit_study": 1, "base": str(tmp_path / "fall.json"), "axes": FALL["axes"]}, out=tmp_path / "falls"
-        )
+GUIDE = (Path(mbdkit.__file__).parent / "guide" / "measures.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", GUIDE, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_the_study_is_valid_and_has_the_units_that_it_says() -> None:
+    text, _ = (text for language, text in BLOCKS if language == "yaml")
+    plan = plan_study(load_study_spec(read_text(text, "guide").data))
+    units = {name: column.units for name, column in plan.defined.items()}
+    assert units == {"peak_B": "N", "mean_B": "kN", "bend": "deg", "spring_work": "J"}
+
+
+def test_the_measures_of_beams_are_valid() -> None:
+    _, text = (text for language, text in BLOCKS if language == "yaml")
+    spec = load_spec("leaf-spring", measures=read_text(text, "guide").data["measures"])
+    units = {one.name: describe(one, spec).units for one in spec.defined_measures()}
+    assert units == {
+        "largest_moment": "N m", "stress_in_the_middle": "MPa", "stress_at_the_clamp": "MPa",
+        "moment_at_the_end": "N m", "moment_near_a": "N m", "moment_at_a": "N m",
+    }  # fmt: skip
+
+
+def test_every_quantity_is_listed() -> None:
+    for kind, names in ATTRIBUTES.items():
+        row = next(line for line in GUIDE.splitlines() if line.startswith(f"| `{kind}"))
+        missing = [name for name in names if f"`{name}`" not in row and not re.match(r"force_\w*[xy]$", name)]
+        assert missing == []

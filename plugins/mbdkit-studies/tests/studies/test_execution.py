@@ -1,7 +1,8 @@
-"""What is computed, what is not computed again, and what becomes of runs that go wrong."""
+"""What is computed, what is not computed again, and what becomes of runs that go wrong or are killed."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from pathlib import Path
@@ -13,11 +14,14 @@ from tests.studies.stored_studies import index_hash
 
 import mbdkit
 from mbdkit.archive.archive_check import check
+from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.base.errors import ArchiveError, SpecError
-from mbdkit_studies.compute import pool
+from mbdkit.spec import load_spec
+from mbdkit_studies.compute import pool, worker
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.store import study_index
+from tests.runs.resuming.killed_runs import killed
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
 CLOSED = {
@@ -79,21 +83,6 @@ def test_two_workers_give_the_same_data_as_one(finished, small, tmp_path):
     assert index_hash(tmp_path / "two") == index_hash(finished.folder)
     hashes = [[point.row.data_sha256 for point in which.points] for which in (study, finished)]
     assert hashes[0] == hashes[1]
-
-
-def test_a_study_can_be_run_again_from_its_own_study_yaml(finished, copied):
-    assert mbdkit.study(copied / "study.yaml", out=copied).computed == 0
-
-
-def test_a_deleted_run_is_computed_again_alone(copied, small):
-    before, index = written(copied), index_hash(copied)
-    gone = next(iter(before))
-    (copied / "runs" / gone).unlink()
-    study = mbdkit.study(small, out=copied)
-    assert study.computed == 1
-    after = written(copied)
-    assert {name for name in before if after[name] != before[name]} == {gone}
-    assert index_hash(copied) == index
 
 
 def truncate(path: Path) -> None:
@@ -192,50 +181,30 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
 
 
 @pytest.mark.usefixtures("processes")
-def test_the_death_of_a_worker_is_the_failure_of_its_run_alone_and_the_run_is_tried_again(
-    finished, small, tmp_path, monkeypatch
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call_and_in_later_ones(
+    count, finished, small, tmp_path, monkeypatch
 ):
-    victim = finished.points[1].run_id
-    give = pool._Worker.give
+    victim, give, deaths = finished.points[1].run_id, pool._Worker.give, []
 
     def deadly(worker, task):
-        if task.key == victim:
-            worker.process.kill()
-            worker.process.wait()
-        give(worker, task)
-
-    monkeypatch.setattr(pool._Worker, "give", deadly)
-    study = mbdkit.study(small, out=tmp_path / "out")
-    assert [point.status for point in study.points] == ["complete", "failed", "complete", "complete"]
-    reason = "worker-died: two processes that computed it died; the second one was killed by SIGKILL."
-    assert study.points[1].reason == reason
-    assert study.unfinished == (reason,)
-    assert not list((tmp_path / "out" / "runs").glob("*.part"))
-    monkeypatch.undo()
-    again = mbdkit.study(small, out=tmp_path / "out")
-    assert again.computed == 1
-    assert index_hash(tmp_path / "out") == index_hash(finished.folder)
-
-
-@pytest.mark.usefixtures("processes")
-def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call(finished, small, tmp_path, monkeypatch):
-    victim = finished.points[1].run_id
-    give = pool._Worker.give
-    deaths = []
-
-    def deadly(worker, task):
-        if task.key == victim and not deaths:
+        if task.key == victim and len(deaths) < count:
             deaths.append(worker)
             worker.process.kill()
             worker.process.wait()
         give(worker, task)
 
     monkeypatch.setattr(pool._Worker, "give", deadly)
-    study = mbdkit.study(small, out=tmp_path / "out", workers=2)
-    assert len(deaths) == 1
+    study = mbdkit.study(small, out=tmp_path / "out", workers=count)
+    reason = "worker-died: two processes that computed it died; the second one was killed by SIGKILL."
+    assert study.unfinished == (reason,) * (count - 1)
+    assert len(deaths) == count
     assert deaths[0].process.stdout.closed
-    assert study.computed == 5
-    assert study.unfinished == ()
+    assert not list((tmp_path / "out" / "runs").glob("*.part"))
+    if count == 2:
+        assert [point.status for point in study.points] == ["complete", "failed", "complete", "complete"]
+        assert study.points[1].reason == reason
+        assert mbdkit.study(small, out=tmp_path / "out").computed == 1
     assert index_hash(tmp_path / "out") == index_hash(finished.folder)
 
 
@@ -265,14 +234,12 @@ def test_an_interrupted_call_leaves_an_index_of_all_that_is_there(finished, smal
 
 def test_equal_runs_are_computed_once(tmp_path):
     study = {
-        "mbdkit_study": 1,
-        "base": "pendulum",
-        "overrides": {"time": {"end": 0.2, "step": 0.01}},
+        "mbdkit_study": 1, "base": "pendulum", "overrides": {"time": {"end": 0.2, "step": 0.01}},
         "families": {
             "one": {"axes": [{"model.length": [1.0, 2.0]}]},
             "two": {"axes": [{"model.length": [2.0, 1.0, 1.0]}], "reference": {"time.step": 0.005}},
         },
-    }
+    }  # fmt: skip
     done = mbdkit.study(study, out=tmp_path / "out")
     assert len(done.points) == 5
     assert done.computed == 4
@@ -299,20 +266,11 @@ def test_the_parts_of_a_study_make_the_whole_and_say_what_they_lack(finished, sm
     assert index_hash(out) == index_hash(finished.folder)
 
 
-def test_every_run_belongs_to_exactly_one_part():
-    for count in (1, 2, 5):
-        parts = [Shard.parse(f"{number}/{count}") for number in range(1, count + 1)]
-        assert all(sum(part.has(place) for part in parts) == 1 for place in range(20))
-
-
 def test_repeated_timings_are_kept_with_their_quartiles_and_not_made_again(tmp_path):
     study = {
-        "mbdkit_study": 1,
-        "base": "pendulum",
-        "overrides": {"time": {"end": 0.1, "step": 0.01}},
-        "axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}],
-        "repeats": 5,
-    }
+        "mbdkit_study": 1, "base": "pendulum", "overrides": {"time": {"end": 0.1, "step": 0.01}},
+        "axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}], "repeats": 5,
+    }  # fmt: skip
     done = mbdkit.study(study, out=tmp_path / "out")
     for point in done.points:
         assert len(point.row.repeats) == 5
@@ -335,3 +293,19 @@ def test_reasons_of_runs_with_several_wrong_values_are_on_one_line() -> None:
     error = SpecError("should be greater than 0, not -1\n  also: model.b: is missing", key="model.a")
     wanted = "wrong-input: model.a: should be greater than 0, not -1; also: model.b: is missing"
     assert refusal(error).reason == wanted
+
+
+@pytest.mark.parametrize("is_damaged", [False, True], ids=["whole", "damaged checkpoint"])
+def test_a_study_continues_its_killed_run(tmp_path: Path, is_damaged: bool) -> None:
+    part = tmp_path / "run.h5.part"
+    spec = load_spec("double-pendulum", integrator={"name": "rk4"}, time={"steps": 20_000, "step": 1e-4}, events={})
+    assert killed(json.loads(spec.canonical_json()), part, checkpoints=3, delay=0.0)
+    if is_damaged:
+        checkpoint_path(part).write_bytes(b"damaged")
+    path = part.with_suffix("")
+    answer = worker._work({"spec": spec.canonical_json(), "path": str(path), "measures": []}, print)
+    assert answer == {"status": "complete", "reason": ""}
+    with mbdkit.load(path) as run:
+        assert run.provenance.get("resumed", 0) == (0 if is_damaged else 1)
+        assert run.data_sha256 == mbdkit.run(spec).data_sha256
+    assert os.listdir(tmp_path) == ["run.h5"]

@@ -57,13 +57,10 @@ CONTROLLED: dict[str, ExplicitRungeKutta | ImplicitRungeKutta] = {
     "loose radau-iia-2 by fixed points": ImplicitRungeKutta(radau_iia.tableau(2), "fixed-point", tolerances=LOOSE),
 }
 RECORDED: dict[str, dict[str, Any]] = {
-    "adaptive dopri5": {"every": 1},
-    "adaptive dop853": {"interval": 0.011},
-    "loose dop853": {"every": 3},
-    "adaptive radau-iia-3": {"every": 2},
-    "loose gauss-2": {"interval": 0.011},
+    "adaptive dopri5": {"every": 1}, "adaptive dop853": {"interval": 0.011}, "loose dop853": {"every": 3},
+    "adaptive radau-iia-3": {"every": 2}, "loose gauss-2": {"interval": 0.011},
     "loose radau-iia-2 by fixed points": {"every": 1},
-}
+}  # fmt: skip
 
 
 def with_laws(rng: np.random.Generator) -> Mechanism:
@@ -103,15 +100,9 @@ def blade(rng: np.random.Generator) -> Mechanism:
 
 
 KINDS = {
-    "blade": blade,
-    "chain": chain,
-    "ladder": ladder,
-    "driven frame": driven_frame,
-    "slides": slides,
-    "laws": with_laws,
-    "rolling": rolling,
-    "springs": lambda rng: driven_chain(float(rng.uniform(10, 50)), float(rng.uniform(0.1, 1))),
-}
+    "blade": blade, "chain": chain, "ladder": ladder, "driven frame": driven_frame, "slides": slides, "laws": with_laws,
+    "rolling": rolling, "springs": lambda rng: driven_chain(float(rng.uniform(10, 50)), float(rng.uniform(0.1, 1))),
+}  # fmt: skip
 
 
 class Nearby(np.random.Generator):
@@ -198,9 +189,9 @@ COVER = [
     (kind, method)
     for number, kind in enumerate(KINDS)
     for place, method in enumerate(METHODS)
-    if (number + place) % 2 == 0
+    if (number + place) % 4 == 0
 ]
-"""Every kind with four methods, two of them implicit, and every method with four kinds."""
+"""Every kind with two methods, one of them implicit, and every method with two kinds."""
 
 
 @pytest.mark.parametrize(("kind", "method"), COVER)
@@ -215,7 +206,7 @@ def test_every_lane_has_the_bits_of_the_single_run(kind: str, method: str) -> No
         assert_same_bits(results, lane, method, workspace, table)
 
 
-@pytest.mark.parametrize("kind", ["chain", "slides", "springs"])
+@pytest.mark.parametrize("kind", ["chain", "slides"])
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_lanes_iterate_as_often_as_their_single_runs(kind: str, method: str) -> None:
     # different mechanisms take different numbers of iterations, and evaluate their tangents again at different times
@@ -240,9 +231,9 @@ COVER_CONTROLLED = [
     (kind, method)
     for number, kind in enumerate(KINDS)
     for place, method in enumerate(CONTROLLED)
-    if CONTROLLED[method].traits.is_explicit or (number + place) % 3 == 1
+    if (number + place) % 3 == 1
 ]
-"""Every kind with every explicit method and with one implicit method."""
+"""Every kind with one explicit and one implicit method."""
 
 
 def controlled(method: str, workspaces: list[Workspace], planned: list[Timetable]) -> LaneResults:
@@ -346,15 +337,6 @@ def test_a_run_whose_iteration_fails_is_left_to_the_driver_of_single_runs(method
     assert results.lost.tolist() == [i == 1 for i in range(WIDTH)]
     for lane in {0, WIDTH - 1} - {1}:
         assert_same_bits(results, lane, method, workspaces[lane], planned[lane])
-
-
-def test_lanes_may_be_idle() -> None:
-    planned = tables(WIDTH - 1)
-    workspaces = workspaces_of("chain", planned)
-    results = advanced("rk4", workspaces, planned)
-    assert len(results.lost) == WIDTH - 1
-    for lane, (workspace, table) in enumerate(zip(workspaces, planned, strict=True)):
-        assert_same_bits(results, lane, "rk4", workspace, table)
 
 
 @pytest.mark.parametrize("method", ["rk4", *IMPLICIT])

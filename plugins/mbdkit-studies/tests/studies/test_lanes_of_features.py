@@ -1,7 +1,10 @@
-"""Runs in lanes have the bits and the warnings of single runs, whatever the mechanisms have."""
+"""Runs in lanes, prepared runs and starts at once have the bits of single ones, whatever the mechanisms have."""
 
 from __future__ import annotations
 
+import json
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,11 +12,18 @@ import pytest
 
 import mbdkit
 from mbdkit import RunSpec
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.consistent_start import CompiledForStarts, Starts, mechanism_at_start
 from mbdkit.engine.kernels.angles import FAR
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
+from mbdkit.spec.reading import parse_key, put
 from mbdkit_studies.compute.batch import simulate_batch
 from mbdkit_studies.lanes.lane_runs import why_alone
+from mbdkit_studies.lanes.lane_starts import at_starts
 from tests.engine.drawn_angles import drawn
+from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
+from tests.engine.starts import assert_same_bits, moved
 from tests.laws.thrown_mass import thrown
 from tests.runs import leg_with_states
 from tests.runs.coincident_ends import passing
@@ -83,3 +93,106 @@ def test_runs_of_a_batch_that_differ_in_states_or_controllers_only_are_not_mixed
     alone = [mbdkit.run(spec).data_sha256 for spec in specs]
     assert [run.data_sha256 for run in simulate_batch(specs)] == alone
     assert len(set(alone)) == len(alone)
+
+
+@pytest.mark.parametrize("kind", [chain, ladder, driven_frame, slides])
+def test_starts_of_several_mechanisms_have_the_bits_of_starts_alone(
+    kind: Callable[[np.random.Generator], Mechanism],
+) -> None:
+    """Consistent, inconsistent and impossible initial states are mixed."""
+    alone = mechanism_at_start(kind(np.random.default_rng(0)))
+    mechanisms = [moved(kind(np.random.default_rng(0)), np.random.default_rng(seed)) for seed in range(6)]
+    for mechanism in mechanisms[::2]:  # put where assembly has put it before
+        for (name, body), q, v in zip(mechanism.bodies.items(), alone.assembled.q, alone.assembled.v, strict=True):
+            update = {"position": tuple(q[:2].tolist()), "angle": float(q[2])}
+            velocity = {"velocity": tuple(v[:2].tolist()), "angular_velocity": float(v[2])}
+            mechanism.bodies[name] = body.model_copy(update=update | velocity)
+    mechanisms[3].hold(*mechanisms[3].bodies)
+    groups: dict[CompiledForStarts, list[Mechanism]] = {}
+    starts = Starts()
+    for mechanism in mechanisms:
+        groups.setdefault(starts.compiled(mechanism, 0.0), []).append(mechanism)
+    for compiled, members in groups.items():
+        for mechanism, start in zip(members, at_starts(compiled, members, [0.0] * len(members)), strict=True):
+            if mechanism is mechanisms[3]:
+                assert start is None
+            else:
+                assert start is not None
+                assert_same_bits(start, mechanism_at_start(mechanism))
+                assert start.assembled.changed == any(mechanism is one for one in mechanisms[1::2])
+                assert start.assembled.residual == mechanism_at_start(mechanism).assembled.residual
+                assert start.assembled.velocity_residual == mechanism_at_start(mechanism).assembled.velocity_residual
+
+
+DOUBLE = {
+    "mbdkit": 1, "model": {"name": "double-pendulum", "angles": [0.3, -0.2]}, "integrator": {"name": "rk4"},
+    "time": {"end": 0.2, "step": 0.01},
+}  # fmt: skip
+CASES: list[tuple[Any, dict[str, Any], str, float]] = [
+    (DOUBLE, {}, "model.angles.0", 1.2),
+    (
+        DOUBLE, {"measures": {"peak": "max(abs(joints.J1.force))", "mean": "mean(energy.kinetic)"}}, "model.masses.1",
+        3.0,
+    ),
+    (DOUBLE, {"formulation": "index-3", "integrator": {"name": "radau-iia"}}, "model.lengths.0", 2.0),
+    (DOUBLE, {"stabilization": "projection", "integrator": {"name": "dop853"}}, "model.lengths.0", 2.0),
+    (DOUBLE, {"integrator": {"name": "dop853"}, "check": True}, "model.rates.1", -1.0),
+    (DOUBLE, {"integrator": {"name": "gauss"}, "time": {"end": 0.2, "step": 0.02}}, "time.step", 0.01),
+    (DOUBLE, {"integrator": {"name": "radau-iia", "adaptive": True}}, "model.lengths.0", 2.0),
+    ("knee", {"time": {"end": 0.02, "step": 0.0025}}, "model.springs.support.stiffness", 900.0),
+    ("jump", {"time": {"end": 0.02, "step": 0.005}}, "duration", 0.2),  # rigid contacts, events, named parameters
+    ("delayed-balance", {"time": {"end": 0.1, "step": 0.002}}, "lean", 0.02),  # a sampled controller
+    ("limit-stop", {"time": {"end": 0.5}}, "model.bodies.thigh.angle", 0.2),  # a method of SciPy
+]  # fmt: skip
+
+
+def alone(spec: RunSpec, key: str, value: float) -> mbdkit.Run:
+    """Run a spec with a value, without preparation."""
+    data = json.loads(spec.canonical_json())
+    put(data, parse_key(key) if "." in key else ("parameters", key), value)
+    return mbdkit.run(data)
+
+
+@pytest.mark.parametrize(("source", "sections", "key", "value"), CASES)
+def test_prepared_runs_equal_single_ones_to_the_bit(source: Any, sections: Any, key: str, value: float) -> None:
+    spec = load_spec(source, **sections)
+    prepared = mbdkit.prepare(spec)
+    for number in (value, 0.9 * value, value):  # the second run leaves nothing behind
+        made, single = prepared.run({key: number}), alone(spec, key, number)
+        assert made.data_sha256 == single.data_sha256
+        for one in ("run_id", "spec_json", "status_reason", "verdict", "verdict_reasons", "warnings"):
+            assert getattr(made, one) == getattr(single, one), one
+        np.testing.assert_equal(dict(made.measures), dict(single.measures))
+        assert (made.accuracy is None) == (single.accuracy is None)
+
+
+def test_a_start_with_given_values_closes_all_joints_and_is_that_of_the_spec_of_the_run() -> None:
+    prepared = mbdkit.prepare("knee", time={"end": 0.02, "step": 0.0025})
+    given = {"acl.angle": 0.5, "shank.angular_velocity": 2.0}
+    with prepared.run(initial=given) as run:
+        assert (run.bodies["acl"].angle[0], run.bodies["shank"].angular_velocity[0]) == (0.5, pytest.approx(2.0))
+        assert run.array("joints/misalignment")[0].max() < 1e-14
+        assert run.array("joints/velocity_misalignment")[0].max() < 1e-13
+        assert mbdkit.run(run.run_spec).data_sha256 == run.data_sha256
+    # closed form: rods of 1 m from the ground outwards; the second one keeps its angle only if nothing else is nearer
+    with mbdkit.prepare(DOUBLE).run(initial={"rod1.angle": -2.0, "rod2.angle": 0.5, "rod1.angular_velocity": 3}) as run:
+        tip = np.array([math.cos(-2.0) + 0.5 * math.cos(0.5), math.sin(-2.0) + 0.5 * math.sin(0.5)])
+        assert run.bodies["rod2"].position[0] == pytest.approx(tip, abs=1e-12)
+        assert run.bodies["rod1"].velocity[0] == pytest.approx([-1.5 * math.sin(-2.0), 1.5 * math.cos(-2.0)], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "initial", "message"),
+    [
+        ({"mass": 2.0}, {}, "the spec has no parameter 'mass'; numbers of the model have dotted keys"),
+        ({"model.mases.0": 2.0}, {}, "did you mean 'masses'"),
+        ({"model.masses.0": -1.0}, {}, "should be greater than 0"),
+        ({}, {"rod9.angle": 1.0}, "no quantity 'rod9.angle'"),
+        ({}, {"rod1.angle": math.nan}, "finite number"),
+        ({}, {"rod1.x": 3.0}, "cannot be assembled with these initial values: rod1.x = 3"),
+        ({}, {"rod1.vx": 1.0, "rod1.angular_velocity": 0.0}, "no velocities satisfy the joints"),
+    ],
+)
+def test_wrong_numbers_are_refused(parameters: Any, initial: Any, message: str) -> None:
+    with pytest.raises(SpecError, match=message):
+        mbdkit.prepare(DOUBLE).run(parameters, initial)

@@ -1,17 +1,25 @@
-"""From a study to its runs."""
+"""From a study to its runs: values with units, warnings, the schema, and why runs are not vectorized."""
 
 from __future__ import annotations
 
+import json
+import math
+import re
 import time
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import load_spec
+from mbdkit.spec.schema import HOME, run_schema
 from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.points.planned_points import PlannedPoints
-from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.spec.study_loading import load_study_spec, study_names
+from mbdkit_studies.spec.study_schema import study_schema
 
 
 def points(study):
@@ -29,12 +37,6 @@ def test_a_study_may_have_more_axes_than_numpy_has_dimensions(small):
     planned = points(small)
     assert [point.axes["time.step"] for point in planned] == [0.01, 0.1]
     assert planned[1].axes["parameters.p69"] == 69.0
-
-
-def test_the_keys_of_one_axis_go_together(small):
-    small["axes"] = [{"integrator": [{"name": "rk4"}, {"name": "gauss", "stages": 2}], "time.step": [0.01, 0.1]}]
-    found = [(point.spec.integrator.name, point.spec.time.step) for point in points(small)]
-    assert found == [("rk4", 0.01), ("gauss", 0.1)]
 
 
 def test_a_point_is_the_run_that_its_spec_would_be_by_itself(small):
@@ -75,21 +77,16 @@ def test_there_is_one_reference_for_all_points_that_it_fits(small):
 
 def test_a_family_takes_from_the_top_what_it_leaves_out(small):
     study = small | {
-        "axes": [],
-        "overrides": {"time.step": 0.1, "output.every": 2},
+        "axes": [], "overrides": {"time.step": 0.1, "output.every": 2},
         "families": {
             "plain": {"axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}]},
             "own": {
-                "title": "Everything its own",
-                "base": "pendulum",
-                "overrides": {"time": {"end": 1.0, "step": 0.25}},
-                "axes": [{"model.length": [1.0, 2.0, 3.0]}],
-                "reference": "none",
-                "repeats": 3,
+                "title": "Everything its own", "base": "pendulum", "overrides": {"time": {"end": 1.0, "step": 0.25}},
+                "axes": [{"model.length": [1.0, 2.0, 3.0]}], "reference": "none", "repeats": 3,
             },
             "one": {"overrides": {"integrator": {"name": "rk4"}}},
         },
-    }
+    }  # fmt: skip
     del study["axes"]
     found = points(study)
     assert [point.family for point in found] == ["plain"] * 2 + ["own"] * 3 + ["one"]
@@ -253,12 +250,10 @@ def test_a_mass_that_varies_without_its_inertia_is_noted(
 )
 def test_improbable_parameters_of_distributions_are_noted(variables: dict[str, Any], told: str) -> None:
     base = {
-        "mbdkit": 1,
-        "parameters": {"l": "40 cm"},
-        "model": {"name": "single-pendulum", "angle": "0.5 rad", "rate": 0.01},
-        "integrator": {"name": "rk4"},
+        "mbdkit": 1, "parameters": {"l": "40 cm"},
+        "model": {"name": "single-pendulum", "angle": "0.5 rad", "rate": 0.01}, "integrator": {"name": "rk4"},
         "time": {"end": 1, "step": 0.1},
-    }
+    }  # fmt: skip
     sample = {"n": 4, "seed": 5, "variables": variables}
     notes = plan_study(load_study_spec({"mbdkit_study": 1, "base": base, "sample": sample})).notes()
     assert len(notes) == bool(told)
@@ -269,3 +264,66 @@ def test_a_zero_reaction_in_a_measure_of_a_study_is_noted() -> None:
     spec = {"mbdkit_study": 1, "base": "slider-crank", "axes": [{"model.bodies.crank.angle": [0.0]}]}
     notes = plan_study(load_study_spec(spec | {"measures": {"clamp": "max(abs(joints.A.torque))"}})).notes()
     assert ["joints.A.torque in measures.clamp is always zero" in note for note in notes] == [True]
+
+
+BASE: dict[str, Any] = {
+    "mbdkit": 1, "model": {"name": "double-pendulum", "angles": [0.1, 0.2]}, "integrator": {"name": "rk4"},
+    "time": {"end": 0.05, "step": 0.01},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("sections", "reason"),
+    [
+        ({}, ""),
+        ({"stabilization": "projection"}, "their stabilization is projection"),
+        ({"events": {"down": {"when": "rod1.angle"}}}, "they have events"),
+        ({"integrator": {"name": "radau-iia"}, "formulation": "index-3"}, "their formulation is index-3"),
+        ({"integrator": {"name": "scipy-radau"}}, "mbdkit:scipy-radau cannot be vectorized with these options"),
+        ({"measures": {"energy": "integral(energy.kinetic)"}}, "their measures contain integrals over time"),
+        ({"check": True}, "their errors are estimated"),
+    ],
+)
+def test_a_study_says_why_its_runs_are_not_vectorized(sections: dict[str, Any], reason: str, tmp_path: Path) -> None:
+    said: list[str] = []
+    mbdkit.ensemble(BASE | sections, {"model.angles.0": [0.1, 0.2]}, out=tmp_path / "study", notify=said.append)
+    told = [text for text in said if "not vectorized" in text]
+    wanted = f"the runs are not vectorized but computed one after another, because {reason}"
+    assert told == ([wanted] if reason else [])
+
+
+@pytest.mark.parametrize("name", study_names())
+def test_every_packaged_study_is_valid_and_names_the_schema(name):
+    assert load_study_spec(name).title
+    first = (files("mbdkit_paper") / name.replace("-", "_") / "study.yaml").read_text("utf-8").splitlines()[0]
+    assert first == f"# yaml-language-server: $schema={HOME.format('study')}"
+
+
+def test_the_schema_of_a_study_knows_the_keys_of_its_base_and_refers_to_nothing_that_is_not_there():
+    schema = study_schema()
+    assert set(schema["$defs"]["Base"]["properties"]) == set(run_schema()["properties"])
+    for name, section in schema["properties"].items():
+        assert section.get("description"), name
+    text = json.dumps(schema)
+    for reference in re.findall(r'"#/\$defs/(.*?)"', text):
+        assert reference in schema["$defs"]
+
+
+def test_studies_have_values_with_units() -> None:
+    base = {"model": {"name": "single-pendulum"}, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.1}}
+    study = {"mbdkit_study": 1, "base": base}
+
+    def points(**given: Any) -> PlannedPoints:
+        return PlannedPoints(load_study_spec(study | given))
+
+    spaced = points(axes=[{"model.angle": {"linspace": ["0 deg", "60 deg", 3]}}, {"model.length": ["50 cm", 1]}])
+    assert [list(point.axes.values()) for point in spaced[2:4]] == [[pytest.approx(math.pi / 6), 0.5],
+                                                                      [pytest.approx(math.pi / 6), 1]]  # fmt: skip
+    drawn = points(sample={"n": 4, "variables": {"model.mass": {"uniform": ["10 g", "20 g"]}}})
+    assert all(0.01 < float(point.axes["model.mass"]) < 0.02 for point in drawn)
+    with pytest.raises(SpecError, match=r"axes\[0\]\.\"model\.angle\"\[1\].*unit m, but this is a number in rad"):
+        points(axes=[{"model.angle": [0.1, "20 mm"]}])
+    with pytest.raises(SpecError, match="unit s, but this is a number in kg"):
+        points(sample={"n": 4, "variables": {"model.mass": {"uniform": ["10 s", "20 s"]}}})
+    with pytest.raises(SpecError, match="`mean` and `std` should have units of the same kind, or none"):
+        points(sample={"n": 4, "variables": {"model.mass": {"normal": ["10 g", 1]}}})

@@ -13,12 +13,10 @@ from mbdkit.spec import load_spec
 from mbdkit_studies.spec.second_run_measures import Reversal, reverse, second_run
 
 WHEEL = {
-    "name": "mechanism",
-    "gravity": [0.0, 0.0],
+    "name": "mechanism", "gravity": [0.0, 0.0],
     "bodies": {"wheel": {"mass": 1.0, "inertia": 1.0, "position": [0, 0], "angle": 0.3, "angular_velocity": 0.7}},
-    "joints": {},
-    "forces": {"spring": {"type": "torsion-spring", "bodies": ["ground", "wheel"], "stiffness": 4.0}},
-}
+    "joints": {}, "forces": {"spring": {"type": "torsion-spring", "bodies": ["ground", "wheel"], "stiffness": 4.0}},
+}  # fmt: skip
 SWING = {"name": "double-pendulum", "angles": [-1.0, -0.4], "rates": [0.5, -0.5]}
 
 

@@ -1,9 +1,8 @@
-"""Studies with samples: reproducible members, values in specs and index, sensitivities and quantiles over time."""
+"""Studies with samples: reproducible members, values in specs and index, sensitivities, errors, quantiles over time."""
 
 from __future__ import annotations
 
 import copy
-import re
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +10,18 @@ import numpy as np
 import pytest
 import scipy.stats
 from tests.analysis.ishigami import FIRST, TOTAL, ishigami
-from tests.analysis.ishigami import values as ishigami_values
 
 import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.points import sampled_values as module
 from mbdkit_studies.points.sampled_values import sampled_values
-from mbdkit_studies.report.study_headlines import _sobol_words, headlines
+from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.results.study_notes import notes
 from mbdkit_studies.spec.sample_section import Sample
-from mbdkit_studies.statistics.sensitivity import Sensitivity
-from mbdkit_studies.statistics.sobol_indices import SobolIndices, sobol_indices
+from mbdkit_studies.statistics.sensitivity import sensitivity
+from mbdkit_studies.statistics.sobol_indices import sobol_indices
+from tests.runs.oscillator import oscillator
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
 SPEED, MASS = "model.bodies.ball.velocity.0", "model.bodies.ball.mass"
@@ -38,12 +37,10 @@ THROW: dict[str, Any] = {
     "mbdkit_study": 1,
     "base": base(0.4, ball=BODY | {"velocity": [0.0, 0.0]}),
     "sample": {
-        "n": 16,
-        "seed": 3,
-        "variables": {SPEED: {"uniform": [1, 3]}, MASS: {"lognorm": {"s": 0.2, "scale": 2.0}}},
+        "n": 16, "seed": 3, "variables": {SPEED: {"uniform": [1, 3]}, MASS: {"lognorm": {"s": 0.2, "scale": 2.0}}},
     },
     "measures": {"distance": "final(ball.x)", "work": "max(energy.kinetic)"},
-}
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -169,12 +166,10 @@ def of_ishigami(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
     value = "sin(final(a.angle)) + 7*sin(final(b.angle))**2 + 0.1*final(c.angle)**4*sin(final(a.angle))"
     angles = {f"model.bodies.{name}.angle": {"uniform": [-np.pi, np.pi]} for name in "abc"}
     spec = {
-        "mbdkit_study": 1,
-        "base": base(0.1, **dict.fromkeys("abc", BODY)),
-        "sample": {"n": 256, "seed": 1, "design": "saltelli", "variables": angles},
-        "store": "histories",
+        "mbdkit_study": 1, "base": base(0.1, **dict.fromkeys("abc", BODY)),
+        "sample": {"n": 256, "seed": 1, "design": "saltelli", "variables": angles}, "store": "histories",
         "measures": {"y": {"value": value, "unit": "1"}},
-    }
+    }  # fmt: skip
     return mbdkit.study(spec, out=tmp_path_factory.mktemp("samples") / "ishigami")
 
 
@@ -194,38 +189,6 @@ def test_the_indices_of_the_ishigami_function_come_from_its_runs(of_ishigami: mb
     frame = found.to_frame()
     assert list(frame.index) == [f"model.bodies.{name}.angle" for name in "abc"]
     assert list(frame["total"]) == list(found.total)
-
-
-def test_the_headline_says_shares_alone_and_with_interactions(of_ishigami: mbdkit.Study) -> None:
-    """The shares are those of the table, near the exact ones: 31 %, 44 % and 0 % alone, 56 %, 44 % and 24 % in all."""
-    ((_, told),) = headlines(of_ishigami)
-    found = of_ishigami.sensitivity("y")
-    (a, b, c), (all_a, _, all_c) = (np.round(100 * share).astype(int) for share in (found.first, found.total))
-    interval = r"\(\d+ to \d+\) %"
-    assert re.search(rf"angle of a explains {a} {interval} alone and {all_a} {interval} with interactions", told)
-    assert re.search(
-        rf"angle of b explains {b} {interval}, angle of c explains {c} {interval} alone and {all_c} ", told
-    )
-    assert "where the order of angle of a and angle of b is uncertain" in told
-    for members in (8, 16):
-        few = of_ishigami.sensitivity("y", members=members)
-        words = _sobol_words(few)
-        assert words.startswith("the sample is too small to tell which variables explain it")
-    wanted = int(re.search(r"sample\.n=(\d+)", words)[1])
-    first = sobol_indices(ishigami_values(wanted, "random"), resamples=200)
-    assert 0.05 < np.max(first.total_high - first.total_low) < 0.25  # 20 % or better, without a waste of runs
-
-
-def test_total_indices_below_first_order_indices_are_said_to_be_sampling_errors(of_ishigami: mbdkit.Study) -> None:
-    assert of_ishigami.sensitivity("y").note == ""
-    ends = SobolIndices(*np.array([[0.6], [0.4], [0.8], [0.5], [0.3], [0.7]]))
-    found = Sensitivity("y", ("model.length",), ends, 0.95, 64, 0)
-    assert found.note in str(found)
-    # the width is inversely proportional to the root of the members: 64 (0.4/0.05)^2 = 4096
-    assert found.note == (
-        "The total index of y for length is smaller than the first-order index, because of sampling errors: from 64 "
-        "members, the intervals are up to 0.4 wide; about sample.n=4096 makes them 0.05 wide."
-    )
 
 
 def test_a_run_is_opened_by_the_number_that_answers_give(of_ishigami: mbdkit.Study) -> None:
@@ -315,30 +278,6 @@ def test_bad_runs_are_left_out_of_statistics_and_named(tmp_path: Path) -> None:
         all_bad.statistics("peak")
 
 
-@pytest.mark.parametrize("store", ["all", "histories"])
-def test_reasons_of_several_sentences_are_counted_whole(tmp_path: Path, store: str) -> None:
-    spec = {
-        "mbdkit_study": 1,
-        "base": {"model": {"name": "single-pendulum"}, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.25}},
-        "axes": [{"time.step": [0.25]}],
-        "store": store,
-    }
-    study = mbdkit.study(spec, out=tmp_path / "s")
-    with study.run(0) as run:
-        (several,) = (reason for reason in run.verdict_reasons if ". " in reason)
-        told = [text for label, text in notes(study) if label == "bad"]
-        assert len(told) == len(run.verdict_reasons)
-    assert sum(several.rstrip(".") in one for one in told) == 1
-
-
-def test_runs_with_several_reasons_of_one_kind_are_counted_once(tmp_path: Path) -> None:
-    run = {"integrator": {"name": "rk4"}, "time": {"end": 0.01, "step": 0.001}}
-    whirling = {"model": {"name": "double-pendulum", "angles": [45, 60]}, **run}
-    spec = {"mbdkit_study": 1, "base": whirling, "axes": [{"time.step": [0.001, 0.002]}]}
-    told = [text for label, text in notes(mbdkit.study(spec, out=tmp_path / "s")) if label == "doubtful"]
-    assert [text.partition(";")[0] for text in told] == ["2 runs (1, 2)"]
-
-
 def test_quantiles_over_time_are_those_of_the_closed_form(thrown: mbdkit.Study) -> None:
     bands = thrown.quantiles("ball.x", [0.1, 0.5])
     speeds = thrown.to_frame()[SPEED]
@@ -415,15 +354,26 @@ def test_a_key_of_the_sample_is_set_by_an_assignment(throw: dict[str, Any], tmp_
         mbdkit.study(throw, assignments=["sample.m=4"], out=tmp_path / "other")
 
 
-def test_the_packaged_sample_of_knee_supports(tmp_path: Path) -> None:
-    study = mbdkit.study("knee-spring", assignments=["sample.n=2"], out=tmp_path / "knees")
-    table = study.to_frame()
-    assert set(table["status"]) == {"complete"}
-    assert not set(table["verdict"]) & {"doubtful", "bad"}
-    for place in (0, len(table) - 1):
-        with study.run(place) as run:
-            force = run.joints["C"].reaction_force + run.joints["D"].reaction_force
-            highest = np.linalg.norm(force, axis=1).max()  # of the rows; the peak is that of the motion between them
-            assert highest <= table["peak"][place] <= 1.001 * highest
-            support = run.spec["model"]["springs"]["support"]
-            assert support["stiffness"] == table["model.springs.support.stiffness"][place]
+def test_indices_of_errors_are_not_shown(tmp_path: Path) -> None:
+    # the total energy does not depend on the phase: its values differ by their errors only
+    base = oscillator({"name": "rk4"}, 0.2, check=True, parameters={"phase": 0.0, "level": 0.0})
+    base["model"]["bodies"]["slider"] |= {"position": ["cos(phase)", 0], "velocity": ["-2*sin(phase)", 0]}
+    variables = {"parameters.phase": {"uniform": [0.0, 3.0]}, "parameters.level": {"uniform": [0.0, 1.0]}}
+    sample = {"n": 4, "method": "sobol", "design": "saltelli", "seed": 1, "variables": variables}
+    measures = {"noise": "max(energy.total) - 2 + 2", "swing": {"value": "final(slider.x)*(1 + level)", "unit": "m"}}
+    study = mbdkit.study(
+        {"mbdkit_study": 1, "base": base, "sample": sample, "measures": measures}, out=tmp_path / "study"
+    )
+    found = sensitivity(study, "noise")
+    assert np.all(np.isnan(found.first))
+    assert np.all(np.isnan(found.total))
+    assert "within their estimated errors" in str(found)
+    wide = sensitivity(study, "swing")
+    assert not wide.reason
+    covers = (wide.indices.first_low <= 0) & (wide.indices.first_high >= 1)
+    assert np.array_equal(np.isnan(wide.first), covers)
+    told = dict(headlines(study))
+    assert "of the standard deviation: THE SPREAD MAY BE NUMERICAL" in told["noise"]
+    assert "no variable explains it: the values of noise differ by" in told["noise"]
+    assert "NUMERICAL" not in told["swing"]
+    assert "error of a run" in told["swing"]

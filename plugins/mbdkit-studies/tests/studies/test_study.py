@@ -1,17 +1,27 @@
-"""The study as Python and other programs see it."""
+"""The study as Python and other programs see it, the file of its index, and runs that are not to be trusted."""
 
 from __future__ import annotations
 
 import logging
 import sys
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
+from mbdkit_studies.report.study_summary import summary
+from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.store import study_index
+from mbdkit_studies.store.study_index import Index, Row
 from mbdkit_studies.study import Study
+from tests.tiny_disk import tiny_disk
 
 
 def test_a_study_is_opened_from_its_folder_alone(finished):
@@ -107,14 +117,12 @@ def test_netcdf_tools_open_the_index(finished):
 def test_measures_may_be_chosen(tmp_path):
     study = mbdkit.study(
         {
-            "mbdkit_study": 1,
-            "base": "pendulum",
+            "mbdkit_study": 1, "base": "pendulum",
             "overrides": {"time": {"end": 0.1, "step": 0.01}, "output.quantities": ["joints"]},
-            "axes": [{"model.length": [1.0]}],
-            "measures": ["misalignment_max", "energy_balance_max"],
+            "axes": [{"model.length": [1.0]}], "measures": ["misalignment_max", "energy_balance_max"],
         },
         out=tmp_path / "out",
-    )
+    )  # fmt: skip
     values = study.points[0].values
     assert values["misalignment_max"] >= 0
     assert np.isnan(values["energy_balance_max"])  # not recorded
@@ -150,3 +158,72 @@ def test_a_study_is_logged_below_the_logger_mbdkit(tmp_path, caplog):
         mbdkit.study(spec, out=tmp_path / "study")
     told = [record.getMessage() for record in caplog.records if record.name.startswith("mbdkit.studies.")]
     assert [words in text for words, text in zip(("begins", "ends"), told, strict=True)] == [True, True], told
+
+
+RUN = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 2.0, "step": 0.05}}
+STUDY = {
+    "mbdkit_study": 1, "title": "two methods", "base": {"mbdkit": 1, "model": {"name": "double-pendulum"}, **RUN},
+    "axes": [{"integrator": [{"name": "gauss", "stages": 3}, {"name": "rk-gill"}]}],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
+    return mbdkit.study(STUDY, out=tmp_path_factory.mktemp("study") / "two")
+
+
+def test_the_table_of_a_study_has_the_verdict_of_each_run(study: mbdkit.Study) -> None:
+    frame = study.to_frame()
+    assert list(frame["status"]) == ["complete", "complete"]
+    assert list(frame["verdict"]) == ["unknown", "bad"]
+    assert frame["verdict_reasons"][0] == ""
+    assert frame["verdict_reasons"][1].startswith("Joint 'J2' is misaligned by up to ")
+    assert [point.verdict for point in study.points] == ["unknown", "bad"]
+    with h5py.File(study.folder / "index.h5") as file:
+        assert list(file["runs/verdict"].asstr()[:]) == ["unknown", "bad"]
+
+
+SPEC = load_study_spec({"mbdkit_study": 1, "base": "pendulum", "axes": [{"time.step": [0.01]}]})
+
+
+def index(count: int) -> Index:
+    return Index.of_rows([Row(f"run{number}", "missing") for number in range(count)], [], {})
+
+
+def test_a_changed_value_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "index.h5"
+    study_index.write(path, SPEC, index(3))
+    assert len(study_index.read(path)) == 3
+    with h5py.File(path, "r+") as file:
+        file["runs/status"][1] = "complete"
+    with pytest.raises(ArchiveError, match="data_sha256 does not match"):
+        study_index.read(path)
+
+
+def test_columns_of_different_lengths_are_damage(tmp_path: Path) -> None:
+    path = tmp_path / "index.h5"
+    study_index.write(path, SPEC, index(3))
+    with h5py.File(path, "r+") as file:
+        del file["runs/status"]
+        file["runs"].create_dataset("status", data=["complete"], dtype=h5py.string_dtype())
+        file.attrs["data_sha256"] = data_sha256(file)
+    with pytest.raises(ArchiveError, match="this file is damaged"):
+        study_index.read(path)
+
+
+def test_a_full_disk_leaves_the_previous_index(tmp_path: Path) -> None:
+    with tiny_disk(tmp_path / "disk", 300) as disk:
+        path = disk / "index.h5"
+        study_index.write(path, SPEC, index(1))
+        with pytest.raises(MbdkitError, match="No space left"):
+            study_index.write(path, SPEC, index(5000))
+        assert len(study_index.read(path)) == 1
+        assert [file.name for file in disk.iterdir()] == ["index.h5"]
+
+
+def test_reasons_do_not_add_lines() -> None:
+    spec = SimpleNamespace(title="", defined_measures=tuple, has_table=False)
+    study: Any = SimpleNamespace(points=(), references=(), failures=(), spec=spec, computed=0, folder="out")
+    study.unfinished, study.statuses, study.verdicts = ("x\nall is well",), list, list
+    study.columns = lambda: dict.fromkeys(("status", "status_reason", "verdict", "verdict_reasons"), ())
+    assert summary(study).splitlines()[-1] == "unfinished 1 time: x\\nall is well"

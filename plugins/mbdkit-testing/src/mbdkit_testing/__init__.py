@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbdkit.base.lazy_names import lazy
 
@@ -33,22 +33,22 @@ def check_element(name: str, *, quick: bool = False) -> Report:
     return _verify("element-kind", name, None, quick=quick)
 
 
-def check_integrator(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
+def check_integrator(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
     """Run all checks of an integrator; see `mbdkit_testing.kit.verify`."""
     return _verify("integrator", name, options, quick=quick)
 
 
-def check_model(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
+def check_model(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
     """Run all checks of a model; see `mbdkit_testing.kit.verify`."""
     return _verify("model", name, options, quick=quick)
 
 
-def check_force_law(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
+def check_force_law(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
     """Run all checks of a force law; see `mbdkit_testing.kit.verify`."""
     return _verify("force-law", name, options, quick=quick)
 
 
-def _verify(kind: str, name: str, options: Mapping[str, Any] | None, *, quick: bool) -> Report:
+def _verify(kind: str, name: str, options: Mapping[str, object] | None, *, quick: bool) -> Report:
     from mbdkit_testing.kit import verify
 
     return verify(kind, name, options, quick=quick)

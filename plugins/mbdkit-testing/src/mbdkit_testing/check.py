@@ -143,7 +143,7 @@ def _limited_time(seconds: float, reached: list[str]) -> Iterator[None]:
         yield
         return
 
-    def ring(number: int, frame: Any) -> None:
+    def ring(number: int, frame: object) -> None:
         reached.append(f"{seconds:g} s of processor time")
         raise _LimitError
 

@@ -74,6 +74,13 @@ def passed(**figures: Figure) -> Result:
     return Result("pass", "", figures)
 
 
+def at_most(limit: float, cause: str, **figures: Figure) -> Result:
+    """Return a pass if all figures are within the limit, else a failure with this cause."""
+    if not all(isinstance(figure, int | float) and figure <= limit for figure in figures.values()):
+        return failed(cause, **figures)
+    return passed(**figures).within(dict.fromkeys(figures, limit))
+
+
 def failed(cause: str, **figures: Figure) -> Result:
     """Return the result of a check that failed: the plugin breaks its claim or the contract."""
     return Result("fail", cause, figures)

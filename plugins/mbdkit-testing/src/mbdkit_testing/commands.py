@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -29,7 +29,7 @@ def doctor(as_json: AsJson = False, debug: Debug = False) -> None:
         raise typer.Exit(terminal.DIFFERS)
 
 
-def _diagnose(as_json: bool, further: Mapping[str, Any], lines: Iterable[str] = ()) -> None:
+def _diagnose(as_json: bool, further: Mapping[str, object], lines: Iterable[str] = ()) -> None:
     """Print the plugins and the machine code in use, and `further` values of the JSON or the `lines` of the text."""
     from mbdkit.engine.native.machine_code import code_report, code_text
     from mbdkit.registry.manager import checked, load_installed
@@ -39,7 +39,7 @@ def _diagnose(as_json: bool, further: Mapping[str, Any], lines: Iterable[str] = 
         show_json({**describe.diagnosis(installed), "machine_code": code_report(), **further})
     else:
         show("\n".join([describe.diagnosis_text(installed), code_text(), *lines]))
-    if not describe.is_sound(installed):
+    if installed.failures:
         raise typer.Exit(terminal.PLUGIN_FAILED)
 
 
@@ -61,8 +61,9 @@ def plugins_show(
 ) -> None:
     """Show the options, claims and references of a plugin.
 
-    With --json, prints one object with a list "plugins": a model and an
-    integrator may share a name.
+    Of items without options, such as commands and element kinds, it shows the
+    summary, and which command says more. With --json, prints one object with a
+    list "plugins": a model and an integrator may share a name.
     """
     items = describe.find(name)
     if as_json:
@@ -101,7 +102,7 @@ def plugins_verify(
     """
     from mbdkit.spec.reading import read_assignments
 
-    items = describe.find(name, further=["element-kind"], without_options=True)
+    items = describe.find(name, further=["element-kind"])
     options = read_assignments(assignments or ())
     from mbdkit_testing import verify
     from mbdkit_testing.verification_page import check_page, write_page

@@ -63,15 +63,13 @@ def _run(integrator: IntegratorUnderTest, model: Model, finer: int) -> Run:
 
 def _energy(run: Run, model: Model) -> np.ndarray:
     """Return the total energy (T,), as a share of the largest kinetic energy."""
-    total: np.ndarray = run.energy.total / np.max(run.energy.kinetic)
-    return total
+    return np.asarray(run.energy.total / np.max(run.energy.kinetic))
 
 
 def _linear(run: Run, model: Model) -> np.ndarray:
     """Return the linear momentum (T, 2), as a share of the sum of its absolute values over the bodies."""
     parts = [body["mass"] * run[name].velocity for name, body in model["bodies"].items()]
-    whole: np.ndarray = sum(parts) / np.max(sum(np.abs(part) for part in parts))
-    return whole
+    return np.asarray(sum(parts) / np.max(sum(np.abs(part) for part in parts)))
 
 
 def _angular(run: Run, model: Model) -> np.ndarray:
@@ -81,8 +79,7 @@ def _angular(run: Run, model: Model) -> np.ndarray:
         x, v = run[name].position, run[name].velocity
         parts.append(body["mass"] * (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0]))
         parts.append(body["inertia"] * run[name].angular_velocity)
-    whole: np.ndarray = sum(parts) / np.max(sum(np.abs(part) for part in parts))
-    return whole
+    return np.asarray(sum(parts) / np.max(sum(np.abs(part) for part in parts)))
 
 
 CHECKS = (

@@ -35,38 +35,28 @@ def listing_text(installed: Registry) -> str:
     return table(rows)
 
 
-def find(
-    name: str, installed: Registry | None = None, further: Iterable[Kind] = (), *, without_options: bool = False
-) -> list[Registered]:
-    """Return the items with options, and those of `further` kinds, that have a short name or full id; several may have
-    the same short name. With `without_options`, the result may be items of other kinds if there are none of these.
+def find(name: str, installed: Registry | None = None, further: Iterable[Kind] = ()) -> list[Registered]:
+    """Return the items with options, and those of `further` kinds, that have a short name or full id, or if there are
+    none, the items of other kinds; several may have the same short name.
 
-    Raises
-    ------
-    SpecError
-        If there is no such item.
-    PluginError
-        If there is a report that the item with this id could not be loaded.
+    Raises SpecError if there is no such item, and PluginError if there is a report that the item with this id could not
+    be loaded.
     """
     installed = installed or registry()
     for report in installed.failures:
         if report.id == name:
             raise PluginError(f"plugin '{name}' could not be loaded: {report.error}")
-    kinds = [kind for kind, item_class in KINDS.items() if issubclass(item_class, Plugin) or kind in further]
-    items = [item for item in installed.items if name in (item.id, item.name) and item.kind in kinds]
-    if not items:
-        if others := [item for item in installed.items if name in (item.id, item.name)]:
-            if without_options:
-                return others
-            kind = KINDS[others[0].kind].label()
-            raise SpecError(f"'{name}' is a {kind} without options; `mbdkit plugins where {name}` says where it is")
-        names = list(dict.fromkeys(name for kind in kinds for name in installed.names(kind)))
-        raise SpecError(f"there is no plugin '{name}'{did_you_mean(name, names)}; installed: {listed(names)}")
-    return items
+    named = [item for item in installed.items if name in (item.id, item.name)]
+    if not named:
+        names = [item.name for item in installed.items]
+        kinds = [kind for kind, item_class in KINDS.items() if issubclass(item_class, Plugin)]
+        listing = listed(list(dict.fromkeys(name for kind in kinds for name in installed.names(kind))))
+        raise SpecError(f"there is no plugin '{name}'{did_you_mean(name, names)}; installed: {listing}")
+    return [item for item in named if isinstance(item.plugin, Plugin) or item.kind in further] or named
 
 
 def details(item: Registered) -> dict[str, Any]:
-    """Return origin, options (a JSON schema), claims and references of an item."""
+    """Return origin of an item and, if it has options, these (a JSON schema), its claims and its references."""
     shown: dict[str, Any] = {
         "id": item.id,
         "name": item.name,
@@ -75,24 +65,24 @@ def details(item: Registered) -> dict[str, Any]:
         "distribution": item.origin.distribution,
         "version": item.origin.version,
         "entry_point": item.origin.entry_point,
-        "options": named_options(item).model_json_schema(),
-        "references": list(item.plugin.references),
     }
-    if claims := item.plugin.claimed():
-        shown["claims"] = dict(claims)
+    if isinstance(item.plugin, Plugin):
+        shown |= {"options": named_options(item).model_json_schema(), "references": list(item.plugin.references)}
+        if claims := item.plugin.claimed():
+            shown["claims"] = dict(claims)
     return shown
 
 
 def page(item: Registered) -> str:
-    """Return origin, options, claims and references of an item as text."""
+    """Return origin, options, claims and references of an item as text; where to read on if it has no options."""
     lines = [
         f"{item.id} ({item.kind})",
         f"  {item.plugin.summary}",
         f"  from {item.origin.distribution} {item.origin.version}, entry point {item.origin.entry_point}",
-        "",
-        "Options:",
-        *_option_lines(item.plugin.options),
     ]
+    if not isinstance(item.plugin, Plugin):
+        return "\n".join([*lines, f"  has no options; its code and its help: mbdkit plugins where {item.id}"])
+    lines += ["", "Options:", *_option_lines(item.plugin.options)]
     if claims := item.plugin.claimed():
         chosen = item.plugin.name_key == "name" and item.plugin.options.model_fields
         lines += ["", "Claims, with these defaults:" if chosen else "Claims:"]
@@ -128,11 +118,6 @@ def diagnosis_text(installed: Registry) -> str:
         lines.append(f"{where}: {fine} of {len(here)} loaded in {1e3 * here[0].seconds:.0f} ms")
         lines += [f"  {report.id}: {report.status}: {report.error}" for report in here if report.status != "ok"]
     return "\n".join(lines) if lines else "no plugins are installed, not even those of mbdkit; install it again"
-
-
-def is_sound(installed: Registry) -> bool:
-    """Return whether all plugins could be loaded."""
-    return not installed.failures
 
 
 def _shown(installed: Registry) -> list[Report]:

@@ -110,7 +110,7 @@ class ElementUnderTest(ItemUnderTest):
         items: list[Any] = [item.plugin for item in self.installed.of_kind("quantity")]
         return [kind_of_group(item.group) for item in items if item.of == self.key]
 
-    def changed(self, mechanism: dict[str, Any] | None = None, **sections: Any) -> RunSpec:
+    def changed(self, mechanism: dict[str, Any] | None = None, **sections: object) -> RunSpec:
         """Return the spec of the example with plain data of another mechanism, and with other sections."""
         data = json.loads(self.spec.canonical_json())
         model = {"name": "mechanism", **(mechanism or self.spec.mechanism().to_spec())}

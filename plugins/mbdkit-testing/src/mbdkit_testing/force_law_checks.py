@@ -18,7 +18,7 @@ from mbdkit.plugin.equations import bind_law
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip, check
-from mbdkit_testing.check_result import Result, failed, passed, warned
+from mbdkit_testing.check_result import Result, at_most, failed, passed, warned
 from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
@@ -208,13 +208,8 @@ def _derivative(law: ForceLawUnderTest, argument: int) -> Result:
         raise Skip("it does not give finite numbers")
     defects = _defects(law, law.places, argument, law.samples[:, 0], law.samples[:, 1 + argument], of=0)
     worst = int(np.argmax(defects))
-    if defects[worst] > AGREE:
-        return failed(
-            f"its derivative with respect to {ARGUMENTS[argument]} differs from that of its force at "
-            f"{_at(law.places[worst])}",
-            difference=float(defects[worst]),
-        )
-    return passed(difference=float(defects[worst])).within({"difference": AGREE})
+    cause = f"its derivative with respect to {ARGUMENTS[argument]} differs from that of its force at"
+    return at_most(AGREE, f"{cause} {_at(law.places[worst])}", difference=float(defects[worst]))
 
 
 def _defects(
@@ -292,12 +287,8 @@ def potential(law: ForceLawUnderTest) -> Result:
         return failed(f"its potential jumps at length {jump:g}")
     defects = _defects(law, early, 0, first[:, 3], first[:, 0], of=3)
     worst = int(np.argmax(defects))
-    if defects[worst] > AGREE:
-        return failed(
-            f"the derivative of its potential differs from its force at length {early[worst, 0]:g}",
-            difference=float(defects[worst]),
-        )
-    return passed(difference=float(defects[worst])).within({"difference": AGREE})
+    cause = f"the derivative of its potential differs from its force at length {early[worst, 0]:g}"
+    return at_most(AGREE, cause, difference=float(defects[worst]))
 
 
 def _jump(law: ForceLawUnderTest) -> float | None:
@@ -332,9 +323,7 @@ def passivity(law: ForceLawUnderTest) -> Result:
         return np.asarray(share)
 
     shares, place = _climb(supplied, law.places, law.span)
-    if shares > ROUNDING:
-        return failed(f"it claims to be passive, but adds energy at {_at(place)}", share_of_force=shares)
-    return passed(share_of_force=shares).within({"share_of_force": ROUNDING})
+    return at_most(ROUNDING, f"it claims to be passive, but adds energy at {_at(place)}", share_of_force=shares)
 
 
 def _climb(merit: Callable[[np.ndarray], np.ndarray], places: np.ndarray, span: np.ndarray) -> tuple[float, np.ndarray]:

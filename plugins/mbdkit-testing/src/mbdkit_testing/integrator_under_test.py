@@ -81,10 +81,9 @@ class IntegratorUnderTest:
             raise Skip("it is not given by a tableau")
         return tableau
 
-    def method(self, **changes: Any) -> Method:
+    def method(self, **changes: object) -> Method:
         """Return a new method; `changes` are values of options that replace those of this integrator."""
-        options = validated(self.plugin.options, {**self.options, **changes})
-        return cast(Method, self.plugin.create(options))
+        return cast(Method, self.plugin.create(validated(self.plugin.options, {**self.options, **changes})))
 
     def spec(self, model: Mapping[str, Any], time: Mapping[str, Any], **sections: Any) -> RunSpec:
         """Return the spec of a run; ``options`` among the `sections` changes options of the integrator, and
@@ -102,7 +101,12 @@ class IntegratorUnderTest:
         return self.spec_type(**data | sections)
 
     def run(
-        self, model: Mapping[str, Any], time: Mapping[str, Any], *, progress: Progress | None = None, **sections: Any
+        self,
+        model: Mapping[str, object],
+        time: Mapping[str, object],
+        *,
+        progress: Progress | None = None,
+        **sections: object,
     ) -> Run:
         """Run a model in memory, and return the run even if it failed.
 
@@ -128,7 +132,7 @@ class IntegratorUnderTest:
         with self.run(model, {"end": end, "step": step}, output={"every": 10**9}, **sections) as run:
             return final_state(run)
 
-    def workspace(self, model: Mapping[str, Any], **sections: Any) -> Workspace:
+    def workspace(self, model: Mapping[str, object], **sections: object) -> Workspace:
         """Return the arrays and the solver of a model, at an initial state that satisfies its constraints."""
         return build(self.spec(model, {"end": 1.0, "step": 0.5}, **sections))[0]
 

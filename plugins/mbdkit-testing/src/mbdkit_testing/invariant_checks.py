@@ -10,7 +10,7 @@ import numpy as np
 from mbdkit.plugin.equations import Workspace
 from mbdkit_report import Trend, trend
 from mbdkit_testing.check import Check, check
-from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
+from mbdkit_testing.check_result import Figure, Result, at_most, failed, passed, skipped, unclaimed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, require_complete
 from mbdkit_testing.trial_models import FREE_FOUR_BAR, HARMONIC, ORBIT, SWINGING, Model
 
@@ -119,9 +119,7 @@ def symplectic_form(integrator: IntegratorUnderTest) -> Result:
     defect = float(np.max(np.abs(jacobian.T @ form @ jacobian - form)))
     if not integrator.claims.symplectic:
         return unclaimed(defect=defect)
-    if defect > SYMPLECTIC:
-        return failed("it claims to be symplectic, but does not conserve the symplectic form", defect=defect)
-    return passed(defect=defect).within({"defect": SYMPLECTIC})
+    return at_most(SYMPLECTIC, "it claims to be symplectic, but does not conserve the symplectic form", defect=defect)
 
 
 @check("geometry.energy")

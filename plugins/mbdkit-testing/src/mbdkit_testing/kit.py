@@ -70,7 +70,7 @@ def checks_of(kind: Kind, *, quick: bool = False) -> Iterator[Check[Any]]:
     return (check for check in CHECKS.get(kind, item_checks.CHECKS) if not (quick and check.slow))
 
 
-def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], installed: Registry | None = None) -> Any:
+def plugin_under_test(kind: Kind, name: str, options: Mapping[str, object], installed: Registry | None = None) -> Any:
     """Return a plugin with options, in the form that the checks use.
 
     Raises
@@ -98,7 +98,7 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], install
 def verify(
     kind: Kind,
     name: str,
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, object] | None = None,
     *,
     quick: bool = False,
     installed: Registry | None = None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -30,32 +30,56 @@ def option_effects(law: ForceLawUnderTest) -> Result:
     names = list(law.plugin.options.model_fields)
     if not names:
         raise Skip("it has no options")
-    tried, effective = set(), {state.name for state in law.law.states}
+    effective = {state.name for state in law.law.states}
     symbols = _symbols(law)
     if symbols is not None and (absent := [name for name in names if name not in symbols | effective]):
         return failed(
             f"its {_options(absent)} no effect, because the expressions of the law do not contain "
             f"{'its symbol' if len(absent) == 1 else 'their symbols'}; use or remove {_pronoun(absent)}"
         )
-    for chosen in _choices(law.item, law.options):
-        for name, other in variants(law.item, chosen):
-            option = name.partition(" = ")[0]
-            if option in effective:
-                continue
-            try:
-                if _differ(_at(law, chosen), _at(law, other)):
-                    effective.add(option)
-                tried.add(option)
-            except SpecError:  # the law refuses the values
-                continue
-        if effective >= set(names):
-            break
-    if idle := [name for name in names if name in tried - effective]:
+
+    def differ(chosen: dict[str, object], other: dict[str, object]) -> bool:
+        return _differ(_at(law, chosen), _at(law, other))
+
+    if idle := _idle(law.item, law.options, names, effective, differ):
         return warned(
             f"its {_options(idle)} no effect for {DRAWS} random sets of values; use or remove "
             f"{_pronoun(idle)}, unless {_pronoun(idle)} should act in rare cases only"
         )
     return passed(options=len(names))
+
+
+def _idle(
+    item: Registered,
+    given: dict[str, Any],
+    names: list[str],
+    effective: set[str],
+    differ: Callable[[dict[str, Any], dict[str, Any]], bool],
+) -> list[str]:
+    """Return the options of these names without an effect in random sets of values, from those that were tried.
+
+    Parameters
+    ----------
+    effective
+        Options that are known to have an effect.
+    differ
+        Whether two sets of options have different results.
+    """
+    tried, effective = set[str](), set(effective)
+    for chosen in _choices(item, given):
+        for name, other in variants(item, chosen):
+            option = name.partition(" = ")[0]
+            if option in effective or option not in names:
+                continue
+            try:
+                if differ(chosen, other):
+                    effective.add(option)
+                tried.add(option)
+            except SpecError:  # the options refuse the values
+                continue
+        if effective >= set(names):
+            break
+    return [name for name in names if name in tried - effective]
 
 
 def _options(names: list[str]) -> str:
@@ -108,7 +132,7 @@ def method_option_effects(integrator: IntegratorUnderTest) -> Result:
     names = [name for name in integrator.plugin.options.model_fields if not name.startswith(("max_", "min_"))]
     if not names:
         raise Skip("it has no options, or only limits")
-    tried, effective, ends = set[str](), set[str](), dict[str, bytes]()
+    ends = dict[str, bytes]()
 
     def end(options: dict[str, Any]) -> bytes:
         key = str(sorted(options.items()))
@@ -120,20 +144,10 @@ def method_option_effects(integrator: IntegratorUnderTest) -> Result:
                 ends[key] = final_state(run).tobytes() + counts.encode()
         return ends[key]
 
-    for chosen in _choices(integrator.item, integrator.options):
-        for name, other in variants(integrator.item, chosen):
-            option = name.partition(" = ")[0]
-            if option in effective or option not in names:
-                continue
-            try:
-                if end(chosen) != end(other):
-                    effective.add(option)
-                tried.add(option)
-            except SpecError:  # the values are refused
-                continue
-        if effective >= set(names):
-            break
-    if idle := [name for name in names if name in tried - effective]:
+    def differ(chosen: dict[str, Any], other: dict[str, Any]) -> bool:
+        return end(chosen) != end(other)
+
+    if idle := _idle(integrator.item, integrator.options, names, set(), differ):
         return failed(
             f"its {_options(idle)} no effect for {DRAWS} random sets of values; use or remove {_pronoun(idle)}"
         )

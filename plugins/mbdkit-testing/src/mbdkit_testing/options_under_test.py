@@ -19,7 +19,7 @@ MOST_CHOICES = 4
 Options = TypeVar("Options", bound=BaseModel)
 
 
-def options_result(options_type: type[BaseModel], given: Mapping[str, Any], words: str = "options") -> Result:
+def options_result(options_type: type[BaseModel], given: Mapping[str, object], words: str = "options") -> Result:
     """Return the result of the check that options round-trip through JSON and have descriptions.
 
     Parameters
@@ -42,7 +42,7 @@ def options_result(options_type: type[BaseModel], given: Mapping[str, Any], word
     return passed(**{words: len(described)})
 
 
-def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
+def plain_options(item: Registered, given: Mapping[str, object]) -> dict[str, Any]:
     """Return valid options of an item: `given`, and an example value for each other option without default.
 
     An example is the first of ``examples`` in the option's JSON schema, the first of its choices, or a number within
@@ -80,7 +80,7 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
     return chosen
 
 
-def variants(item: Registered, chosen: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def variants(item: Registered, chosen: Mapping[str, object]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield valid options of an item in which one option has another value, with a name such as ``damping = -1``.
 
     The values depend only on the type, the bounds and the present value of the option. They are smaller and larger
@@ -128,7 +128,7 @@ def _is_within(value: float, limits: Mapping[str, Any]) -> bool:
     return bool(low <= value <= high and above < value < below)
 
 
-def validated(model: type[Options], options: Mapping[str, Any]) -> Options:
+def validated(model: type[Options], options: Mapping[str, object]) -> Options:
     """Return a validated `model` with these values, which are read as JSON, as the values of a spec are."""
     return model.model_validate_json(json.dumps(options))
 

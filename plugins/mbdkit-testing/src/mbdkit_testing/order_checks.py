@@ -147,8 +147,7 @@ class Convergence:
     @property
     def errors(self) -> np.ndarray:
         """Largest error of any position or velocity (K,)."""
-        largest: np.ndarray = np.maximum(self.position_errors, self.velocity_errors)
-        return largest
+        return np.asarray(np.maximum(self.position_errors, self.velocity_errors))
 
     @property
     def observed(self) -> ObservedOrder:
@@ -337,7 +336,7 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
     return failed(cause, defect=worst)
 
 
-def _errors_of_tolerances(integrator: IntegratorUnderTest, problem: str, **sections: Any) -> Result:
+def _errors_of_tolerances(integrator: IntegratorUnderTest, problem: str, **sections: object) -> Result:
     """Compare the errors of runs with `TOLERANCES`."""
     if "rtol" not in integrator.plugin.options.model_fields:
         raise Skip("it has no option `rtol`")

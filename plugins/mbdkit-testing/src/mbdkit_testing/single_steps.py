@@ -174,8 +174,7 @@ def moved(equations: EquationsOfMotion, t: float, begin: Moment, h: float) -> np
         return np.concatenate([v, a, rate])
 
     run = solve_ivp(rates, (t, t + h), np.concatenate(begin), method="DOP853", rtol=1e-12, atol=1e-14)
-    end: np.ndarray = run.y[:, -1]
-    return end
+    return np.asarray(run.y[:, -1])
 
 
 @cache

@@ -97,8 +97,7 @@ def stability_function(tableau: ButcherTableau, z: complex) -> complex:
     a, b, _ = tableau.floats()
     s = tableau.stages
     one = np.eye(s)
-    top = np.linalg.det(one - z * a + z * np.outer(np.ones(s), b))
-    return complex(top / np.linalg.det(one - z * a))
+    return complex(np.linalg.det(one - z * a + z * np.outer(np.ones(s), b)) / np.linalg.det(one - z * a))
 
 
 def at_infinity(tableau: ButcherTableau) -> float:

@@ -25,13 +25,9 @@ from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import load_registry
 
 GAUSS_3: dict[str, Any] = {
-    "order": 6,
-    "stages": 3,
-    "symmetric": True,
-    "symplectic": True,
-    "quadratic_invariants": True,
+    "order": 6, "stages": 3, "symmetric": True, "symplectic": True, "quadratic_invariants": True,
     "needs": ("tangents",),
-}
+}  # fmt: skip
 
 
 class NoOptions(BaseModel):
@@ -230,31 +226,9 @@ class LazyNewton(Midpoint):
     lazy = 1e-6
 
 
-class WrongJacobian(Midpoint):
-    """Its Newton matrix has the wrong sign at all tangents, and it takes one iteration for enough."""
-
-    tangent, enough = -1.0, 1.0
-
-
-class IterationOptions(BaseModel):
-    """What an author may let users choose."""
-
-    tolerance: float = 1e-4
-    """Change at which the iteration ends."""
-
-
 def loose_gauss(tolerance: float) -> Registry:
     """Return the Gauss method with 3 stages, whose iteration ends early, and does not say so."""
     return offer(lambda options: mbdkit.ImplicitRungeKutta(gauss.tableau(3), tolerance=tolerance), **GAUSS_3)
-
-
-def loose_by_default() -> Registry:
-    """Return the same with a tolerance as an option, whose default is too loose."""
-    return offer(
-        lambda options: mbdkit.ImplicitRungeKutta(gauss.tableau(3), tolerance=options.tolerance),
-        IterationOptions,
-        **GAUSS_3,
-    )
 
 
 class LyingSolver(scipy.integrate.RK45):
@@ -301,45 +275,16 @@ def hardening(length: float, rate: float, time: float, p: Any) -> tuple[float, f
     return 3 * length + 5 * length**3 + rate, 3 + 15 * length**2, 1.0, 1.5 * length**2 + 1.25 * length**4
 
 
-def wrong_slope(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
-    """Its derivative with respect to length forgets a factor."""
-    return 3 * length + 5 * length**3 + rate, 3 + 5 * length**2, 1.0, 1.5 * length**2 + 1.25 * length**4
-
-
-def wrong_rate(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
-    """Its derivative with respect to rate is missing."""
-    return 3 * length + 5 * length**3 + rate, 3 + 15 * length**2, 0.0, 1.5 * length**2 + 1.25 * length**4
-
-
-def wrong_potential(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
-    """Its potential has the wrong sign."""
-    return 3 * length + 5 * length**3 + rate, 3 + 15 * length**2, 1.0, -1.5 * length**2 - 1.25 * length**4
-
-
-def pushes(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
-    """It calls itself passive, and pushes where it should damp."""
-    return 3 * length - rate, 3.0, -1.0, 1.5 * length**2
-
-
-def no_number(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
-    """It is no number where it is short."""
-    return math.sqrt(length - 0.4), 0.5 / math.sqrt(length - 0.4), 0.0, 0.0
-
-
 # --- the registry ----------------------------------------------------------------------------------------------------
 
 
 def offer(create: Any, options: type[BaseModel] = NoOptions, *, dense_output: bool = False, **claims: Any) -> Registry:
     """Return what mbdkit ships and one integrator more, ``acme:mine``."""
     item = mbdkit.IntegratorPlugin(
-        name="mine",
-        summary="A method under test",
-        options=options,
-        create=create,
-        claims=lambda options: Claims(**{"drift": "of the method's order"} | claims),
-        references=("@misc{acme}",),
+        name="mine", summary="A method under test", options=options, create=create,
+        claims=lambda options: Claims(**{"drift": "of the method's order"} | claims), references=("@misc{acme}",),
         dense_output=dense_output,
-    )
+    )  # fmt: skip
     return _with(mbdkit_integrators=item)
 
 

@@ -84,17 +84,6 @@ class Damped(Midpoint):
         return state.moved(h * (state.v + c * a), h * a)
 
 
-class ScaledMultipliers(RungeKutta):
-    """It returns multipliers that are a tenth too large."""
-
-    carries_multipliers = True
-
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        new = super().step(equations, t, state, h)
-        _, multipliers = equations.accelerations(t + h, new.q, new.v)
-        return StepState(new.q, new.v, multipliers=1.1 * multipliers)
-
-
 class FixedCoefficients(RungeKutta):
     """Adams and Bashforth of order 4, whose coefficients stay those of equal steps when a step is shorter."""
 
@@ -166,16 +155,13 @@ def gauss(**claims: Any) -> Any:
     return corpus.offer(lambda options: mbdkit.ImplicitRungeKutta(tableau), **corpus.GAUSS_3, **claims)
 
 
-def pair(*, dense: float = 1.0, error: Any = 1.0, order: int = 5, dense_order: float | None = None) -> Any:
-    """Return the pair of Dormand and Prince of order 5, with factors of the weights of dense output and error, and with
-    another order of the error.
-    """
+def pair(factors: np.ndarray) -> Any:
+    """Return the pair of Dormand and Prince of order 5, with factors of the weights of its error."""
     ours = dopri5.pair()
-    wrong = mbdkit.EmbeddedPair(error * ours.error, order, ours.a, ours.c, dense * ours.dense)
+    wrong = mbdkit.EmbeddedPair(factors * ours.error, 5, ours.a, ours.c, ours.dense)
     return corpus.offer(
-        lambda options: mbdkit.ExplicitRungeKutta(dopri5.tableau(), wrong),
-        dense_output=True, order=5, stages=7, dense_order=dense_order,
-    )  # fmt: skip
+        lambda options: mbdkit.ExplicitRungeKutta(dopri5.tableau(), wrong), dense_output=True, order=5, stages=7
+    )
 
 
 def solver(name: str, **claims: Any) -> Any:
@@ -212,154 +198,82 @@ RIGHT = {
 
 WRONG = {
     "index-3, but only index-1 is integrated": (
-        _method(RungeKutta, **RK4, formulations=("index-1", "index-3")),
-        "drift.formulations",
+        _method(RungeKutta, **RK4, formulations=("index-1", "index-3")), "drift.formulations",
         "on index-3 the constraints should hold at position level",
     ),
     "joint coordinates, but the joints drift": (
-        _method(RungeKutta, **RK4, formulations=("joint-coordinates",)),
-        "drift.position",
+        _method(RungeKutta, **RK4, formulations=("joint-coordinates",)), "drift.position",
         "joint-coordinates enforces them, but the constraints do not hold",
     ),
-    "conserved energy by an accurate method": (
-        _method(RungeKutta, **RK4, conserves=("energy",)),
-        "geometry.conserved-energy",
-        "it claims to conserve energy, but in large steps it changes",
-    ),
     "conserved energy by a symplectic method": (
-        _method(Midpoint, **MIDPOINT, conserves=("energy",)),
-        "geometry.conserved-energy",
+        _method(Midpoint, **MIDPOINT, conserves=("energy",)), "geometry.conserved-energy",
         "it claims to conserve energy, but in large steps it changes",
     ),
     "conserved linear momentum": (
-        _method(OneByOne, order=1, conserves=("linear-momentum",)),
-        "geometry.conserved-linear-momentum",
+        _method(OneByOne, order=1, conserves=("linear-momentum",)), "geometry.conserved-linear-momentum",
         "it claims to conserve linear-momentum, but in large steps it changes",
     ),
-    "conserved angular momentum": (
-        _method(RungeKutta, **RK4, conserves=("angular-momentum",)),
-        "geometry.conserved-angular-momentum",
-        "it claims to conserve angular-momentum, but in large steps it changes",
-    ),
     "conserved angular momentum of bodies with joints that drift": (
-        _method(Midpoint, **MIDPOINT, conserves=("angular-momentum",)),
-        "geometry.conserved-angular-momentum",
+        _method(Midpoint, **MIDPOINT, conserves=("angular-momentum",)), "geometry.conserved-angular-momentum",
         "it claims to conserve angular-momentum, but in large steps it changes",
-    ),
-    "A-stability of an explicit method": (
-        _method(RungeKutta, **RK4, a_stable=True),
-        "stability.a-stable",
-        "it claims to be A-stable, but at a frequency times step of",
     ),
     "A-stability of a formula of order 3": (
-        _method(BDF3, order=3, a_stable=True),
-        "stability.a-stable",
-        "and a damping ratio of 0 oscillations grow",
+        _method(BDF3, order=3, a_stable=True), "stability.a-stable", "and a damping ratio of 0 oscillations grow",
     ),
     "A-stability of an explicit tableau": (
-        heun(a_stable=True),
-        "tableau.stability",
-        "it claims to be A-stable, but its stability function exceeds 1",
+        heun(a_stable=True), "tableau.stability", "it claims to be A-stable, but its stability function exceeds 1",
     ),
     "A-stability of an explicit method with adaptive steps": (
-        solver("RK45", a_stable=True),
-        "stability.a-stable",
+        solver("RK45", a_stable=True), "stability.a-stable",
         "it claims to be A-stable, but takes more steps where oscillators are stiffer",
     ),
-    "L-stability of a conservative method": (
-        _method(Midpoint, **MIDPOINT, **STABLE),
-        "stability.l-stable",
-        "it claims to be L-stable, but 4 steps leave",
-    ),
     "L-stability of a damping method": (
-        _method(Damped, order=1, needs=("tangents",), **STABLE),
-        "stability.l-stable",
+        _method(Damped, order=1, needs=("tangents",), **STABLE), "stability.l-stable",
         "it claims to be L-stable, but 4 steps leave",
     ),
     "L-stability of a tableau": (
-        gauss(**STABLE),
-        "tableau.stability",
-        "it claims to be L-stable, but its stability function does not vanish",
-    ),
-    "multipliers on another scale": (
-        _method(ScaledMultipliers, **RK4, multiplier_order=4),
-        "order.multipliers",
-        "it claims order of multipliers 4, but its errors follow no power of the step",
+        gauss(**STABLE), "tableau.stability", "it claims to be L-stable, but its stability function does not vanish",
     ),
     "coefficients that ignore a shorter step": (
-        _method(FixedCoefficients, **RK4),
-        "state.free-fall",
+        _method(FixedCoefficients, **RK4), "state.free-fall",
         "the motion of a free body in free fall is wrong at the end of a last step of",
     ),
     "order 2 with velocities of the middle of a step": (
-        _method(OldVelocities, order=2, needs=("accelerations",)),
-        "order.forced-pendulum",
+        _method(OldVelocities, order=2, needs=("accelerations",)), "order.forced-pendulum",
         "it claims order 2, but the observed one is 1.",
     ),
     "states that it does not integrate": (
-        _method(RungeKutta, **RK4, states=True),
-        "contract.states",
-        "its first-order states do not converge",
+        _method(RungeKutta, **RK4, states=True), "contract.states", "its first-order states do not converge",
     ),
     "variable order of a method of order 5": (
-        solver("RK45", variable_order=True),
-        "tolerance.variable-order",
+        solver("RK45", variable_order=True), "tolerance.variable-order",
         "it claims variable order, but its number of steps follows one power of the tolerance",
     ),
     "an option that the method ignores": (
-        corpus.offer(lambda options: RungeKutta(), DampingOptions, **RK4),
-        "contract.option-effects",
+        corpus.offer(lambda options: RungeKutta(), DampingOptions, **RK4), "contract.option-effects",
         "its option damping has no effect",
     ),
     "an order of dense output of the cubic of the framework": (
-        _method(RungeKutta, **RK4, dense_output=True, dense_order=4),
-        "order.dense-output",
+        _method(RungeKutta, **RK4, dense_output=True, dense_order=4), "order.dense-output",
         "it claims dense output of order 4, but its dense output has the order 2.",
     ),
     "dense output that the plugin has not": (
-        _method(RungeKutta, **RK4, dense_order=3),
-        "order.dense-output",
+        _method(RungeKutta, **RK4, dense_order=3), "order.dense-output",
         "it claims an order of dense output, but the plugin says that it has none",
     ),
-    "an order of dense output that is too high": (
-        pair(dense_order=5),
-        "order.dense-output",
-        "it claims dense output of order 5, but its dense output has the order 3.",
-    ),
-    "dense output with weights that are too large": (
-        pair(dense=1.3),
-        "order.dense-output",
-        "its dense output has the order",
-    ),
     "an error estimate that does not vanish in a steady motion": (
-        pair(error=np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.1])),
-        "tolerance.error-estimate",
+        pair(np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.1])), "tolerance.error-estimate",
         "its error estimate should be of order 5, but has order 0.",
     ),
-    "an error estimate that is a hundredth of the right one": (
-        pair(error=0.01),
-        "tolerance.error-estimate",
-        "times its estimate",
-    ),
-    "an order of the error estimate that is too high": (
-        pair(order=6),
-        "tolerance.error-estimate",
-        "its error estimate should be of order 6, but has order 4.9",
-    ),
     "a memory that can be stored": (
-        _method(Unstorable, **RK4),
-        "restart.state",
-        "it claims to be restartable, but its state cannot be stored",
+        _method(Unstorable, **RK4), "restart.state", "it claims to be restartable, but its state cannot be stored",
     ),
     "projection, which makes it forget its memory": (
-        _method(RoundedMemory, **AB2),
-        "order.projection",
-        "it claims order 2, but the observed one is 1.0",
+        _method(RoundedMemory, **AB2), "order.projection", "it claims order 2, but the observed one is 1.0",
     ),
     "a memory that loses digits": (
-        _method(RoundedMemory, **AB2),
-        "restart.state",
+        _method(RoundedMemory, **AB2), "restart.state",
         "its state does not contain everything that the next step needs",
     ),
-}
+}  # fmt: skip
 """By what is claimed: the method, the check that refuses it, and the beginning or a part of the cause."""

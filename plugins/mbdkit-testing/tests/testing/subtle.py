@@ -173,17 +173,6 @@ class EndAlmostShort(EndShort):
     share = 0.98
 
 
-class NoEnd(RungeKutta):
-    """It leaves out a last step that is shorter than a hundredth of the others."""
-
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        usual = state.memory or h
-        if h < 0.01 * usual:
-            return StepState(state.q, state.v, memory=usual)
-        new = super().step(equations, t, state, h)
-        return StepState(new.q, new.v, memory=usual)
-
-
 class Single(RungeKutta):
     """It stores positions in single precision."""
 
@@ -217,13 +206,6 @@ class OwnClock(RungeKutta):
         now = state.memory or 0.0
         new = super().step(equations, now, state, h)
         return StepState(new.q, new.v, memory=now + h)
-
-
-class EarlyTimeOnly(RungeKutta):
-    """After 500 s it evaluates all stages at the start of the step."""
-
-    def rates(self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> Any:
-        return super().rates(equations, t if t < 500.0 else math.floor(100.0 * t + 1e-6) / 100.0, q, v)
 
 
 class DerivativeSolver(scipy.integrate.OdeSolver):

@@ -1,4 +1,4 @@
-"""Verification beyond the defaults: options, claims of drift, the criterion of a pass, and where a plugin failed."""
+"""Verification beyond the defaults: options, laws with states, claims of drift, and where a plugin failed."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from dataclasses import replace
 
 import pytest
 import sympy
+from pydantic import BaseModel, ConfigDict, Field
+from tests.testing.corpus import _with
 from tests.testing.results import one
 
 import mbdkit
+from mbdkit import ExpressionLaw, ForceLawPlugin
 from mbdkit.base.errors import with_place
 from mbdkit.registry.manager import registry
 from mbdkit.runs.simulation import simulate
@@ -17,6 +20,7 @@ from mbdkit_testing import Report, Result, verify
 from mbdkit_testing.drift_checks import CHECKS as DRIFT
 from mbdkit_testing.kit import plugin_under_test
 from mbdkit_testing.options_under_test import variants
+from tests.laws.motor import MOTOR
 
 from . import corpus
 
@@ -42,7 +46,7 @@ SPRINGS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SPRINGS)
+@pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.slow] * (x == "not passed on")) for x in SPRINGS])
 def test_options_that_do_not_change_the_force_are_found(name: str) -> None:
     installed, outcome, message = SPRINGS[name]
     found = one("law.option-effects", "force-law", installed)
@@ -72,7 +76,7 @@ def test_an_integrator_that_fails_with_another_option_is_caught() -> None:
     [
         ({"drift": "none"}, "fail", "it claims drift = 'none', but the constraints do not hold at position level"),
         ({"constraints_hold": ("position",)}, "fail", "it claims constraints_hold = ['position']"),
-        ({"drift": "of order 4"}, "pass", ""),
+        pytest.param({"drift": "of order 4"}, "pass", "", marks=pytest.mark.slow),
     ],
 )
 def test_a_claim_of_no_drift_is_held(claims: dict[str, object], outcome: str, message: str) -> None:
@@ -127,3 +131,56 @@ def test_an_exception_in_a_step_is_told_first_and_is_the_cause_of_all_failures()
 
 def test_an_exception_without_a_plugin_has_no_place() -> None:
     assert with_place(ValueError("too small")) == "ValueError: too small"
+
+
+class Filter(BaseModel):
+    """A spring with a delay."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    stiffness: float = Field(default=50.0, gt=0.0)
+    """Stiffness [N/m]."""
+    pull: float = 0.0
+    """Initial pull [N]."""
+
+
+def checked(rate: sympy.Expr) -> Result:
+    """Return the check of a law whose force is its state, with this rate."""
+    law = ExpressionLaw(sympy.Symbol("pull"), rates={"pull": (rate, "N")})
+    return one(
+        "law.states", "force-law", _with(mbdkit_force_laws=ForceLawPlugin("mine", "A law", Filter, law, ("@misc{a}",)))
+    )
+
+
+length, time, stiffness, pull = sympy.symbols("length time stiffness pull")
+
+
+def test_states_that_are_finite_and_converge_pass():
+    assert checked((stiffness * length - pull) / 0.05).outcome == "pass"
+    assert (
+        one(
+            "law.states",
+            "force-law",
+            _with(mbdkit_force_laws=ForceLawPlugin("mine", "A motor", MOTOR.options, MOTOR.law, MOTOR.references)),
+        ).outcome
+        == "pass"
+    )
+
+
+@pytest.mark.parametrize(
+    ("rate", "cause"),
+    [
+        (sympy.sqrt(length) - pull, "the rate of its state 'pull' is nan at length -"),
+        (1e3 * sympy.sin(1e7 * time), "its state 'pull' in a run does not converge with the step"),
+    ],
+)
+def test_states_that_are_not_finite_or_depend_on_the_step_fail(rate, cause):
+    found = checked(rate)
+    assert found.outcome == "fail"
+    assert cause in found.cause
+
+
+def test_laws_without_states_are_not_concerned():
+    law = ExpressionLaw(-stiffness * length)
+    plugin = ForceLawPlugin("mine", "A spring", Filter, law, ("@misc{a}",))
+    assert one("law.states", "force-law", _with(mbdkit_force_laws=plugin)).outcome == "skip"

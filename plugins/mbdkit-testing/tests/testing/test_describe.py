@@ -44,11 +44,20 @@ def test_the_doctor_says_what_failed_and_how_long_loading_took(mixed):
     assert "broken:plugin: error: ImportError: no acme here" in text
     assert "2 of 2 loaded in" in text
     assert all(entry["load_s"] >= 0 for entry in describe.diagnosis(mixed)["plugins"])
-    assert not describe.is_sound(mixed)
+    assert mixed.failures
 
 
 def test_show_finds_a_model_and_an_integrator_of_one_name(mixed):
     assert [item.kind for item in describe.find("swing", mixed)] == ["model", "integrator"]
+
+
+def test_show_of_an_item_without_options_says_what_it_is_and_where_to_read_on():
+    [command] = describe.find("rerun")
+    page = describe.page(command)
+    assert page.startswith("mbdkit:rerun (command)\n")
+    assert command.plugin.summary in page
+    assert page.endswith("mbdkit plugins where mbdkit:rerun")
+    assert "options" not in describe.details(command)
 
 
 def test_show_of_a_broken_plugin_says_why_it_is_broken(mixed):
@@ -80,4 +89,4 @@ def test_what_is_left_out_is_described_as_sound() -> None:
     loaded = load_registry([FakeEntryPoint(offering_items, "bolt")], Policy.of({"MBDKIT_DISABLE_PLUGINS": "bolt"}))
     assert "disabled: left out by MBDKIT_DISABLE_PLUGINS" in describe.diagnosis_text(loaded)
     assert "left out by MBDKIT_DISABLE_PLUGINS" in describe.listing_text(loaded)
-    assert describe.is_sound(loaded)
+    assert not loaded.failures

@@ -31,14 +31,11 @@ METHOD = "    def rate("
 WRONG: dict[str, tuple[str, str, dict[str, str]]] = {
     "power": ("element.columns", "is not the power in the equations", {'"power": power}': '"power": -power}'}),
     "derivative": (
-        "derivatives.tangents",
-        "with respect to a position differs from differences",
+        "derivatives.tangents", "with respect to a position differs from differences",
         {LAW: TRACED, CLASS: f'def numbers(c): return {{"area": c.area, "pressure": c.pressure}}\n\n\n{CLASS}'},
     ),
     "unit": (
-        "element.states",
-        "of the state 'lift.pressure' is N, that of its key or column Pa",
-        {', "Pa")},': ', "N")},'},
+        "element.states", "of the state 'lift.pressure' is N, that of its key or column Pa", {', "Pa")},': ', "N")},'},
     ),
     "order": (
         "element.states",
@@ -62,18 +59,15 @@ WRONG: dict[str, tuple[str, str, dict[str, str]]] = {
     "places": ("element.bodies", "lists no bodies", {METHOD: f"    def places(self): return []\n\n{METHOD}"}),
     "rate": ("order.states", "instead of 4", {"({self.flow})": "({self.flow} + 0.01*sin(1e6*t))"}),
     "force": (
-        "energy.balance",
-        "does not converge",
+        "energy.balance", "does not converge",
         {"-AREA * PRESSURE,": "-AREA * PRESSURE + 1e3 * sympy.sin(1e7 * sympy.Symbol('time', real=True)),"},
     ),
     "checkpoint": (
-        "restart.checkpoint",
-        "cannot be stored in a checkpoint",
-        {'"lowest": self.lowest}': '"lowest": self}'},
+        "restart.checkpoint", "cannot be stored in a checkpoint", {'"lowest": self.lowest}': '"lowest": self}'},
     ),
     "support": ("support.computations", "no computation asks whether elements", {'"statics": ': '"lanes": '}),
     "example": ("energy.balance", "has no wrong_examples", {'example="wrong-example"': 'example="pendulum"'}),
-}
+}  # fmt: skip
 """Faults in copies of the template: the check that finds it, part of the cause, and texts and what replaces them."""
 
 
@@ -99,7 +93,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     forget()
 
 
-@pytest.mark.parametrize("name", ["mbdkit:muscle", "mbdkit:contact", "wrong-right"])
+@pytest.mark.parametrize(
+    "name", ["wrong-right", *(pytest.param(x, marks=pytest.mark.slow) for x in ("mbdkit:muscle", "mbdkit:contact"))]
+)
 def test_muscles_contacts_and_the_template_are_verified(name: str, site: Path) -> None:
     report = mbdkit.testing.check_element(name)
     assert report.verified, report.text()

@@ -1,11 +1,20 @@
-"""`mbdkit plugins verify` at the command line."""
+"""The commands `mbdkit plugins verify` and `where`, the self-test, and the pages that this part generates."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+import mbdkit
+import mbdkit.plugin
+from mbdkit.base.errors import SpecError
+from mbdkit.guide.pages import find_page
+from mbdkit.registry.manager import registry
+from mbdkit_testing import history_columns, item_places, layout_document, self_test, spec_page
+from tests.archive.making import DOCUMENT
 
 
 def test_what_is_verified_leaves_with_0_and_says_so(mbdkit: Any) -> None:
@@ -63,3 +72,82 @@ def test_wrong_input_is_one_sentence_and_exit_status_2(mbdkit: Any, arguments: l
     assert result.stdout == ""
     assert expected in result.stderr
     assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "file", "begins"),
+    [
+        ("gauss", "create", "mbdkit/methods/gauss.py", "def create("),
+        ("gauss", "options", "mbdkit/methods/gauss.py", "class GaussOptions("),
+        ("single-pendulum", "build", "mbdkit/models/pendulums.py", "def build_single("),
+        ("table", "law", "mbdkit/laws/tabulated.py", "LAW = "),
+        ("modes", "target", "plugins/mbdkit-statics/src/mbdkit_statics/commands.py", "def modes("),
+        ("plugins new", "target", "plugins/mbdkit-testing/src/mbdkit_testing/commands.py", "def plugins_new("),
+        ("drift", "spec", "plugins/mbdkit-paper/src/mbdkit_paper/drift/study.yaml", ""),
+    ],
+)
+def test_where_prints_the_line_that_defines_what_a_name_adds(name, field, file, begins):
+    found = item_places.whereabouts(name)
+    (place,) = (place for item in found["items"] for place in item["places"] if place["field"] == field)
+    path = Path(place["file"])
+    assert path == Path(mbdkit.__file__).parents[1] / file
+    assert path.read_text(encoding="utf-8").splitlines()[place["line"] - 1].startswith(begins)
+    assert f"{path}:{place['line']}" in item_places.whereabouts_text(found)
+
+
+def test_where_suggests_a_name():
+    with pytest.raises(SpecError, match="there is no item 'gaus' \\(did you mean 'gauss'"):
+        item_places.whereabouts("gaus")
+
+
+def test_declarations_of_columns_are_fresh() -> None:
+    text = history_columns.TARGET.read_text(encoding="utf-8")
+    assert history_columns.declarations() == text, "run: python -m mbdkit_testing.history_columns"
+
+
+def test_document_is_fresh() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert layout_document.renewed(text) == text, "run: python -m mbdkit_testing.layout_document schemas/archive.md"
+
+
+def test_the_reference_of_specs_is_fresh() -> None:
+    fresh = spec_page.page(registry().only("mbdkit"))
+    assert find_page("spec").text == fresh, "stale: python -m mbdkit_testing.spec_page mbdkit/guide/spec.md"
+
+
+def test_the_stored_hashes_belong_to_the_present_code():
+    """After a change of the results, ``python -m mbdkit_testing.self_test`` stores the new hashes."""
+    assert self_test.hashes() == json.loads(self_test.STORED.read_text())
+
+
+@pytest.fixture
+def other_bits(monkeypatch, tmp_path):
+    """Let the stored hashes of two runs, and those of a run that is not there, be others."""
+    stored = json.loads(self_test.STORED.read_text())
+    del stored["knee"]
+    (tmp_path / "other.json").write_text(json.dumps(stored | {"chain": "0" * 64, "gone": "1"}))
+    monkeypatch.setattr(self_test, "STORED", tmp_path / "other.json")
+
+
+def test_runs_with_other_bits_are_named(mbdkit, other_bits):
+    outcome = mbdkit("doctor")
+    assert outcome.exit_code == 1
+    assert "8 of 10 runs have the same bits" in outcome.output
+    assert "self-test: knee, chain: last bits differ" in outcome.output
+
+
+def test_json_says_which_runs_agree(mbdkit, other_bits):
+    report = json.loads(mbdkit("doctor", "--json").stdout)
+    assert [name for name, text in report["self_test"].items() if text != "equal"] == ["knee", "chain"]
+    assert report["machine_code"]["platform"]
+    assert report["plugins"]
+
+
+def test_runs_that_fail_are_reported_with_the_rest(mbdkit, monkeypatch):
+    limits, damaged = {"limits": {"max_steps": 3}}, {"model": {"name": "no-such-model"}}
+    monkeypatch.setattr(self_test, "RUNS", {"short": ("pendulum", limits), "unknown": ("pendulum", damaged)})
+    outcome = mbdkit("doctor")
+    assert outcome.exit_code == 1
+    assert "machine code for" in outcome.output
+    assert "self-test: 'short' failed: max-steps" in outcome.output
+    assert "self-test: 'unknown' failed: " in outcome.output

@@ -192,13 +192,6 @@ class NeverAccepted(Pair):
         return Step(new, None, dense, accepted=False, next_step=0.99 * h)
 
 
-class Insatiable(RungeKutta):
-    """It takes the step that it wants instead of the one that it is asked for."""
-
-    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        return super().step(equations, t, state, 0.02)
-
-
 class KeepsMemory(Pair):
     """It uses its last slope after a discontinuity too."""
 
@@ -211,33 +204,6 @@ class KeepsMemoryAfterEvents(Pair):
 
     def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: str) -> Any:
         return state.memory if why == "event" else None
-
-
-class Incomplete:
-    """A memory whose stored data lack the slope."""
-
-    def __init__(self, k: Any = None) -> None:
-        self.k = k
-
-    def stored(self) -> Any:
-        return {}
-
-    def restored(self, data: Any) -> Incomplete:
-        return Incomplete()
-
-
-class IncompleteMemory(Pair):
-    """It stores a part of its memory only: the slope, computed with an old matrix, cannot be computed again."""
-
-    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: str) -> Any:
-        return Incomplete()
-
-    def first(self, equations: EquationsOfMotion, t: float, y: Vector, memory: Any) -> Vector:
-        now = slope(equations, t, y)
-        return now if memory.k is None else now + 1e-9 * (memory.k - now)
-
-    def memory(self, h: float, k: Vector) -> Any:
-        return Incomplete(1.001 * k)
 
 
 class FirstOrderStates(Pair):
@@ -346,12 +312,8 @@ class ForgetsStep(Library):
 
 def fixed(method: type[StepMethod], **claims: Any) -> Any:
     given: dict[str, Any] = {
-        "order": 3,
-        "dense_output": True,
-        "dense_order": 3,
-        "states": True,
-        "needs": ("accelerations",),
-    }
+        "order": 3, "dense_output": True, "dense_order": 3, "states": True, "needs": ("accelerations",),
+    }  # fmt: skip
     return corpus.offer(lambda options: method(), **given | claims)
 
 
@@ -367,11 +329,9 @@ def library(method: type[Library]) -> Any:
 RK4: dict[str, Any] = {"order": 4, "needs": ("accelerations",)}
 
 RIGHT = {
-    "a pair with fixed steps": fixed(Nodes),
-    "a pair with adaptive steps": adaptive(Pair, dense_order=3),
-    "a library": library(Library),
-    "work": corpus.offer_method(Booked, **RK4),
-}
+    "a pair with fixed steps": fixed(Nodes), "a pair with adaptive steps": adaptive(Pair, dense_order=3),
+    "a library": library(Library), "work": corpus.offer_method(Booked, **RK4),
+}  # fmt: skip
 
 MEMORY = "a step uses the memory of the steps before"
 NEEDED = "its state does not contain everything that the next step needs"
@@ -380,23 +340,18 @@ WRONG = {
         adaptive(Offset, dense_order=3), "order.dense-output", "its dense output differs from the state at the start",
     ),
     "dense output of lower order in a multistep method": (
-        fixed(BashforthLine, order=2, dense_order=2),
-        "order.dense-output",
-        "in the step after 12 others",
+        fixed(BashforthLine, order=2, dense_order=2), "order.dense-output", "in the step after 12 others",
     ),
     "a multistep method that starts with order 1": (
-        fixed(Bashforth, order=2, dense_order=2),
-        "state.free-fall",
+        fixed(Bashforth, order=2, dense_order=2), "state.free-fall",
         "the motion of a free body in free fall is wrong after the first step",
     ),
     "dense output of lower order": (
-        adaptive(Line, dense_order=3),
-        "order.dense-output",
+        adaptive(Line, dense_order=3), "order.dense-output",
         "it claims dense output of order 3, but its dense output has the order",
     ),
     "dense output that is a line for states": (
-        fixed(LineOfStates),
-        "order.dense-output",
+        fixed(LineOfStates), "order.dense-output",
         "it claims dense output of order 3, but first-order states in its dense output have the order",
     ),
     "dense output that the next step overwrites": (
@@ -413,8 +368,7 @@ WRONG = {
         adaptive(ErrorWithoutStates), "tolerance.error-estimate", "for first-order states, its error estimate is zero",
     ),
     "an error estimate that is zero for linear equations": (
-        adaptive(Ros3p, dense_output=False, needs=("accelerations", "tangents")),
-        "tolerance.linear-oscillators",
+        adaptive(Ros3p, dense_output=False, needs=("accelerations", "tangents")), "tolerance.linear-oscillators",
         "its error does not decrease with the tolerance",
     ),
     "rejected steps that do not shrink": (
@@ -423,14 +377,10 @@ WRONG = {
     "steps that are never accepted": (
         adaptive(NeverAccepted), "tolerance.own-control", "it accepts none of 200 attempts",
     ),
-    "steps of its own choice": (
-        corpus.offer_method(Insatiable, **RK4), "state.free-fall", "the motion of a free body in free fall is wrong",
-    ),
     "memory that is kept": (fixed(KeepsMemory), "restart.discontinuities", f"after a load has jumped, {MEMORY}"),
     "memory that is kept after events": (
         adaptive(KeepsMemoryAfterEvents), "restart.discontinuities", f"after an event, {MEMORY}",
     ),
-    "a memory that is stored in part": (fixed(IncompleteMemory), "restart.state", NEEDED),
     "first-order states of order 1": (
         fixed(FirstOrderStates, dense_order=None), "order.states", "it claims order 3, but the observed one is",
     ),

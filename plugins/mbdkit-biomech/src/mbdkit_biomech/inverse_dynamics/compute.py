@@ -153,8 +153,7 @@ class Fitted:
     @property
     def residual(self) -> np.ndarray:
         """(T, K) raw - fitted values; nan in gaps."""
-        left: np.ndarray = self.measured.raw - self.values
-        return left
+        return np.asarray(self.measured.raw - self.values)
 
     @property
     def interpolated(self) -> np.ndarray:
@@ -275,8 +274,7 @@ def compute(problem: InverseProblem) -> Inverse:
         If no pose fits the data, or the mechanism passes a singular position.
     """
     try:
-        fitted = fit(problem)
-        return _of_fitted(problem, fitted)
+        return _of_fitted(problem, fit(problem))
     except SpecError as error:
         raise problem.spec.placed(error) from error
 
@@ -358,5 +356,4 @@ def _muscles(result: Inverse) -> Muscles | None:
 
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:
     """Return the reaction forces (T, J, 2) [N] for the same motion without muscles, produced by the actuators alone."""
-    without = replace(result, recruited=None)
-    return recorded_states(without).reactions[:, :, :2]
+    return recorded_states(replace(result, recruited=None)).reactions[:, :, :2]

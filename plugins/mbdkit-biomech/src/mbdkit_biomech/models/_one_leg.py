@@ -73,8 +73,7 @@ def pinned_leg(person: BodySegments, pose: LegPose, hip: Hip) -> LegParts:
     parts = _leg(person, pose, hip, thigh, shank)
     points = (xy(knee - person.thigh.centre), xy(-person.shank.centre))
     pin = Revolute(bodies=("thigh", "shank"), points=points)
-    joints = {"hip": parts.joints["hip"], "knee": pin, "ankle": parts.joints["ankle"]}
-    return parts._replace(joints=joints)
+    return parts._replace(joints={"hip": parts.joints["hip"], "knee": pin, "ankle": parts.joints["ankle"]})
 
 
 def four_bar_leg(
@@ -214,7 +213,7 @@ class _Names:
     def __init__(self, own: set[str]):
         self._own = own
 
-    def of(self, value: Any) -> Any:
+    def of(self, value: object) -> Any:
         """Return a name or expression with the names of the second leg; other values are returned unchanged."""
         if not isinstance(value, str) or value in self._own:
             return value + SUFFIX if isinstance(value, str) else value

@@ -35,7 +35,7 @@ class FiberEquilibrium:
         """Return the velocity of the fibres [m/s] and the force of the tendon [N]."""
         return law["max_speed"] * rate, law["max_force"] * force
 
-    def conditions(self, rate: Any, force: Any, length: Any, law: Mapping[str, Any]) -> tuple[Any, Any]:
+    def conditions(self, rate: object, force: object, length: object, law: Mapping[str, object]) -> tuple[Any, Any]:
         """Return the force of the fibres along the tendon less that of the tendon, as a share of the largest force; and
         the room for the tendon less its length, as a share of it (with the curves `millard`, a difference of forces).
         """

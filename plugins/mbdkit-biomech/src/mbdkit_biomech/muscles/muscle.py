@@ -273,8 +273,7 @@ class Muscle(Element):
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
-        places = self.places()
-        return [place for place, item in zip(places, self.path, strict=True) if item.moves]
+        return [place for place, item in zip(self.places(), self.path, strict=True) if item.moves]
 
     def motions(self) -> list[tuple[str, Motion]]:
         """Return (key, value) of each prescribed function of time."""

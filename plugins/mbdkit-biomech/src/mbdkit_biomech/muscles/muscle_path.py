@@ -57,8 +57,7 @@ class PathState:
 
     def rate(self, v: np.ndarray) -> np.ndarray:
         """Return the rate of the length (T,) [m/s] at velocities (T, n)."""
-        rate: np.ndarray = np.sum(self.gradient * v, axis=1)
-        return rate
+        return np.asarray(np.sum(self.gradient * v, axis=1))
 
 
 class _PathPlace:

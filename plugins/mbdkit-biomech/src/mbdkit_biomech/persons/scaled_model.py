@@ -106,7 +106,7 @@ def _stretched(value: Any, factor: float, move: float) -> Any:
     return factor * value + move
 
 
-def of_model(spec: InverseSpec, data: Mapping[str, Any]) -> Any:
+def of_model(spec: InverseSpec, data: Mapping[str, object]) -> Any:
     """Return a spec with the section `model` and the parameters of a spec, without a motion."""
     given = {"mbdkit": 1, "parameters": dict(spec.parameters), "motion": {"data": {"time": [0.0]}}}
     return type(spec)(**given, model=data)

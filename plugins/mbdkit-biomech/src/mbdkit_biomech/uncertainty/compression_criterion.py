@@ -39,8 +39,7 @@ def compression_doubts(result: Inverse) -> Iterator[Finding]:
         alone = (mine > STANCE * np.max(size)) & (np.sum(size, axis=1) - mine <= 0)
         angle = result.motion.q[:, 3 * names.body(f"shank{leg}", "model") + 2]
         down = np.column_stack([elementary.sin(angle), -elementary.cos(angle)])
-        place = joints.index(knee)
-        less = np.sum(down * (without - reactions)[:, place], axis=1)
+        less = np.sum(down * (without - reactions)[:, joints.index(knee)], axis=1)
         wrong = np.flatnonzero(alone & (less > LESS * mine))
         if wrong.size > FRAMES * max(1, int(np.sum(alone))):
             row = wrong[int(np.argmax(less[wrong]))]

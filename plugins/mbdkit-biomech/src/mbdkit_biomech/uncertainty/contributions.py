@@ -57,8 +57,7 @@ class Contributions:
     @property
     def advice(self) -> str:
         """What reduces the largest source of the person and its muscles; empty if the noise of the data is larger."""
-        first = next((name for name in self.shares if name != INTERACTIONS), "")
-        return ADVICE.get(first.split(" ")[0], "")
+        return ADVICE.get(next((name for name in self.shares if name != INTERACTIONS), "").split(" ")[0], "")
 
     @property
     def sentence(self) -> str:

@@ -240,6 +240,6 @@ class _Sources:
                 yield UncertainScalar(name, "muscles", {(key,): 1.0}, (own[0] - value, own[1] - value))
 
 
-def segment_of(body: str, person: Any) -> str:
+def segment_of(body: str, person: object) -> str:
     """Return the name of a segment; those of both legs of a person follow from the same tables."""
     return body if person is None else body.removesuffix("_left")

@@ -158,8 +158,7 @@ def _bound(sizes: np.ndarray) -> np.ndarray:
     low = np.floor(place).astype(int)
     high = np.minimum(low + 1, np.maximum(known - 1, 0))
     first, second = (np.take_along_axis(ordered, one[None], axis=0)[0] for one in (low, high))
-    found = first + (place - low) * (second - first)
-    return np.asarray(np.where(2 * known >= len(sizes), found, np.nan))
+    return np.asarray(np.where(2 * known >= len(sizes), first + (place - low) * (second - first), np.nan))
 
 
 def drawn(sources: Sequence[UncertainScalar], samples: int, random: np.random.Generator) -> np.ndarray:

@@ -14,8 +14,8 @@ import numpy as np
 
 from mbdkit_contact.modes import STICK
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
-from mbdkit_paper.wording import reported
-from mbdkit_report import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of, exceeds, together
+from mbdkit_paper.wording import Words, reported
+from mbdkit_report import Answer, Claim, Figure, Line, Verdict, exceeds, together
 from mbdkit_studies import STEP, family, value
 from mbdkit_studies.results.judge import study_verdict
 
@@ -30,6 +30,7 @@ PER_STEP = 3.0
 """Largest accepted error of time-stepping, divided by the step [m/s]."""
 SOFT = "-compliant"
 FINEST = "event-driven, DOP853"
+WORDS = Words(__file__)
 
 
 def ball(t: np.ndarray) -> np.ndarray:
@@ -52,8 +53,7 @@ def _block(friction: float) -> Callable[[np.ndarray], np.ndarray]:
 
     def way(t: np.ndarray) -> np.ndarray:
         up = 2.0 * t - 0.5 * (pull + hold) * t**2
-        down = stop - 0.5 * max(pull - hold, 0.0) * (t - stop) ** 2
-        return np.where(t < stop, up, down)
+        return np.where(t < stop, up, stop - 0.5 * max(pull - hold, 0.0) * (t - stop) ** 2)
 
     return way
 
@@ -131,27 +131,15 @@ def verdict(study: Study) -> Verdict:
         )
         for touch in touches
     ]  # fmt: skip
-    columns = columns_of("case; method; step [s]; error [m]; penetration [m]; creep [m/s]; steps; time [s]")
     return Verdict(
         "contact",
         study.spec.title,
         " ".join(claim.sentence for claim in claims),
         claims,
-        (Table("contact", "Error, penetration, creep and work", columns, tuple(rows), NOTE, headline=True),),
+        (WORDS.table("contact", rows),),
         (_figure(touches),),
-        (RESTITUTION,),
+        WORDS.notes(),
     )
-
-
-NOTE = (
-    "Errors are the largest differences of positions from closed forms at the recorded times; of the rocking block, "
-    "that of the share of energy which its first impact keeps. Penetration is the deepest overlap, creep the largest "
-    "slip while a contact sticks, both at the recorded times. Times are those of this machine."
-)
-RESTITUTION = (
-    "The compliant ball keeps another share of its speed in each impact, because the restitution of its law depends on "
-    "the speed: that error is one of the law, not of the method."
-)
 
 
 def _of(study: Study, point: StudyPoint) -> Touched:
@@ -194,44 +182,29 @@ def _worst(touches: Sequence[Touched], of: Callable[[Touched], float]) -> tuple[
 def _exact(touches: Sequence[Touched]) -> Claim:
     own = [touch for touch in touches if touch.method == FINEST]
     worst, name = _worst(own, lambda touch: touch.error)
-    return Claim(
-        "exact",
-        "Event-driven runs follow the closed forms at any step.",
-        f"within {EXACT:g}",
-        f"at most {worst:.1e} ({name})",
-        exceeds(EXACT, worst),
-        f"{FINEST} is within {worst:.1e} of every closed form, with steps of up to {max(x.step for x in own):g} s."
-        if own
-        else "",
-    )
+    step = max((touch.step for touch in own), default=math.nan)
+    return WORDS.claim("exact", exceeds(EXACT, worst), limit=EXACT, worst=worst, run=name, finest=FINEST, step=step)
 
 
 def _first_order(touches: Sequence[Touched]) -> Claim:
     own = [touch for touch in touches if touch.method == "time-stepping" and touch.case in CLOSED]
     worst, name = _worst(own, lambda touch: touch.error / touch.step)
-    return Claim(
-        "first-order",
-        "The error of time-stepping is bounded by one constant times the step.",
-        f"below {PER_STEP:g} m/s",
-        f"error over step at most {worst:.2g} m/s ({name})",
-        exceeds(PER_STEP, worst),
-        f"Errors of time-stepping are at most {worst:.2g} m/s times the step.",
-    )
+    return WORDS.claim("first-order", exceeds(PER_STEP, worst), limit=PER_STEP, worst=worst, run=name)
 
 
 def _closed(touches: Sequence[Touched]) -> Claim:
     rigid = [touch for touch in touches if touch.step]
     overlap, name = _worst(rigid, lambda touch: touch.penetration)
     creep, creeping = _worst([touch for touch in rigid if touch.method == FINEST], lambda touch: touch.creep)
-    return Claim(
-        "closed",
-        "Rigid bodies do not overlap, and those of event-driven runs do not creep while they stick.",
-        f"below {EXACT:g}",
-        f"overlap at most {overlap:.1e} m ({name}), creep {creep:.1e} m/s ({creeping})",
-        exceeds(EXACT, max(overlap, creep)),
-        f"Rigid bodies overlap by at most {overlap:.1e} m in {len(rigid)} runs, and creep by at most {creep:.1e} m/s "
-        "in event-driven ones.",
-    )
+    values = {
+        "limit": EXACT,
+        "overlap": overlap,
+        "run": name,
+        "creep": creep,
+        "creeping": creeping,
+        "count": len(rigid),
+    }
+    return WORDS.claim("closed", exceeds(EXACT, max(overlap, creep)), **values)
 
 
 def _softer(touches: Sequence[Touched]) -> Claim:
@@ -247,17 +220,7 @@ def _softer(touches: Sequence[Touched]) -> Claim:
             f"{case}: error {soft.error:.1e} to {stiff.error:.1e} m, overlap {soft.penetration:.1e} to "
             f"{stiff.penetration:.1e} m, creep {soft.creep:.1e} to {stiff.creep:.1e} m/s, in {stiff.steps:.0f} steps"
         )
-    answer = together(answers)
-    computed = "; ".join(told_cases)
-    return Claim(
-        "softer",
-        "Compliant runs with friction overlap less, and follow the closed forms better, the stiffer they are.",
-        "",
-        computed,
-        answer,
-        f"Errors and overlaps of compliant runs {'fall' if answer is Answer.YES else 'do not always fall'} from the "
-        f"softest to the stiffest, {computed}.",
-    )
+    return WORDS.claim("softer", together(answers), cases="; ".join(told_cases))
 
 
 def _painleve(study: Study) -> Claim:
@@ -266,14 +229,8 @@ def _painleve(study: Study) -> Claim:
     wrong = [mu for mu, status in runs.items() if status != ("complete" if mu < 4.0 / 3.0 else "failed")]
     missing = not runs or any(status not in ("complete", "failed") for status in runs.values())
     passed = max((mu for mu, status in runs.items() if status == "complete"), default=math.nan)
-    return Claim(
-        "painleve",
-        "Painleve's rod has no solution at a friction of more than 4/3, and only then.",
-        "4/3",
-        f"runs with a friction of up to {passed:g}",
-        Answer.OPEN if missing else Answer.NO if wrong else Answer.YES,
-        f"Painleve's rod is refused at a friction above {passed:g}, as 4/3 requires.",
-    )
+    answer = Answer.OPEN if missing else Answer.NO if wrong else Answer.YES
+    return WORDS.claim("painleve", answer, passed=passed)
 
 
 def _figure(touches: Sequence[Touched]) -> Figure:
@@ -282,6 +239,4 @@ def _figure(touches: Sequence[Touched]) -> Figure:
         own = [touch for touch in touches if touch.case == case and touch.method == "time-stepping" and not touch.state]
         if own:
             lines.append(Line(case, np.array([touch.step for touch in own]), np.array([touch.error for touch in own])))
-    caption = "Largest error of time-stepping on each case against the step."
-    return Figure("steps", "Error of time-stepping", caption, Axis("step", "s", log=True), Axis("error", "m", log=True),
-                  tuple(lines))  # fmt: skip
+    return WORDS.figure("steps", lines)

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.drift.combination import COMBINATION, LONG, Combination
-from mbdkit_report import Axis, Figure, Line
+from mbdkit_paper.wording import Words
+from mbdkit_report import Figure, Line
 
 if TYPE_CHECKING:
     from mbdkit_studies import Study
 
 DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
+WORDS = Words(__file__)
 """Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible."""
 
 
@@ -30,16 +32,7 @@ def errors(results: Sequence[Combination], added: Collection[str] = ()) -> tuple
                 lines.append(
                     Line(result.method, np.array(steps), np.where(seen > 0, seen, np.nan), "both", result.method)
                 )
-        figures.append(
-            Figure(
-                f"error-{mechanism}",
-                f"Error against the step: {mechanism}",
-                "Largest distance of a body from the reference, relative to the mechanism's size.",
-                Axis("step", "s", log=True),
-                Axis("error of positions", log=True),
-                tuple(lines),
-            )
-        )
+        figures.append(WORDS.figure("error", lines, f"error-{mechanism}", mechanism=mechanism))
     return tuple(figures)
 
 
@@ -62,14 +55,5 @@ def energies(study: Study, methods: Collection[str], name: str, title: str) -> t
                     lines.append(Line(label, run.time, run.energy.balance, "line", label))
         if lines:
             mechanism = family.removesuffix(LONG)
-            figures.append(
-                Figure(
-                    f"{name}-{mechanism}",
-                    f"{title}: {mechanism}",
-                    "Energy balance of the long run; its slope is the trend, the remainder oscillation.",
-                    Axis("time", "s"),
-                    Axis("energy balance", "J"),
-                    tuple(lines),
-                )
-            )
+            figures.append(WORDS.figure("energy", lines, f"{name}-{mechanism}", title=title, mechanism=mechanism))
     return tuple(figures)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from mbdkit_paper.drift.combination import Combination, Undetermined, combinations
 from mbdkit_paper.drift.drift_figures import energies, errors
-from mbdkit_paper.wording import reported
-from mbdkit_report import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together
+from mbdkit_paper.wording import Words, reported
+from mbdkit_report import Answer, Claim, Range, Verdict, exceeds, together
 from mbdkit_studies.results.judge import study_verdict
 
 if TYPE_CHECKING:
@@ -34,22 +34,7 @@ EXPECTED: tuple[tuple[str, str, tuple[float | None, ...], str], ...] = (
 )
 PLAIN, ORDINARY, SYMMETRIC = "Gauss 2", "Gauss 2, projected", "Gauss 2, projected symmetrically"
 PROJECTED = ", projected"
-
-COLUMNS = columns_of(
-    "mechanism; method; order q; v; lambda; multipliers; drift q; v [1/s]; "
-    "energy trend [1/s]; trend / error; oscillation; reversal; evaluations; "
-    "factorizations; time [us]"
-)
-NOTE = (
-    "Orders: from errors against Gauss 6 at the three finest neighbouring steps whose slopes agree above the round-off "
-    "floor; multipliers are those of the method ('own') if it computes them, else the index-1 multipliers at its "
-    "states. Drift: largest misalignment over all steps, and velocity misalignment in the recorded rows, of the long "
-    "run, relative to the mechanism's size. Energy trend: least-squares slope of the energy balance, relative to the "
-    "largest kinetic energy, and its ratio to its standard error, which includes correlated oscillation; 'none' below "
-    "three standard errors or at round-off. Oscillation: largest distance of the balance from that line. Reversal: "
-    "distance from the start after the long run and the same run with reversed velocities, relative to the size. Cost "
-    "per step of the long run on this machine."
-)
+WORDS = Words(__file__)
 
 
 @study_verdict
@@ -62,7 +47,7 @@ def verdict(study: Study) -> Verdict:
         The study; see `combinations` for the required families.
     """
     results = combinations(study)
-    table = Table("drift", "Results by combination", COLUMNS, tuple(_rows(results)), NOTE, headline=True)
+    table = WORDS.table("drift", [(result.mechanism, result.method, *result.cells()) for result in results])
     own = [result for result in results if result.method not in study.spec.added]
     claims = [_orders(own, *expected) for expected in EXPECTED]
     claims += [_projection_keeps_the_order(own), _projection_cuts_the_error(own)]
@@ -79,10 +64,6 @@ def verdict(study: Study) -> Verdict:
         + energies(study, study.spec.added, "energy-added", "Energy of added methods"),
         _notes(results),
     )
-
-
-def _rows(results: Sequence[Combination]) -> list[tuple[str | int | float | bool | None, ...]]:
-    return [(result.mechanism, result.method, *result.cells()) for result in results]
 
 
 def _notes(results: Sequence[Combination]) -> tuple[str, ...]:
@@ -123,7 +104,7 @@ def _known(answers: Mapping[str, Answer]) -> Answer:
     return together([answer for answer in answers.values() if answer is not Answer.OPEN])
 
 
-def _told_of(answers: Mapping[str, Answer]) -> str:
+def _holding(answers: Mapping[str, Answer]) -> str:
     holding = [name for name, answer in answers.items() if answer is Answer.YES]
     undecided = [name for name, answer in answers.items() if answer is Answer.OPEN]
     text = f"on {len(holding)} of {len(answers) - len(undecided)} mechanisms"
@@ -146,14 +127,8 @@ def _orders(
         computed.append(f"{'/'.join(shown)} ({mechanism})")
     wanted = "/".join(f"{order:g}" for order in expected if order is not None)
     of = ", ".join(letter for letter, order in zip(NAMES, expected, strict=True) if order is not None)
-    return Claim(
-        name,
-        f"{label} has the orders {wanted} of {of}.",
-        f"{wanted} ({source})",
-        ", ".join(computed),
-        _known(answers),
-        f"{label} shows the orders {wanted} of {of} {_told_of(answers)}.",
-    )
+    values = {"label": label, "wanted": wanted, "of": of, "source": source, "computed": ", ".join(computed)}
+    return WORDS.claim("orders", _known(answers), name, holding=_holding(answers), **values)
 
 
 def _pairs(results: Sequence[Combination]) -> list[tuple[Combination, Combination]]:
@@ -182,14 +157,8 @@ def _projection_keeps_the_order(results: Sequence[Combination]) -> Claim:
                 )
     decided = [answer for answer in answers.values() if answer is not Answer.OPEN]
     kept = sum(answer is Answer.YES for answer in decided)
-    return Claim(
-        "projection-order",
-        "Projection keeps the order.",
-        "kept (Hairer, Lubich, Wanner 2006, IV.4)",
-        f"kept in {kept} of {len(decided)} cases" + (f"; {', '.join(computed)}" if computed else ""),
-        _known(answers),
-        f"Projection keeps the order of q or v in {kept} of {len(decided)} cases.",
-    )
+    exceptions = f"; {', '.join(computed)}" if computed else ""
+    return WORDS.claim("projection-order", _known(answers), kept=kept, decided=len(decided), exceptions=exceptions)
 
 
 def gain(plain: Combination, projected: Combination) -> float:
@@ -211,14 +180,7 @@ def _projection_cuts_the_error(results: Sequence[Combination]) -> Claim:
     known = sorted((value, name) for name, value in gains.items() if math.isfinite(value))
     between = f"{known[0][0]:.2g} ({known[0][1]}) to {known[-1][0]:.2g} ({known[-1][1]})" if known else "unknown"
     middle = f", median {known[len(known) // 2][0]:.2g}" if known else ""
-    return Claim(
-        "projection-error",
-        "Projection reduces the error about tenfold.",
-        f"about 10 on the unit pendulum, taken as {TENFOLD}",
-        f"{between}{middle}",
-        _known(answers),
-        f"Projection reduces the error of positions by a factor of {between}{middle}.",
-    )
+    return WORDS.claim("projection-error", _known(answers), tenfold=TENFOLD, between=f"{between}{middle}")
 
 
 def _reversibility(results: Sequence[Combination]) -> Claim:
@@ -239,15 +201,8 @@ def _reversibility(results: Sequence[Combination]) -> Claim:
             ]
         )
         computed.append(f"{', '.join(_figure(defect, '.0e') for defect in defects)} ({mechanism})")
-    return Claim(
-        "projection-reversibility",
-        "Gauss is not reversible with ordinary projection, but is with symmetric projection.",
-        "defect grows from 1e-14 to 1e-7 with ordinary projection, not with symmetric (Hairer 2000)",
-        f"defect without, with ordinary and with symmetric projection: {'; '.join(computed)}",
-        _known(answers),
-        f"Gauss 2 is not reversible with ordinary projection, but is without and with symmetric projection, "
-        f"{_told_of(answers)}.",
-    )
+    computed_text = "; ".join(computed)
+    return WORDS.claim("projection-reversibility", _known(answers), computed=computed_text, holding=_holding(answers))
 
 
 def _energy(results: Sequence[Combination]) -> Claim:
@@ -264,12 +219,5 @@ def _energy(results: Sequence[Combination]) -> Claim:
         )
         shown = [_figure(which.trend, ".0e") if which is not None else "missing" for which in (result, other)]
         computed.append(f"{shown[0]}, {shown[1]} ({mechanism})")
-    return Claim(
-        "projection-energy",
-        "With ordinary projection the energy of Gauss has a trend, with symmetric projection it has none.",
-        "a trend, and none (Hairer 2000)",
-        f"trend per second, relative to the kinetic energy, ordinary and symmetric: {'; '.join(computed)}",
-        _known(answers),
-        "The energy of Gauss 2 has a trend with ordinary projection and none with symmetric projection "
-        f"{_told_of(answers)}.",
-    )
+    computed_text = "; ".join(computed)
+    return WORDS.claim("projection-energy", _known(answers), computed=computed_text, holding=_holding(answers))

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.drift.combination import state_of, two
-from mbdkit_paper.wording import reported
-from mbdkit_report import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict, columns_of, exceeds
+from mbdkit_paper.wording import Words, reported
+from mbdkit_report import Answer, Claim, Column, Figure, Line, Table, Verdict, columns_of, exceeds
 from mbdkit_studies import METHOD, STEP, value
 from mbdkit_studies.results.judge import study_verdict
 
@@ -30,6 +30,7 @@ SMALL, LARGE = 0.1, 0.2
 """Joint forces are right if their errors, relative to the root mean squares of the forces, are below `SMALL`, and wrong
 if the errors are above `LARGE`."""
 EXPLICIT = 2e-6
+WORDS = Words(__file__)
 """Largest stable step of explicit methods, which is limited by the fastest oscillation of the rod [s]."""
 
 
@@ -77,16 +78,7 @@ def verdict(study: Study) -> Verdict:
         claims,
         (_table(joints, cranks),),
         (_figure(cranks),),
-        (
-            (
-                "Errors of joint forces are root mean squares of the difference from Gauss 3 with a step of 2e-06 s, "
-                "relative to those of the force, over one turn, of every 0.1 ms."
-            ),
-            (
-                "The rod has no damping, so that the waves which the start causes in it last: methods that keep them "
-                "and methods that damp them compute different joint forces."
-            ),
-        ),
+        WORDS.notes(),
     )
 
 
@@ -133,14 +125,7 @@ def _names(cranks: Sequence[CrankRun]) -> str:
 def _held(cranks: Sequence[CrankRun]) -> Claim:
     complete = [crank for crank in cranks if not crank.state]
     worst = max((max(crank.misalignment) for crank in complete), default=math.nan)
-    return Claim(
-        "held",
-        f"Every complete run holds all joints to {HELD:g} m without stabilization.",
-        "",
-        f"at most {worst:.1e} m in {len(complete)} runs",
-        exceeds(HELD, worst),
-        f"In {len(complete)} complete runs, explicit and implicit ones, no joint opens by more than {worst:.1e} m.",
-    )
+    return WORDS.claim("held", exceeds(HELD, worst), limit=HELD, worst=worst, count=len(complete))
 
 
 def _stable(cranks: Sequence[CrankRun]) -> Claim:
@@ -152,15 +137,8 @@ def _stable(cranks: Sequence[CrankRun]) -> Claim:
     told_steps = ", ".join(f"{method} {step:g} s" for method, step in largest.items())
     unknown = not explicit or any(item.state in ("missing", "not installed") for item in explicit)
     holds = all(step <= EXPLICIT for step in largest.values())  # also false for nan
-    return Claim(
-        "stable",
-        f"Explicit methods need steps of {EXPLICIT:g} s or less, although the crank turns in 0.042 s.",
-        "",
-        f"largest steps with errors below {100 * SMALL:g} %: {told_steps}; implicit methods: {implicit:g} s",
-        Answer.OPEN if unknown else Answer.YES if holds else Answer.NO,
-        f"Explicit methods need small steps, because nodes of the rod oscillate fast: {told_steps}. Implicit methods "
-        f"compute forces to {100 * SMALL:g} % with steps of up to {implicit:g} s.",
-    )
+    answer = Answer.OPEN if unknown else Answer.YES if holds else Answer.NO
+    return WORDS.claim("stable", answer, limit=EXPLICIT, percent=100 * SMALL, steps=told_steps, implicit=implicit)
 
 
 def _agree(cranks: Sequence[CrankRun]) -> Claim:
@@ -169,30 +147,17 @@ def _agree(cranks: Sequence[CrankRun]) -> Claim:
         min((crank for crank in cranks if crank.method == method), key=lambda crank: crank.step) for method in methods
     ]
     worst = max((crank.error for crank in finest), default=math.nan)
-    return Claim(
-        "agree",
-        f"With the smallest step of each method, all compute the same joint forces, within {100 * SMALL:g} %.",
-        "",
-        f"differences of at most {100 * worst:.2g} % between {len(finest)} methods",
-        exceeds(SMALL, worst) if all(math.isfinite(crank.error) for crank in finest) else Answer.OPEN,
-        f"With small steps, joint forces of explicit and implicit methods differ by at most {100 * worst:.2g} %.",
-    )
+    answer = exceeds(SMALL, worst) if all(math.isfinite(crank.error) for crank in finest) else Answer.OPEN
+    return WORDS.claim("agree", answer, percent=100 * SMALL, worst=100 * worst, count=len(finest))
 
 
 def _hidden(cranks: Sequence[CrankRun]) -> Claim:
     wrong = [crank for crank in cranks if crank.error > LARGE]
     gap = max((max(crank.misalignment) for crank in wrong), default=math.nan)
     decided = any(crank.error >= 0 for crank in cranks)
-    return Claim(
-        "hidden",
-        f"Joints that hold to {HELD:g} m do not mean that their forces are right: errors can exceed {100 * LARGE:g} %.",
-        "",
-        f"{len(wrong)} complete runs, with misalignments of at most {gap:.1e} m: {_names(wrong)}",
-        exceeds(HELD, gap) if wrong else Answer.NO if decided else Answer.OPEN,
-        f"Misalignment does not tell whether forces are right: {len(wrong)} runs hold their joints to {gap:.1e} m with "
-        f"forces that are off by more than {100 * LARGE:g} %, because their steps do not resolve the waves in the rod "
-        f"({_names(wrong)}).",
-    )
+    answer = exceeds(HELD, gap) if wrong else Answer.NO if decided else Answer.OPEN
+    values = {"limit": HELD, "percent": 100 * LARGE, "count": len(wrong), "gap": gap, "runs": _names(wrong)}
+    return WORDS.claim("hidden", answer, **values)
 
 
 def _table(joints: Sequence[str], cranks: Sequence[CrankRun]) -> Table:
@@ -204,8 +169,7 @@ def _table(joints: Sequence[str], cranks: Sequence[CrankRun]) -> Table:
         gaps = [two(gap) for gap in crank.misalignment] or [crank.state] * len(joints)
         errors = [two(100 * error) for error in crank.errors] or [crank.state] * len(joints)
         rows.append((crank.method, f"{crank.step:g}", crank.state or two(crank.seconds), *gaps, *errors))
-    note = "Largest misalignment over all steps. Times are those of this machine."
-    return Table("joints", "Joints of the flexible slider-crank", tuple(columns), tuple(rows), note, headline=True)
+    return WORDS.table("joints", rows, columns)
 
 
 def _figure(cranks: Sequence[CrankRun]) -> Figure:
@@ -215,8 +179,4 @@ def _figure(cranks: Sequence[CrankRun]) -> Figure:
         if curve:
             step, error = np.array(curve).T
             lines.append(Line(method, step, error, "both", method))
-    caption = (
-        "Largest relative error of a joint force over one turn; lower is better. Explicit runs that failed are absent."
-    )
-    return Figure("force-error", "Error of joint forces against the step", caption, Axis("step", "s", log=True),
-                  Axis("relative error of joint forces", log=True), tuple(lines))  # fmt: skip
+    return WORDS.figure("force-error", lines)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
-from mbdkit_paper.wording import reported
-from mbdkit_report import Answer, Claim, Table, Verdict, columns_of, exceeds
+from mbdkit_paper.wording import Words, reported
+from mbdkit_report import Answer, Claim, Verdict, exceeds
 from mbdkit_studies import value
 from mbdkit_studies.results.judge import study_verdict
 
@@ -19,11 +19,7 @@ if TYPE_CHECKING:
 HELD = 1e-12
 """Bound on misalignment [1] and on velocity misalignment [1/s], both relative to the size of the mechanism."""
 
-COLUMNS = columns_of("mechanism; method; steps; positions; velocities [1/s]; time [s]; projections")
-NOTE = (
-    "Largest misalignment and velocity misalignment of any joint over all steps, recorded or not, relative to the "
-    "mechanism's size. Times are those of this machine."
-)
+WORDS = Words(__file__)
 
 
 @dataclass(frozen=True)
@@ -80,15 +76,11 @@ def verdict(study: Study) -> Verdict:
         for result, point in zip(results, study.points, strict=True)
     ]
     own = [result for result in results if result.method not in study.spec.added]
+    positions, velocities = ([getattr(result, name) for result in own] for name in ("position", "velocity"))
     claims = reported(
         (
-            _holds(own, "positions", [result.position for result in own], "misalignment over all steps"),
-            _holds(
-                own,
-                "velocities",
-                [result.velocity for result in own],
-                "velocity misalignment per second over all steps",
-            ),
+            _holds(own, "positions", positions, "misalignment over all steps"),
+            _holds(own, "velocities", velocities, "velocity misalignment per second over all steps"),
         )
     )
     return Verdict(
@@ -96,7 +88,7 @@ def verdict(study: Study) -> Verdict:
         study.spec.title,
         " ".join(claim.sentence for claim in claims),
         claims,
-        (Table("no-drift", "Largest misalignments", COLUMNS, tuple(rows), NOTE, headline=True),),
+        (WORDS.table("no-drift", rows),),
     )
 
 
@@ -123,12 +115,7 @@ def _holds(results: Sequence[HeldJoints], name: str, values: Sequence[float], wh
     answer = Answer.NO if beyond else Answer.OPEN if Answer.OPEN in answers or not answers else Answer.YES
     computed = "no run is complete" if worst is None else f"at most {worst[0]:.1e} ({worst[1]})"
     computed += f"; unknown for {'; '.join(unknown)}" if unknown else ""
-    return Claim(
-        name,
-        f"No run's {name} drift: their misalignment stays below {HELD:g} of the mechanism's size.",
-        f"below {HELD:g}",
-        computed,
-        answer,
-        f"The {what} stays below {HELD:g} of the mechanism's size in {sum(a is Answer.YES for a in answers)} of "
-        f"{len(answers)} runs, {computed}." + (f" Exceptions: {'; '.join(beyond)}." if beyond else ""),
-    )
+    exceptions = f" Exceptions: {'; '.join(beyond)}." if beyond else ""
+    held = sum(answer is Answer.YES for answer in answers)
+    words = {"limit": HELD, "computed": computed, "what": what, "held": held, "count": len(answers)}
+    return WORDS.claim("drift", answer, name, claim=name, exceptions=exceptions, **words)

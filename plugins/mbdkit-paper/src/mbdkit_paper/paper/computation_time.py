@@ -10,8 +10,8 @@ from scipy.stats import theilslopes
 
 from mbdkit_paper.paper.published_results import GILL, METHODS, methods_of
 from mbdkit_paper.paper.substitution_timing import measured
-from mbdkit_paper.wording import two_digits
-from mbdkit_report import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, columns_of, exceeds
+from mbdkit_paper.wording import Words, two_digits
+from mbdkit_report import Cell, Claim, Column, Figure, Line, Table, exceeds
 from mbdkit_studies import METHOD, family, value
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ SPEED_UP = 10_000.0
 SYMBOLIC_BODIES = (1, 2, 3)
 SECONDS = "wall_min_s"
 STEEP = 2.0
+WORDS = Words(__file__)
 """Growth of time with the number of bodies counts as steep if its exponent is larger than this.
 
 The exponent is 3 if dense matrices are solved, and 1 if the work for a chain is proportional to its length.
@@ -36,40 +37,14 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
     numbers = curves[GILL][0]
     growth = {method: _exponent(*curves[method]) for method in METHODS}
     most = max(growth.values())
-    steep = exceeds(most, STEEP)
-    claim = Claim(
-        "time-bodies",
-        "Computation time grows steeply with the number of bodies.",
-        "steep growth with the number of bodies and of stages, for 1500 steps",
-        "the time for n bodies grows like "
-        + ", ".join(f"n^{exponent:.1f} ({method})" for method, exponent in growth.items()),
-        steep,
-        f"With compiled elements, the time for 1500 steps grows at most like n^{most:.1f} with the number n of bodies"
-        + (
-            ", little more than linearly: the steep growth in the paper is due to symbolic whole-system matrices."
-            if steep is Answer.NO
-            else "."
-        ),
-    )
+    grown = ", ".join(f"n^{exponent:.1f} ({method})" for method, exponent in growth.items())
+    claim = WORDS.claim("time-bodies", exceeds(most, STEEP), growth=grown, most=most)
     rows: list[tuple[Cell, ...]] = [
         (int(number), *(1e3 * float(curves[method][1][k]) for method in methods)) for k, number in enumerate(numbers)
     ]
-    table = Table(
-        "time-bodies",
-        "Time for 1500 steps",
-        (Column("bodies"), *(Column(method, "ms") for method in methods)),
-        tuple(rows),
-        "The shortest of five runs on this machine, from the first step to the last.",
-    )
-    figure = Figure(
-        "time-bodies",
-        "Time for 1500 steps by number of bodies",
-        "The paper's Fig. 5 with compiled elements.",
-        Axis("bodies"),
-        Axis("time", "ms"),
-        tuple(Line(method, number, 1e3 * seconds, "both", method) for method, (number, seconds) in curves.items()),
-    )
-    return claim, table, figure
+    columns = (Column("bodies"), *(Column(method, "ms") for method in methods))
+    lines = [Line(method, number, 1e3 * seconds, "both", method) for method, (number, seconds) in curves.items()]
+    return claim, WORDS.table("time-bodies", rows, columns), WORDS.figure("time-bodies", lines)
 
 
 def _exponent(numbers: np.ndarray, seconds: np.ndarray) -> float:
@@ -98,43 +73,13 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
         gains[number] = substituted / seconds
         rows.append((number, 1e3 * substituted, 1e6 * seconds, gains[number], 1500 * 4 * substituted))
     gain = gains.get(2, math.nan)
-    enough = exceeds(gain, SPEED_UP)
-    claim = Claim(
-        "substitution",
-        f"Compiled elements evaluate two bodies at least {SPEED_UP:,.0f} times faster than symbolic substitution.",
-        "the paper names substitution as the bottleneck, and faster substitution as future work",
-        "compiled elements are faster by factors of "
-        + ", ".join(f"{factor:,.0f} ({number} bodies)" for number, factor in gains.items()).replace(
-            "(1 bodies", "(1 body"
-        ),
-        enough,
-        f"For two bodies, one compiled evaluation is {two_digits(gain)} times faster than one by substitution into "
-        "SymPy matrices, measured on this machine.",
+    factors = ", ".join(f"{factor:,.0f} ({number} bodies)" for number, factor in gains.items())
+    factors = factors.replace("(1 bodies", "(1 body")
+    values = {"limit": SPEED_UP, "factors": factors, "gain": two_digits(gain)}
+    claim = WORDS.claim("substitution", exceeds(gain, SPEED_UP), **values)
+    x = np.array(chosen, dtype=float)
+    lines = (
+        Line("substitution (SymPy)", x, np.array(symbolic), "both", "substitution"),
+        Line("compiled (mbdkit)", x, np.array(compiled), "both", GILL),
     )
-    columns = columns_of("bodies; substitution [ms]; compiled [us]; ratio; 1500 steps of RK-Gill by substitution [s]")
-    table = Table(
-        "substitution",
-        "One evaluation of the equations of motion",
-        columns,
-        tuple(rows),
-        "Substitution: matrices with numeric masses and lengths, into which SymPy's subs inserts time, positions and "
-        "velocities; the system is solved by LAPACK; shortest processor time of several evaluations. Compiled: total "
-        "time of RK-Gill from the first to the last step, divided by its evaluations. The last column is calculated "
-        "from the column on substitution.",
-    )
-    return claim, table, _figure(symbolic, chosen, compiled)
-
-
-def _figure(symbolic: list[float], bodies: list[int], compiled: list[float]) -> Figure:
-    x = np.array(bodies, dtype=float)
-    return Figure(
-        "substitution",
-        "Time of one evaluation",
-        "Symbolic substitution, the bottleneck of the paper, and the same equations compiled element by element.",
-        Axis("bodies"),
-        Axis("time", "s", log=True),
-        (
-            Line("substitution (SymPy)", x, np.array(symbolic), "both", "substitution"),
-            Line("compiled (mbdkit)", x, np.array(compiled), "both", GILL),
-        ),
-    )
+    return claim, WORDS.table("substitution", rows), WORDS.figure("substitution", lines)

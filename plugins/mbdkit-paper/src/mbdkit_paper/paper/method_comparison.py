@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, GILL
-from mbdkit_paper.wording import least_most
+from mbdkit_paper.wording import Words, least_most
 from mbdkit_report import (
     Answer,
-    Axis,
     Cell,
     Claim,
     Figure,
     Line,
     Range,
     Table,
-    columns_of,
     growth_law,
     observed_order,
     together,
@@ -33,6 +31,7 @@ ORDERS = {GILL: 4, GAUSS2: 4, GAUSS3: 6}
 TOLERANCE = 0.2
 ADAPTIVE, RADAU3 = "SciPy Radau, adaptive", "Radau IIA 3"
 EVALUATIONS, ERROR, DRIFT = "rhs_evaluations", "end_error", "misalignment_max"
+WORDS = Words(__file__)
 
 
 def orders(study: Study) -> tuple[Claim, Table]:
@@ -51,26 +50,12 @@ def orders(study: Study) -> tuple[Claim, Table]:
             span = f"{seen.steps[-1]:.2g} to {seen.steps[0]:.2g} s" if seen.found else ""
             rows.append((model, method, expected, seen.order, seen.error, span, seen.floor, apart.order))
             if expected is not None:
-                near = abs(seen.order - expected) <= TOLERANCE
-                answers.append((Answer.YES if near else Answer.NO) if seen.found else Answer.OPEN)
+                is_near = abs(seen.order - expected) <= TOLERANCE
+                answers.append((Answer.YES if is_near else Answer.NO) if seen.found else Answer.OPEN)
                 found.append(f"{seen.order:.2f} ({model} pendulum, {method})")
-    claim = Claim(
-        "orders",
-        "RK-Gill and Gauss with two stages have order 4, Gauss with three stages order 6.",
-        "orders 4, 4 and 6",
-        "orders " + ", ".join(found),
-        together(answers),
-        f"In the asymptotic range of steps, {sum(answer is Answer.YES for answer in answers)} of {len(answers)} "
-        f"observed orders lie within {TOLERANCE} of the theoretical ones.",
-    )
-    columns = columns_of(
-        "pendulum; method; theoretical order; observed order; standard error; "
-        "window of steps; round-off floor [m]; order of the misalignment"
-    )
-    note = (
-        "Error of the positions at 15 s against six-stage Gauss. Empty: no window, because the error reaches round-off "
-    )
-    return claim, Table("order", "Observed orders", columns, tuple(rows), note + "within two halvings of the step.")
+    near = sum(answer is Answer.YES for answer in answers)
+    values = {"computed": ", ".join(found), "near": near, "count": len(answers), "tolerance": TOLERANCE}
+    return WORDS.claim("orders", together(answers), **values), WORDS.table("order", rows)
 
 
 def growth(study: Study) -> tuple[Claim, Table]:
@@ -98,24 +83,11 @@ def growth(study: Study) -> tuple[Claim, Table]:
     answers += [Answer.YES if law == "bounded" else Answer.NO for law in single if law]
     late = laws.get(("single", GAUSS2, 1), "unknown")
     radau = " and ".join(dict.fromkeys(law for (_, method, _), law in laws.items() if method == RADAU3)) or "unknown"
-    claim = Claim(
-        "growth",
-        "The misalignment grows with RK-Gill, but not with the Gauss methods.",
-        "over 150 steps (Fig. 4), it increases with RK-Gill, but not with Gauss",
-        f"with RK-Gill, the growth is {' and '.join(dict.fromkeys(gill)) or 'unknown'}; for the single pendulum, it is "
-        f"{' and '.join(dict.fromkeys(single)) or 'unknown'} with Gauss 2 and 3 over twenty swings, and {late} with "
-        "Gauss 2 over two hundred",
-        (Answer.PARTLY if late == "quadratic" and together(answers) is Answer.YES else together(answers))
-        if laws
-        else Answer.OPEN,
-        "The misalignment grows with the square of time with RK-Gill. With the Gauss methods it oscillates about a "
-        "constant for the first twenty swings of the single pendulum. Over two hundred swings the growth is "
-        f"{late}, but from a much smaller value: constraints at acceleration level do not close the gap of a joint. "
-        f"With Radau IIA the growth is {radau}.",
-    )
-    columns = columns_of("pendulum; method; over [s]; law; exponent of t; largest misalignment [m]")
-    note = "All laws that the data do not distinguish are listed; unclear: no law can be separated from oscillation."
-    return claim, Table("growth", "How misalignment grows, h = 0.1 s", columns, tuple(rows), note)
+    gill_text, single_text = (" and ".join(dict.fromkeys(found)) or "unknown" for found in (gill, single))
+    answer = together(answers) if laws else Answer.OPEN
+    answer = Answer.PARTLY if late == "quadratic" and answer is Answer.YES else answer
+    claim = WORDS.claim("growth", answer, gill=gill_text, single=single_text, late=late, radau=radau)
+    return claim, WORDS.table("growth", rows)
 
 
 def work(study: Study) -> tuple[tuple[Claim, ...], Table, tuple[Figure, ...]]:
@@ -130,30 +102,10 @@ def work(study: Study) -> tuple[tuple[Claim, ...], Table, tuple[Figure, ...]]:
             setting = point.axes.get(STEP, point.axes.get("integrator.rtol"))
             numbers = (value(point, column) for column in (EVALUATIONS, "factorizations", ERROR, DRIFT, "wall_s"))
             rows.append((method, "step" if STEP in point.axes else "tolerance", setting, *numbers))
-    columns = columns_of(
-        "method; set by; step or tolerance; evaluations; factorizations; error at 15 s [m]; misalignment [m]; time [s]"
-    )
-    table = Table("work-precision", "Work, precision and drift of the double pendulum", columns, tuple(rows))
     figures = tuple(
-        Figure(name, title, caption, Axis("evaluations", log=True), Axis(label, "m", log=True), _lines(lines, column))
-        for name, title, caption, label, column in (
-            (
-                "work-precision",
-                "Work and precision, double pendulum over 15 s",
-                "Lower left is better. Errors below 1e-13 m are dominated by round-off.",
-                "error at the end",
-                ERROR,
-            ),
-            (
-                "work-drift",
-                "Work and drift, double pendulum over 15 s",
-                "Misalignment of the joints against work.",
-                "largest misalignment",
-                DRIFT,
-            ),
-        )
+        WORDS.figure(name, _lines(lines, column)) for name, column in (("work-precision", ERROR), ("work-drift", DRIFT))
     )
-    return (_adaptive_claim(lines), _stages_claim(lines)), table, figures
+    return (_adaptive_claim(lines), _stages_claim(lines)), WORDS.table("work-precision", rows), figures
 
 
 def _lines(lines: dict[str, Points], column: str) -> tuple[Line, ...]:
@@ -196,17 +148,8 @@ def _adaptive_claim(lines: dict[str, Points]) -> Claim:
     )
     answer = together(answers)
     start = {Answer.NO: "No, not on this problem: for", Answer.YES: "Yes: for"}.get(answer, "For")
-    return Claim(
-        "adaptive",
-        "Refining the step adaptively makes the implicit method better.",
-        "the paper recommends this, but does not try it",
-        "ratios of the evaluations of SciPy's adaptive Radau to those with fixed steps, at equal misalignments: "
-        f"{text or 'unknown'}",
-        answer,
-        f"{start} the same misalignment, SciPy's adaptive Radau needs {least_most(ratios.get(RADAU3, []))} times the "
-        f"evaluations of the same method with fixed steps, and {least_most(ratios.get(GAUSS3, []))} times those of "
-        "three-stage Gauss.",
-    )
+    radau, gauss = (least_most(ratios.get(method, [])) for method in (RADAU3, GAUSS3))
+    return WORDS.claim("adaptive", answer, computed=text or "unknown", start=start, radau=radau, gauss=gauss)
 
 
 def _stages_claim(lines: dict[str, Points]) -> Claim:
@@ -225,12 +168,5 @@ def _stages_claim(lines: dict[str, Points]) -> Claim:
         if math.isfinite(drift) and drift > 1
         else ""
     )
-    return Claim(
-        "stages",
-        "With more than three stages, the same misalignment needs less work.",
-        "the paper does not try this",
-        f"ratios of the evaluations of Gauss 3 to those of Gauss 6, at equal misalignments: {text}",
-        together(answers),
-        f"For the same misalignment, six stages need {least_most([1 / gain for gain in gains])} times the evaluations "
-        f"of three.{extra}",
-    )
+    work = least_most([1 / gain for gain in gains])
+    return WORDS.claim("stages", together(answers), computed=text, work=work, extra=extra)

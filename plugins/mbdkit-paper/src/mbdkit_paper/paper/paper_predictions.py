@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP, methods_of
-from mbdkit_paper.wording import least_most
-from mbdkit_report import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, together
+from mbdkit_paper.wording import Words, least_most
+from mbdkit_report import Answer, Band, Cell, Claim, Column, Figure, Line, Range, Table, together
 from mbdkit_studies import METHOD, STEP, family
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 PREDICTED = {GAUSS2: Range(1e-3, 1.0, "mm"), GAUSS3: Range(1e-7, 1e-4, "mm")}
 PER_JOINT = Range(10.0, 100.0)
 SPRING, FREE = "support spring", "no spring"
+WORDS = Words(__file__)
 
 
 def steps_within(steps: np.ndarray, values: np.ndarray, wanted: Range) -> tuple[float, float]:
@@ -90,28 +91,14 @@ def knee(study: Study) -> tuple[tuple[Claim, ...], Table, Figure]:
     claims.append(_both_claim(spans))
     columns = (Column("knee"), Column("step", "s"), *(Column(method, "mm") for method in methods))
     columns += tuple(Column(f"{method} as predicted") for method in PREDICTED)
-    table = Table(
-        "knee-prediction",
-        "Largest misalignment of the knee's four joints after 150 steps",
-        columns,
-        tuple(rows),
-        "Predicted: 0.001 to 1 mm with two stages, 1e-7 to 1e-4 mm with three.",
-    )
-    lines = tuple(
+    lines = [
         Line(f"{method}, {springs}", *curves[springs, method], "both", method)
         for springs in (SPRING, FREE)
         for method in methods
-    )
-    figure = Figure(
-        "knee-prediction",
-        "Misalignment of the knee over steps",
-        "Shaded: the paper's predictions for two and for three stages. Whether they hold depends on the step.",
-        Axis("step", "s", log=True),
-        Axis("misalignment", "mm", log=True),
-        lines,
-        tuple(Band(f"predicted, {method}", wanted.low, wanted.high) for method, wanted in PREDICTED.items()),
-    )
-    return tuple(claims), table, figure
+    ]
+    bands = [Band(f"predicted, {method}", wanted.low, wanted.high) for method, wanted in PREDICTED.items()]
+    table = WORDS.table("knee-prediction", rows, columns)
+    return tuple(claims), table, WORDS.figure("knee-prediction", lines, bands=bands)
 
 
 def _knee_claim(
@@ -137,16 +124,10 @@ def _knee_claim(
             f" With {PER_SWING} steps per swing (h = {fine:.2g} s), as for the paper's pendulum, the misalignment of "
             f"the knee is {expected:.0e} mm."
         )
-    free = spans[FREE, method]
-    return Claim(
-        "knee-" + method.lower().replace(" ", ""),
-        f"The misalignment of the knee linkage with four revolute joints is {wanted} with {method}.",
-        str(wanted),
-        f"{at:.1e} mm at h = 0.1 s; the prediction holds for steps of {_span(low, high)}",
-        answer,
-        f"The prediction for {method} holds for steps of {_span(low, high)} ({_span(*free)} without the spring); at "
-        f"the paper's step of 0.1 s the misalignment of the knee is {at:.1e} mm, {at_paper}.{resolved}",
-    )
+    name = "knee-" + method.lower().replace(" ", "")
+    free = _span(*spans[FREE, method])
+    words = {"wanted": wanted, "method": method, "at": at, "span": _span(low, high), "free": free}
+    return WORDS.claim("knee", answer, name, inside=at_paper, resolved=resolved, **words)
 
 
 def _both_claim(spans: dict[tuple[str, str], tuple[float, float]]) -> Claim:
@@ -157,17 +138,10 @@ def _both_claim(spans: dict[tuple[str, str], tuple[float, float]]) -> Claim:
         common.append((low, high) if low < high else (math.nan, math.nan))
     found = math.isfinite(common[0][0])
     known = all(math.isfinite(end) for end in (*spans[SPRING, GAUSS2], *spans[SPRING, GAUSS3]))
-    return Claim(
-        "knee-both",
-        "Both predictions for the knee hold at one step.",
-        "0.001 to 1 mm and 1e-7 to 1e-4 mm",
-        f"both hold for steps of {_span(*common[0])}" if found else "at no step do both hold",
-        (Answer.PARTLY if found else Answer.NO) if known else Answer.OPEN,
-        "The misalignment of the knee linkage is as predicted, 0.001 to 1 mm with two stages and 1e-7 to 1e-4 mm with "
-        f"three, only for steps of {_span(*common[0])} ({_span(*common[1])} without its spring)."
-        if found
-        else "At no step is the misalignment of the knee linkage as predicted with both methods.",
-    )
+    answer = (Answer.PARTLY if found else Answer.NO) if known else Answer.OPEN
+    span, free = (_span(*ends) for ends in common)
+    computed = f"both hold for steps of {span}" if found else "at no step do both hold"
+    return WORDS.claim("knee-both", answer, computed=computed, span=span, free=free)
 
 
 def _span(low: float, high: float) -> str:
@@ -226,31 +200,18 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
             rows.append((method, step, int(number), float(values[k]), factor))
     beyond = sum(answer is Answer.YES for key, found in claimed.items() for answer in map(PER_JOINT.holds, found[1:]))
     answer = together(answers)
-    cost = f"the factor is {least_most(first)} for the second joint; the {len(later)} factors for later joints are "
-    claim = Claim(
-        "per-joint",
-        "The misalignment grows by a factor of 10 to 100 with each further revolute joint.",
-        "a factor of 10 to 100 per joint",
-        f"a factor of {least_most(first)} for the second joint, and of {least_most(later)} for each joint from the "
-        "third to the tenth",
-        answer,
-        f"The misalignment {'grows' if answer is Answer.YES else 'does not grow'} by a factor of 10 to 100 with each "
-        f"further joint: {cost}{least_most(later)}, and {beyond or 'none'} of them {'is' if beyond == 1 else 'are'} in "
-        "this range.",
-    )
-    columns = columns_of("method; step [s]; joints; misalignment [m]; factor per added joint")
-    table = Table("joints-chain", "Largest misalignment of a chain by its number of joints", columns, tuple(rows))
-    lines = tuple(
-        Line(f"{method}, h = {step:g} s", numbers, values, "both", method)
-        for (method, step), (numbers, values) in curves.items()
+    words = {
+        "first": least_most(first),
+        "later": least_most(later),
+        "count": len(later),
+        "grows": "grows" if answer is Answer.YES else "does not grow",
+        "beyond": beyond or "none",
+        "be": "is" if beyond == 1 else "are",
+    }
+    lines = [
+        Line(f"{method}, h = {step:g} s", numbers, largest, "both", method)
+        for (method, step), (numbers, largest) in curves.items()
         if len(numbers)
-    )
-    figure = Figure(
-        "joints-chain",
-        "Misalignment by number of joints",
-        "Chains of rods of 20 m over 15 s. A factor of 10 per joint would be a straight line over nine decades.",
-        Axis("revolute joints"),
-        Axis("misalignment", "m", log=True),
-        lines,
-    )
-    return claim, table, figure
+    ]
+    claim = WORDS.claim("per-joint", answer, **words)
+    return claim, WORDS.table("joints-chain", rows), WORDS.figure("joints-chain", lines)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_report import Answer, Axis, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, exceeds, together
+from mbdkit_paper.wording import Words
+from mbdkit_report import Answer, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, exceeds, together
 from mbdkit_studies import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ FACTOR = 3.0
 PAPER_STEP = 0.1
 
 VISIBLE = 0.01
+WORDS = Words(__file__)
 """Distances between two paths above this share of the length of the pendulum are visible in a figure."""
 
 
@@ -42,20 +44,9 @@ def magnitudes(study: Study) -> tuple[Claim, Table]:
         answers.append(Range.around(published, FACTOR).holds(found))
         computed.append(f"{found:.1e} m ({model} pendulum, {method})")
         rows.append((model, method, published, found, found / published, str(answers[-1])))
-    answer = together(answers)
-    number = sum(one is Answer.YES for one in answers)
-    claim = Claim(
-        "magnitudes",
-        "With two-stage and three-stage Gauss, the misalignment of the single and the double pendulum has the "
-        "published magnitudes.",
-        "1e-6 m (single pendulum) and 1e-5 m (double pendulum) with two stages, 1e-10 m and 1e-8 m with three",
-        ", ".join(computed),
-        answer,
-        f"{number} of the 4 published misalignments are reproduced within a factor of {FACTOR:.0f}. The paper does not "
-        "state masses, lengths and initial angles; we assume values for them.",
-    )
-    columns = columns_of("model; method; published [m]; computed [m]; computed / published; within a factor of 3")
-    return claim, Table("magnitudes", "Largest misalignment, published and computed", columns, tuple(rows))
+    number = sum(answer is Answer.YES for answer in answers)
+    claim = WORDS.claim("magnitudes", together(answers), computed=", ".join(computed), number=number, factor=FACTOR)
+    return claim, WORDS.table("magnitudes", rows)
 
 
 def ranking(study: Study) -> tuple[Claim, Claim, Table]:
@@ -86,37 +77,17 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
             rows.append((model, step, *values, str(is_worst), str(best[-1])))
     columns = (Column("model"), Column("step", "s"), *(Column(method, "m") for method in METHODS))
     columns += columns_of("RK-Gill worst; Gauss 3 better than Gauss 2")
-    table = Table(
-        "ranking",
-        "Largest misalignment of the paper's three methods, every model and step",
-        columns,
-        tuple(rows),
-        "Empty: the run failed because its joints fell apart or numbers overflowed, or because Newton's method found "
-        "no solution of the stage equations. A method that fell apart or overflowed counts as worse than one that did "
-        "not. Open: both failed, or both are at round-off.",
-    )
     but = f" Exceptions: {'; '.join(exceptions)}." if exceptions else ""
-    yes, decided = worst.count(Answer.YES), len(worst) - worst.count(Answer.OPEN)
-    undecided = f" ({len(worst) - decided} more are undecided because runs failed)" if decided < len(worst) else ""
-    gill_claim = Claim(
-        "gill-worst",
-        "RK-Gill is by far the worst of the three methods.",
-        "RK-Gill is worst for the single and the double pendulum at h = 0.1 s",
-        f"RK-Gill is worst in {yes} of {decided} pairs of model and step{undecided}",
-        together([answer for answer in worst if answer is not Answer.OPEN]),
-        f"The misalignment is largest with RK-Gill in {yes} of {decided} pairs of model and step.{but}",
-    )
-    yes, decided = best.count(Answer.YES), len(best) - best.count(Answer.OPEN)
-    undecided = f" ({len(best) - decided} more are undecided because runs failed)" if decided < len(best) else ""
-    gauss_claim = Claim(
-        "gauss3-better",
-        "Three-stage Gauss gives a smaller misalignment than two-stage Gauss.",
-        "three-stage Gauss is better for the single and the double pendulum at h = 0.1 s",
-        f"three-stage Gauss is better in {yes} of {decided} pairs of model and step{undecided}",
-        together([answer for answer in best if answer is not Answer.OPEN]),
-        f"Three-stage Gauss is better than two-stage Gauss in {yes} of {decided} pairs of model and step.",
-    )
-    return gill_claim, gauss_claim, table
+    gill_worst = _counted("gill-worst", worst, exceptions=but)
+    return gill_worst, _counted("gauss3-better", best), WORDS.table("ranking", rows, columns)
+
+
+def _counted(name: str, answers: list[Answer], **values: object) -> Claim:
+    """Return a claim on pairs of model and step with one answer for each."""
+    yes, decided = answers.count(Answer.YES), len(answers) - answers.count(Answer.OPEN)
+    rest = f" ({len(answers) - decided} more are undecided because runs failed)" if decided < len(answers) else ""
+    answer = together([answer for answer in answers if answer is not Answer.OPEN])
+    return WORDS.claim(name, answer, yes=yes, decided=decided, undecided=rest, **values)
 
 
 def method_overflowed(point: StudyPoint | None) -> bool:
@@ -140,8 +111,7 @@ def end_point(run: Run) -> np.ndarray:
     model = run.spec["model"]
     length = model["length"] if "length" in model else model["lengths"][-1]
     rod = run[list(run.bodies)[-1]]
-    along = np.stack([np.cos(rod.angle), np.sin(rod.angle)], axis=1)
-    return np.asarray(rod.position + 0.5 * length * along)
+    return np.asarray(rod.position + 0.5 * length * np.stack([np.cos(rod.angle), np.sin(rod.angle)], axis=1))
 
 
 def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure, ...]]:
@@ -169,18 +139,7 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
             drifts.append(_drift_figure(model, histories))
     single, double, metre = (apart[f"{name}"] for name in ("published single", "published double", "one-metre double"))
     answers = [exceeds(double, VISIBLE), exceeds(metre, VISIBLE)]
-    claim = Claim(
-        "paths",
-        "The path of the double pendulum depends on the method.",
-        "visibly different paths at h = 0.1 s",
-        f"the paths differ by at most {double:.1e} times the length of the pendulum with rods of 20 m, and by at most "
-        f"{metre:.2g} times this length with rods of 1 m released from the horizontal (single pendulum of "
-        f"20 m: {single:.1e})",
-        together(answers),
-        "With the lengths that reproduce the published misalignments, the three paths of the double pendulum cannot be "
-        "distinguished in a figure; with rods of 1 m released from the horizontal they diverge within seconds. We "
-        "found no parameters that reproduce both Fig. 3 and Fig. 4 of the paper.",
-    )
+    claim = WORDS.claim("paths", together(answers), double=double, metre=metre, single=single)
     return claim, tuple(paths), tuple(drifts)
 
 
@@ -210,32 +169,13 @@ def _path_figure(label: str, path: dict[str, np.ndarray], size: float) -> Figure
     what = (
         "rods of 1 m, released from the horizontal" if label != model else "rods of 20 m, released 40 degrees below it"
     )
-    return Figure(
-        f"trajectory-{label}",
-        f"Path of the end point, {model} pendulum, h = 0.1 s",
-        f"The paper's Fig. 3 with {what}.",
-        Axis("x", "m"),
-        Axis("y", "m"),
-        tuple(lines),
-        equal=True,
-    )
+    return WORDS.figure("trajectory", lines, f"trajectory-{label}", equal=True, model=model, what=what)
 
 
 def _drift_figure(model: str, histories: dict[str, dict[str, np.ndarray]]) -> Figure:
     lines = [
-        Line(f"{method}, {joint}", np.arange(len(history)), _positive(history), "line", method)
+        Line(f"{method}, {joint}", np.arange(len(history)), np.where(history > 0, history, np.nan), "line", method)
         for method, joints in histories.items()
         for joint, history in joints.items()
     ]
-    return Figure(
-        f"drift-{model}",
-        f"Misalignment over the steps, {model} pendulum, h = 0.1 s",
-        "The paper's Fig. 4: misalignment grows with RK-Gill, and stays near that of the first swing with Gauss.",
-        Axis("step"),
-        Axis("misalignment", "m", log=True),
-        tuple(lines),
-    )
-
-
-def _positive(values: np.ndarray) -> np.ndarray:
-    return np.where(values > 0, values, np.nan)
+    return WORDS.figure("drift", lines, f"drift-{model}", model=model)

@@ -10,28 +10,13 @@ from mbdkit_paper.paper.method_comparison import growth, orders, work
 from mbdkit_paper.paper.paper_predictions import joints, knee
 from mbdkit_paper.paper.published_results import METHODS, magnitudes, ranking, trajectories
 from mbdkit_paper.paper.source_paper import TITLE
-from mbdkit_paper.wording import UNDECIDED, least_most, reported
-from mbdkit_report import Answer, Cell, Claim, Table, Verdict, columns_of
+from mbdkit_paper.wording import UNDECIDED, Words, least_most, reported
+from mbdkit_report import Answer, Cell, Claim, Table, Verdict
 from mbdkit_studies import METHOD, MODEL, STEP, family, value
 from mbdkit_studies.results.judge import study_verdict
 
 if TYPE_CHECKING:
     from mbdkit_studies import Study
-
-NOTES = (
-    f"The source paper is \u201c{TITLE}\u201d. Its author and DOI are not known to us.",
-    (
-        "The paper states the step, h = 0.1 s, but no masses, lengths, gravity or initial angles. We assume uniform "
-        "rods of 20 m and 1 kg, released 40 degrees below the horizontal. These assumptions reproduce the "
-        "published misalignments."
-    ),
-    "With rods of 1 m released from the horizontal, the same methods and step give misalignments of cm to metres.",
-    "Misalignment is given in metres or millimetres as in the paper; it scales with the size of the mechanism.",
-    (
-        "Verdicts on misalignment are based on ranges, factors and counts, and do not depend on the machine; times are "
-        "those of this machine."
-    ),
-)
 
 
 @study_verdict
@@ -70,7 +55,9 @@ def verdict(study: Study) -> Verdict:
     figures = (*path_figures, *drift_figures, knee_figure, joint_figure, *work_figures, time_figure, speed_figure)
     top = reported((size, gill, knee_claims[-1], joint, speed))
     sentence = " ".join(claim.sentence for claim in top if claim.answer is not Answer.OPEN)
-    return Verdict("paper", "The paper, re-run", sentence or UNDECIDED, claims, tables, figures, NOTES)
+    return Verdict(
+        "paper", "The paper, re-run", sentence or UNDECIDED, claims, tables, figures, WORDS.notes(title=TITLE)
+    )
 
 
 COORDINATES = "coordinates"
@@ -78,6 +65,7 @@ BODIES, JOINTS = "bodies", "joints"
 ROUND_OFF = 1e-12
 """Misalignment [m] of rods of 20 m counts as round-off below this."""
 FAR = 1e3
+WORDS = Words(__file__)
 """Misalignment does not measure the accuracy of a method if an error is more than this many times larger."""
 
 
@@ -105,17 +93,5 @@ def coordinates(study: Study) -> tuple[Claim, Table]:
     apart_by = ", ".join(f"{max(found):.1e} m ({method})" for method, found in drift[BODIES].items())
     left = "round-off" if closed < ROUND_OFF else f"at most {closed:.1e} m"
     spread = f"{min(ends, default=math.nan):.1e} m to {max(ends, default=math.nan):.1e} m"
-    claim = Claim(
-        "coordinates",
-        "The misalignment of the joints measures the accuracy of a method.",
-        "the paper ranks methods by the misalignment of the joints",
-        f"the largest misalignments are {apart_by} in coordinates of the bodies, and {left} with all "
-        f"methods in coordinates of the joints; the errors at 15 s in coordinates of the joints are {spread}, "
-        f"{between} times the errors in coordinates of the bodies",
-        answer,
-        f"Misalignment depends on the choice of coordinates: in coordinates of the joints, it is {left} with every "
-        f"method and no longer ranks the methods, although their errors at 15 s are {spread}.",
-    )
-    columns = columns_of("pendulum; method; coordinates of; step [s]; largest misalignment [m]; error at 15 s [m]")
-    note = "Rods of 20 m. In the coordinates of the joints, positions follow from the angles of the rods."
-    return claim, Table("coordinates", "Misalignment and error by choice of coordinates", columns, tuple(rows), note)
+    values = {"apart": apart_by, "left": left, "spread": spread, "between": between}
+    return WORDS.claim("coordinates", answer, **values), WORDS.table("coordinates", rows)

@@ -58,8 +58,7 @@ def start() -> np.ndarray:
     turn = math.acos((first**2 + distance**2 - second**2) / (2 * first * distance))
     coupler = math.atan2(across[1], across[0]) + turn
     end = joint + first * np.array([math.cos(coupler), math.sin(coupler)])
-    rocker = math.atan2(-end[1], GROUND - end[0])
-    return np.array([START, coupler - START, rocker - coupler, 0.0])
+    return np.array([START, coupler - START, math.atan2(-end[1], GROUND - end[0]) - coupler, 0.0])
 
 
 def rates(t: float, state: np.ndarray) -> np.ndarray:

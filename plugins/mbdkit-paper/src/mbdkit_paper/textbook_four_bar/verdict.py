@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit_paper.textbook_four_bar.textbook_equations import GROUND, LENGTHS, LoopRun, integrate
-from mbdkit_paper.wording import least_most, reported, two_digits
+from mbdkit_paper.wording import Words, least_most, reported, two_digits
 from mbdkit_report import (
     Answer,
-    Axis,
     Band,
     Cell,
     Claim,
@@ -27,7 +26,6 @@ from mbdkit_report import (
     Range,
     Table,
     Verdict,
-    columns_of,
     exceeds,
     together,
 )
@@ -41,8 +39,8 @@ if TYPE_CHECKING:
 STANDARD = 0.08
 DAE = 0.008
 DAE_FINE = 5e-10
-BOOK = "Learn Multibody Dynamics"
 DRAWN_STEP = 0.025
+WORDS = Words(__file__)
 NAMES = {
     STANDARD: "8 cm, the book's ODE solver at 1e-3",
     DAE: "8 mm, its DAE solver at 1e-3",
@@ -94,48 +92,24 @@ def verdict(study: Study) -> Verdict:
                     gaps = np.linalg.norm(opening, axis=1)
                     drifts.append(Line(method, instants, np.where(gaps > 0, gaps, np.nan), "line", method))
     own = {method: curve for method, curve in curves.items() if method not in study.spec.added}
-    claims = reported(
-        (
-            _repeated(book, fine, shifted),
-            _same_cost(book, own),
-            *(_reached(target, own) for target in (DAE, DAE_FINE)),
-        )
-    )
+    targets = (_reached(target, own) for target in (DAE, DAE_FINE))
+    claims = reported((_repeated(book, fine, shifted), _same_cost(book, own), *targets))
     return Verdict(
         "textbook-four-bar",
         "The textbook's four-bar linkage",
         " ".join(claim.sentence for claim in claims),
         claims,
         (_residuals(rows, book, fine), _needed(curves)),
-        (_drift_figure(drifts), _work_figure(curves, book, fine)),
-        (
-            f"Parameters and published residuals: J. K. Moore, {BOOK}, 2022 (CC BY 4.0), on holonomic constraints.",
-            (
-                "The residual is defined as in the textbook: three links of exact length are placed in their computed "
-                "directions, and the residual is the largest component of the gap to the second support."
-            ),
-            (
-                "No stabilization is used here, so that no method corrects the gap of the loop. The textbook's DAE "
-                "solver corrects it in every step; its number of evaluations is not published."
-            ),
-        ),
+        (WORDS.figure("drift", drifts, step=DRAWN_STEP), _work_figure(curves, book, fine)),
+        WORDS.notes(),
     )
 
 
 def _repeated(book: LoopRun, fine: LoopRun, shifted: list[LoopRun]) -> Claim:
     residuals = [100 * run.residual for run in (book, *shifted)]
     answer = together([Range.around(STANDARD, 1.5).holds(residual / 100) for residual in residuals])
-    return Claim(
-        "standard-solver",
-        "With a standard ODE solver at its default tolerances, the loop opens by about 8 cm in 30 s.",
-        "as large as 8 cm, at rtol 1e-3 and atol 1e-6",
-        f"{least_most(residuals)} cm, depending on round-off of the start; {fine.residual:.0e} m at 1e-10",
-        answer,
-        "With the textbook's own equations and solver, the loop opens as far as published, within the half centimetre "
-        "by which round-off of the start changes the result."
-        if answer is Answer.YES
-        else f"With the textbook's own equations and solver, the loop opens by {100 * book.residual:.1f} cm here.",
-    )
+    values = {"residuals": least_most(residuals), "fine": fine.residual, "opening": 100 * book.residual}
+    return WORDS.claim("standard-solver", answer, **values)
 
 
 def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]]) -> Claim:
@@ -154,18 +128,8 @@ def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]
     answer = exceeds(STANDARD, best[1])
     if math.isnan(best[1]) and curves:
         answer = Answer.NO
-    return Claim(
-        "same-cost",
-        "At the same number of evaluations, mbdkit's methods give a smaller residual than the book's solver.",
-        f"8 cm; {book.evaluations} evaluations, counted here",
-        "; ".join(told),
-        answer,
-        f"With the {two_digits(book.evaluations)} evaluations of the textbook's solver, no method of mbdkit reaches a "
-        "smaller residual: with three angles as coordinates the links keep their lengths, with absolute coordinates "
-        f"they do not. With ten times as many evaluations the loop opens by {best[10]:.0e} m."
-        if answer is Answer.NO
-        else f"With the {book.evaluations} evaluations of the textbook's solver, the loop opens by {best[1]:.0e} m.",
-    )
+    values = {"evaluations": book.evaluations, "rounded": two_digits(book.evaluations), "computed": "; ".join(told)}
+    return WORDS.claim("same-cost", answer, equal=best[1], tenfold=best[10], **values)
 
 
 def _reached(target: float, curves: dict[str, list[tuple[float, float, float]]]) -> Claim:
@@ -175,18 +139,14 @@ def _reached(target: float, curves: dict[str, list[tuple[float, float, float]]])
     known = sorted((work, method) for method, work in needed.items() if math.isfinite(work))
     text = f"{target * 1e3:.0f} mm" if target == DAE else f"{target:.0e} m"
     least = f"{known[0][1]} ({two_digits(known[0][0])} evaluations)" if known else "none"
-    return Claim(
-        "dae-solver" if target == DAE else "dae-solver-fine",
-        f"The gap of the loop can be kept below {text}.",
-        f"under {text} with the DAE solver IDA",
-        ", ".join(f"{method} from {two_digits(work)} evaluations" for work, method in known),
-        Answer.YES if known else Answer.OPEN if not curves else Answer.NO,
-        f"Without stabilization, {len(known)} of {len(curves)} methods keep the gap below {text}; least work: {least}.",
-    )
+    name = "dae-solver" if target == DAE else "dae-solver-fine"
+    answer = Answer.YES if known else Answer.OPEN if not curves else Answer.NO
+    computed = ", ".join(f"{method} from {two_digits(work)} evaluations" for work, method in known)
+    values = {"target": text, "computed": computed, "reached": len(known), "count": len(curves), "least": least}
+    return WORDS.claim("dae-solver", answer, name, **values)
 
 
 def _residuals(rows: list[tuple[Cell, ...]], book: LoopRun, fine: LoopRun) -> Table:
-    columns = columns_of("method; set by; step or tolerance; evaluations; loop residual [m]; time [ms]")
     first = "textbook's equations, SciPy RK45"
     published: list[tuple[Cell, ...]] = [
         ("textbook, standard ODE solver (published)", "tolerance", 1e-3, None, STANDARD, None),
@@ -195,7 +155,7 @@ def _residuals(rows: list[tuple[Cell, ...]], book: LoopRun, fine: LoopRun) -> Ta
         (first, "tolerance", 1e-3, book.evaluations, book.residual, 1e3 * book.seconds),
         (first, "tolerance", 1e-10, fine.evaluations, fine.residual, 1e3 * fine.seconds),
     ]
-    return Table("residuals", "Gap of the loop over 30 s", columns, (*published, *rows))
+    return WORDS.table("residuals", (*published, *rows))
 
 
 def _needed(curves: dict[str, list[tuple[float, float, float]]]) -> Table:
@@ -204,24 +164,7 @@ def _needed(curves: dict[str, list[tuple[float, float, float]]]) -> Table:
         works = [work_for([w for w, _, _ in curve], [r for _, r, _ in curve], target) for target in NAMES]
         rows.append((method, *(work if math.isfinite(work) else None for work in works)))
     columns = (Column("method"), *(Column(f"evaluations for {name}") for name in NAMES.values()))
-    note = (
-        "Interpolated between runs in logarithms, and at least the evaluations of the cheapest complete run; empty if "
-        "no run is that accurate."
-    )
-    return Table(
-        "same-cost", "Evaluations to reach the residuals of the textbook's solvers", columns, tuple(rows), note
-    )
-
-
-def _drift_figure(lines: list[Line]) -> Figure:
-    return Figure(
-        "drift",
-        f"Gap of the loop over time, h = {DRAWN_STEP:g} s",
-        "The third panel of the textbook's figure, on a logarithmic axis and without stabilization.",
-        Axis("time", "s"),
-        Axis("gap of the loop", "m", log=True),
-        tuple(lines),
-    )
+    return WORDS.table("same-cost", rows, columns)
 
 
 def _work_figure(curves: dict[str, list[tuple[float, float, float]]], book: LoopRun, fine: LoopRun) -> Figure:
@@ -231,12 +174,4 @@ def _work_figure(curves: dict[str, list[tuple[float, float, float]]], book: Loop
         lines.append(Line(method, x, np.where(y > 0, y, np.nan), "both", method))
     x, y = np.array([(run.evaluations, run.residual) for run in (book, fine)]).T
     lines.append(Line("textbook's equations, RK45", x, y, "both", "textbook"))
-    return Figure(
-        "work-drift",
-        "Gap of the loop against work",
-        "Lower left is better. Shaded: residuals of the textbook's DAE solver at tolerances from 1e-10 to 1e-3.",
-        Axis("evaluations", log=True),
-        Axis("loop residual", "m", log=True),
-        tuple(lines),
-        (Band("textbook's DAE solver", DAE_FINE, DAE),),
-    )
+    return WORDS.figure("work-drift", lines, bands=[Band("textbook's DAE solver", DAE_FINE, DAE)])

@@ -168,8 +168,7 @@ def band_over_time(time: Array, low: Array, high: Array, error: Array) -> Array 
     if not np.any(known):
         return None
     lower = np.stack([time[known], (low - error)[known]], axis=-1)
-    upper = np.stack([time[known], (high + error)[known]], axis=-1)
-    return np.concatenate([lower, upper[::-1]])
+    return np.concatenate([lower, np.stack([time[known], (high + error)[known]], axis=-1)[::-1]])
 
 
 def band_along_path(path: Array, error: Array) -> Array | None:

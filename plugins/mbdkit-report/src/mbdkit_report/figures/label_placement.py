@@ -93,8 +93,7 @@ def _candidates(name: Name) -> tuple[Array, Array, Array]:
     centre = name.points[:, None, None] + reach + direction * half  # (K, distances, directions, 2)
     boxes = np.concatenate([centre - half, centre + half], axis=-1).reshape(-1, 4)
     points = np.broadcast_to(name.points[:, None, None], centre.shape).reshape(-1, 2)
-    cost = np.broadcast_to(_DISTANCES[None, :, None], centre.shape[:-1]).reshape(-1).copy()
-    return boxes, points, cost
+    return boxes, points, np.broadcast_to(_DISTANCES[None, :, None], centre.shape[:-1]).reshape(-1).copy()
 
 
 def _overlaps(boxes: Array, taken: Array) -> Array:

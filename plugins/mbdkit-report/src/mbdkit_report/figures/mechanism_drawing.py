@@ -75,8 +75,7 @@ class NamedPose:
             return np.array(local)
         x, y, angle = self.pose[self.drawing.bodies.index(body)]
         c, s = math.cos(angle), math.sin(angle)
-        found = np.array([x + c * local[0] - s * local[1], y + s * local[0] + c * local[1]])
-        return self.rounded(found)
+        return self.rounded(np.array([x + c * local[0] - s * local[1], y + s * local[0] + c * local[1]]))
 
     def joint_point(self, joint: Joint) -> Array:
         """Return the global point [m] at which a joint is drawn."""

@@ -59,7 +59,7 @@ class Canvas:
         `color` is the name of a colour of the page's style, or a mixture of such colours by `shade`.
         """
         path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
-        style = Markup(' style="--own:{}"').format(_css(color)) if color else ""
+        style = Markup(' style="--own:{}"').format(color if "(" in color else f"var(--{color})") if color else ""
         self.parts.append(Markup('<path class="{}"{} d="{}"/>').format(look, style, path))
         corners = np.vstack([points, points[:1]]) if closed else points
         for start, end in pairwise(corners):
@@ -116,7 +116,3 @@ def svg_of(parts: Iterable[Markup], width: float, height: float) -> Markup:
 def shade(share: float) -> str:
     """Return the colour of a bending moment, given as a share of the largest one, between -1 and 1."""
     return f"color-mix(in srgb, var(--{'c0' if share < 0 else 'c1'}) {100.0 * abs(share):.0f}%, var(--edge))"
-
-
-def _css(color: str) -> str:
-    return color if "(" in color else f"var(--{color})"

@@ -37,7 +37,7 @@ class Methods:
     bibtex: tuple[str, ...]
 
 
-def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> Methods:
+def methods(specs: Iterable[Mapping[str, object]], sources: Iterable[str] = ()) -> Methods:
     """Return the methods section of some run specs.
 
     Parameters
@@ -104,7 +104,7 @@ def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
     return " ".join(filter(None, parts))
 
 
-def _claims(plugin: IntegratorPlugin, options: Mapping[str, Any], *, alone: bool) -> str:
+def _claims(plugin: IntegratorPlugin, options: Mapping[str, object], *, alone: bool) -> str:
     """Return the claims of an integrator with these options, as text; empty if they are not available. The order is
     included only if it applies to all runs, because they have the same options (`alone`).
     """
@@ -122,7 +122,7 @@ def _claim_words(claims: Claims, alone: bool) -> str:
     return f"{text} Drift: {claims.drift}.".strip() if claims.drift else text
 
 
-def _stabilization(specs: Iterable[Mapping[str, Any]]) -> str:
+def _stabilization(specs: Iterable[Mapping[str, object]]) -> str:
     names = {plain_name(spec.get("stabilization") or "none", "none") for spec in specs}
     if names == {"none"}:
         return _UNSTABILIZED

@@ -85,7 +85,7 @@ def environment(provenance: Mapping[str, object], first: Mapping[str, str]) -> T
     return Table("environment", "Environment", columns_of("item; value"), tuple(rows))
 
 
-def yaml_text(spec: Mapping[str, Any]) -> str:
+def yaml_text(spec: Mapping[str, object]) -> str:
     """Return a run spec as YAML with its keys in the usual order."""
     return write_yaml({key: spec[key] for key in sorted(spec, key=_place)})
 

@@ -66,7 +66,7 @@ def plain_name(choice: object, default: str) -> str:
     return f"{'symmetric ' * bool(choice.get('symmetric'))}{choice.get('name', default)}"
 
 
-def _departures(spec: Mapping[str, Any]) -> list[str]:
+def _departures(spec: Mapping[str, object]) -> list[str]:
     defaults = {"formulation": "index-1", "stabilization": "none"}
     names = {key: plain_name(spec.get(key) or default, default) for key, default in defaults.items()}
     return [name for key, name in names.items() if name != defaults[key]]

@@ -84,8 +84,7 @@ class ElementQuantity:
 
     def largest_columns(self, count: int) -> list[int]:
         """Return the indices of at most `count` elements with the largest magnitudes, in the order of the elements."""
-        size = np.nan_to_num(self.data.peaks, nan=np.inf)
-        return sorted(np.argsort(-size, kind="stable")[:count].tolist())
+        return sorted(np.argsort(-np.nan_to_num(self.data.peaks, nan=np.inf), kind="stable")[:count].tolist())
 
     def only(self, columns: list[int]) -> ElementQuantity:
         """Return the same quantity for some of the elements."""

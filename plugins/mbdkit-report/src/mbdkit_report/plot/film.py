@@ -83,16 +83,11 @@ class Film:
         first, last = np.searchsorted(shown.path_time, [time - _TAIL * shown.speed, time], side="right")
         for number, tail in enumerate(self._tails):
             tail.set_data(shown.paths[first:last, number].T)
-        self._clock.set_text(f"t = {time:.{_digits(shown)}f} s")
+        self._clock.set_text(f"t = {time:.{int(np.clip(np.ceil(-np.log10(shown.speed / RATE)), 0, 9))}f} s")
         self._canvas.restore_region(self._still)  # type: ignore[no-untyped-call]
         for artist in self._moving:
             self._axes.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
-
-
-def _digits(shown: Scene) -> int:
-    """Return the number of decimals that distinguishes the times of consecutive frames."""
-    return int(np.clip(np.ceil(-np.log10(shown.speed / RATE)), 0, 9))
 
 
 def write_gif(run: Run, target: Path) -> None:

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 def plot_kinds() -> dict[str, str]:
     """Return the description of each kind of plot, by name; the id of one whose name another distribution uses."""
-    items = registry().of_kind("plot-kind")
-    return {registry().accepted(item)[0]: item.plugin.summary for item in items}
+    return {registry().accepted(item)[0]: item.plugin.summary for item in registry().of_kind("plot-kind")}
 
 
 class PlotModule(Protocol):

@@ -49,8 +49,7 @@ def panels(run: Run) -> list[Panel]:
     peaks = zip(force.elements, force.data.peaks, strict=True)
     idle = {name for name, peak in peaks if name in run.drivers and not peak}
     force = force.only([column for column, name in enumerate(force.elements) if name not in idle])
-    torque = carried_torque(run, force)
-    return [element_panel(one, "joints") for one in (force, torque) if one is not None]
+    return [element_panel(one, "joints") for one in (force, carried_torque(run, force)) if one is not None]
 
 
 def charts(run: Run) -> list[Figure]:

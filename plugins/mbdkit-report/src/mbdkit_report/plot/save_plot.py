@@ -79,7 +79,7 @@ def plot(
     size: tuple[float, float] | None = None,
     x_limits: tuple[float, float] | None = None,
     y_limits: tuple[float, float] | None = None,
-    **options: Any,
+    **options: object,
 ) -> Path:
     """Write a plot of one or several runs to a file, and return its path. An existing file is replaced.
 

@@ -90,8 +90,7 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     """Return the chart of the paths of some points; the options are those of `RunPlots.trajectory`, and at most `most`
     points are shown unless they are named. Raises UnknownNameError if there is no such point.
     """
-    rows = evenly(len(run.time), _CHART_ROWS)
-    names, found = _points(run, points, most, rows)
+    names, found = _points(run, points, most, evenly(len(run.time), _CHART_ROWS))
     paths = np.stack([path for path, _ in found], axis=1)
     (left, right), (low, high), cut = view_box(paths, paths[:1])
     x, y = paths[..., 0], paths[..., 1]

@@ -142,7 +142,7 @@ class _Place:
         """Whether an axis varies the tolerance of the methods."""
         return any(f"{METHOD}.rtol" in keys for keys in self.others.values())
 
-    def data(self, chosen: Mapping[str, Any], without: int | None = None) -> Iterator[dict[str, Any]]:
+    def data(self, chosen: Mapping[str, object], without: int | None = None) -> Iterator[dict[str, Any]]:
         """Yield the data of run specs with the values of the other axes except the axis `without`."""
         axes = tuple(axis for number, axis in enumerate(self.grid.axes) if number not in (self.number, without))
         others = replace(self.grid, axes=axes)
@@ -302,7 +302,7 @@ class _Attempt:
                 RunSpec(**referred)
         self.joined.append((place, chosen))
 
-    def _step_axis(self, place: _Place, chosen: Mapping[str, Any]) -> int | None:
+    def _step_axis(self, place: _Place, chosen: Mapping[str, object]) -> int | None:
         """Return the number of the axis in whose place tolerances vary; None if the step does not vary.
 
         Raises

@@ -171,13 +171,13 @@ def study(
 
 def ensemble(
     source: RunSource,
-    variables: Mapping[str, Any],
+    variables: Mapping[str, object],
     *,
     store: Store = "summary",
     out: str | Path | None = None,
     workers: int = 1,
     executor: Executor | None = None,
-    measures: Any = "all",
+    measures: object = "all",
     block: int | None = None,
     compress: bool = False,
     progress: Progress | None = None,
@@ -322,7 +322,7 @@ def _compute(
                     progress(done, total, store.failed)
 
 
-def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, Any]) -> StudySpec:
+def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, object]) -> StudySpec:
     """Return the spec of a study that runs one spec with the values of a table."""
     document = read_source(source)
     base = plain(document.data)
@@ -336,7 +336,7 @@ def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, ke
     return spec
 
 
-def _complete(base: dict[str, Any], whole: Mapping[str, Any], key: str) -> None:
+def _complete(base: dict[str, Any], whole: Mapping[str, object], key: str) -> None:
     """Make sure that a spec has the mapping or list in which a key is set; add it with its default values if not."""
     there: Any = base
     default: Any = whole
@@ -348,7 +348,7 @@ def _complete(base: dict[str, Any], whole: Mapping[str, Any], key: str) -> None:
         there, default = there[str(part)], default[part]
 
 
-def _columns_of(variables: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _columns_of(variables: Mapping[str, object]) -> dict[str, np.ndarray]:
     """Return the values of variables as columns of floats, integers or texts."""
     columns = {}
     for key, values in variables.items():

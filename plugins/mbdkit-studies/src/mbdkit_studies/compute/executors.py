@@ -80,7 +80,7 @@ class SubmititExecutor(Executor):
         self._queue = SlurmQueue()
         self._lock = threading.Lock()
 
-    def submit_all(self, function: Callable[..., Any], values: Sequence[Any], *rest: Any) -> list[Future[Any]]:
+    def submit_all(self, function: Callable[..., Any], values: Sequence[object], *rest: object) -> list[Future[Any]]:
         """Submit jobs that call ``function(value, *rest)``, one for each value, as one array of jobs."""
         if self._executor is None:
             self._executor = self._begin()
@@ -94,7 +94,7 @@ class SubmititExecutor(Executor):
                 threading.Thread(target=self._watch, daemon=True).start()
         return futures
 
-    def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
+    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
         """Submit one job that calls ``function(*arguments)``."""
         if options:
             raise TypeError("jobs take no arguments by name")

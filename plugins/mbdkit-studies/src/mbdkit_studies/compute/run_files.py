@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from mbdkit import ArchiveError
 from mbdkit.archive.untrusted_file import is_sparse
@@ -95,7 +94,7 @@ class RunFiles(RunStore[str]):
         timings = [self._task(run_id, repeats=count) for run_id, count in repeats]
         yield Round(timings, len(self._repeats), one_by_one=True)
 
-    def _task(self, run_id: str, **content: Any) -> Task:
+    def _task(self, run_id: str, **content: object) -> Task:
         """Return the task that computes a run, with or without writing its archive."""
         spec = self._runs[run_id].canonical_json()
         return Task(run_id, {"spec": spec, **content}, self.folder.archive(run_id), writes="measures" in content)

@@ -331,8 +331,7 @@ def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
     method: Any = first.method  # a method with a loop for lanes
     if first.method.traits.tolerances:
         return ControlledLaneStepper(method, workspace, first.pivots)
-    rows = 1 + -(-first.table.steps // first.table.every)
-    return LaneStepper(method, workspace, rows, first.pivots)
+    return LaneStepper(method, workspace, 1 + -(-first.table.steps // first.table.every), first.pivots)
 
 
 class _Group:

@@ -251,7 +251,7 @@ def _grid(spec: StudySpec, name: str, family: Family, place: Path) -> Grid:
     )
 
 
-def _settings(keys: Mapping[str, Any], place: Path) -> tuple[Setting, ...]:
+def _settings(keys: Mapping[str, object], place: Path) -> tuple[Setting, ...]:
     return tuple(Setting(parse_key(key), value, (*place, key)) for key, value in keys.items())
 
 
@@ -260,7 +260,7 @@ def sets_method(settings: Iterable[Setting]) -> bool:
     return any(setting.path in ((METHOD,), (METHOD, "name")) for setting in settings)
 
 
-def _first_formulation(integrator: Any) -> dict[str, Any]:
+def _first_formulation(integrator: object) -> dict[str, Any]:
     """Return the first formulation that a method claims, as a key of a run spec, if it does not claim the default one.
     Wrong methods are reported when the run spec is validated.
     """

@@ -67,8 +67,7 @@ class SampleGroup:
     @property
     def words(self) -> str:
         """Family and labels as one line; empty in a study without families and axes."""
-        told = [f"{key} {label}" for key, label in self.axes.items()]
-        return ", ".join(filter(None, [self.family, *told]))
+        return ", ".join(filter(None, [self.family, *[f"{key} {label}" for key, label in self.axes.items()]]))
 
     @property
     def where(self) -> dict[str, Label]:

@@ -71,7 +71,7 @@ def _of_masses(grid: Grid) -> Iterator[str]:
             )
 
 
-def _of_mass(path: Path, body: Mapping[str, Any], parameters: Mapping[str, Any]) -> str:
+def _of_mass(path: Path, body: Mapping[str, object], parameters: Mapping[str, object]) -> str:
     common = names_in(body.get("mass")) & parameters_in_use(parameters, [body["inertia"]])
     advice = (
         f"vary parameters.{min(common)} instead"
@@ -84,7 +84,7 @@ def _of_mass(path: Path, body: Mapping[str, Any], parameters: Mapping[str, Any])
     )
 
 
-def _depends(text: Any, parameters: Mapping[str, Any], names: Set[str]) -> bool:
+def _depends(text: object, parameters: Mapping[str, object], names: Set[str]) -> bool:
     """Return whether a value depends on any of the named parameters, also through other parameters."""
     return bool(parameters_in_use(parameters, [text]) & names)
 

@@ -57,5 +57,4 @@ def work_for(work: Sequence[float], result: Sequence[float], wanted: float) -> f
     if last_bad < 0 or not math.isfinite(pairs[last_bad][1]) or pairs[last_bad + 1][1] <= 0:
         return pairs[last_bad + 1][0]
     (w0, r0), (w1, r1) = pairs[last_bad], pairs[last_bad + 1]
-    share = math.log(wanted / r0) / math.log(r1 / r0)
-    return math.exp(math.log(w0) + share * math.log(w1 / w0))
+    return math.exp(math.log(w0) + math.log(wanted / r0) / math.log(r1 / r0) * math.log(w1 / w0))

@@ -63,7 +63,7 @@ def judge(study: Study) -> Verdict:
     return with_added_methods(_checked(verdict, item), study)
 
 
-def _checked(verdict: Any, item: Registered) -> Verdict:
+def _checked(verdict: object, item: Registered) -> Verdict:
     from mbdkit_report import Verdict
 
     if not isinstance(verdict, Verdict):

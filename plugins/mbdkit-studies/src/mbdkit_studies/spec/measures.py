@@ -212,8 +212,7 @@ def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
             run.status_reason or reference.status_reason
         ):  # an event ended one of the two runs early, so that their end times may differ
             return math.nan
-        difference = offsets(run, reference, rows)[..., part]
-        return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
+        return float(np.max(np.linalg.norm(offsets(run, reference, rows)[..., part], axis=-1), initial=0.0))
 
     return _one_by_one(take)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -15,7 +14,7 @@ METHOD = "integrator"
 """Key of the method in a run spec."""
 
 
-def claims_of(integrator: Any) -> Claims:
+def claims_of(integrator: object) -> Claims:
     """Return what a method claims with its options.
 
     Parameters

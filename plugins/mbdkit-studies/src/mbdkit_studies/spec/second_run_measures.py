@@ -130,8 +130,7 @@ def reverse(spec: RunSpec) -> Reversal:
     total = float(np.sum(mass[:, 0]))
 
     def distance(x: np.ndarray, y: np.ndarray) -> float:
-        apart = (x - y)[: mass.size].reshape(mass.shape)
-        return float(np.sqrt(np.sum(mass * apart**2) / total))
+        return float(np.sqrt(np.sum(mass * (x - y)[: mass.size].reshape(mass.shape) ** 2) / total))
 
     return Reversal(distance(back.q[-1], workspace.q0), distance(-back.v[-1], workspace.v0))
 

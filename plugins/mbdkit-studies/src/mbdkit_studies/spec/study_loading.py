@@ -113,7 +113,7 @@ def _override(document: Document, assignment: str) -> None:
         document.overridden[*place, "overrides", key] = assignment
 
 
-def _check_sample(sample: Any, path: Path, assignment: str) -> None:
+def _check_sample(sample: object, path: Path, assignment: str) -> None:
     """Raise SpecError if a sample sets the key of an assignment, which would have no effect."""
     variables = sample.get("variables") if isinstance(sample, Mapping) else None
     for key in variables if isinstance(variables, Mapping) else ():
@@ -122,7 +122,7 @@ def _check_sample(sample: Any, path: Path, assignment: str) -> None:
             raise SpecError(message, file=f"--set {assignment}")
 
 
-def _check_axes(axes: Any, path: Path, assignment: str) -> None:
+def _check_axes(axes: object, path: Path, assignment: str) -> None:
     """Raise SpecError if an axis sets the key of an assignment, which would have no effect."""
     for axis in axes if isinstance(axes, list) else ():
         for name, values in axis.items() if isinstance(axis, Mapping) else ():
@@ -203,8 +203,7 @@ def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
         return None
     assert isinstance(item.plugin, StudyPlugin)
     path = item.plugin.spec
-    text = path.read_text("utf-8")
-    document = read_text(text, f"{item.spec_name} (packaged study)", path.suffix)
+    document = read_text(path.read_text("utf-8"), f"{item.spec_name} (packaged study)", path.suffix)
     if item.plugin.has_verdict and "verdict" not in document.data:
         document.data["verdict"] = item.spec_name
     return document, path.parent

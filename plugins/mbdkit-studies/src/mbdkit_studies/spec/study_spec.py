@@ -72,7 +72,7 @@ def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
     return axes
 
 
-def _keys_set(name: str, values: Any) -> list[str]:
+def _keys_set(name: str, values: object) -> list[str]:
     """Return the dotted keys that an axis sets: its own key, or the keys in the `set` of its values."""
     together = sets_together(values)
     return list(dict.fromkeys(key for _, keys in together for key in keys)) if together else [name]
@@ -291,7 +291,7 @@ class StudySpec(StrictSpec):
         spec._columns = None
         return spec
 
-    def changed(self, **values: Any) -> StudySpec:
+    def changed(self, **values: object) -> StudySpec:
         """Return this spec with other values of keys; a key whose value is None is left out."""
         sections = self.sections() | values
         given = (self.model_fields_set | values.keys()) - {key for key, value in values.items() if value is None}
@@ -354,7 +354,7 @@ class StudySpec(StrictSpec):
         return super().placed(error)
 
 
-def _measures_of(base: Mapping[str, Any], place: Path, overrides: Mapping[Path, Any]) -> Iterator[DefinedMeasure]:
+def _measures_of(base: Mapping[str, object], place: Path, overrides: Mapping[Path, object]) -> Iterator[DefinedMeasure]:
     """Yield the measures of a base.
 
     Parameters

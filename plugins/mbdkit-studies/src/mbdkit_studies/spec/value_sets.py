@@ -115,12 +115,12 @@ def _check_labelled(entry: Any, key: str) -> None:
         raise SpecError(message, key=f"{key}.if_installed")
 
 
-def is_labelled(entry: Any) -> bool:
+def is_labelled(entry: object) -> bool:
     """Return whether an entry of a list is a value with a label: it has the keys `label`, and `value` or `set`."""
     return isinstance(entry, Mapping) and "label" in entry and ("value" in entry or "set" in entry)
 
 
-def _check_limits(kind: str, limits: Any) -> None:
+def _check_limits(kind: str, limits: object) -> None:
     if not isinstance(limits, list) or len(limits) != 3 or not all(map(_is_number, _in_si(kind, limits))):
         raise SpecError(f"should be [first, last, number of values], not {value_text(limits)}", key=kind)
     limits = _in_si(kind, limits)
@@ -148,7 +148,7 @@ def _in_si(kind: str, limits: list[Any]) -> list[Any]:
     return [limit if one is None else one[0] for one, limit in zip(quantities, limits, strict=False)] + limits[2:]
 
 
-def _quantity(given: Any, key: str) -> tuple[float, Unit] | None:
+def _quantity(given: object, key: str) -> tuple[float, Unit] | None:
     """Return the value and the unit of a number with a unit; None for anything else."""
     try:
         return read_quantity(given)
@@ -156,7 +156,7 @@ def _quantity(given: Any, key: str) -> tuple[float, Unit] | None:
         raise error.located(prefix=key) from None
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
@@ -224,7 +224,7 @@ def _log_ratio(first: float, last: float) -> float:
     return elementary.log(ratio) if 0 < ratio < math.inf else elementary.log(abs(last)) - elementary.log(abs(first))
 
 
-def label_of(value: Any) -> int | float | str:
+def label_of(value: object) -> int | float | str:
     """Return the label of a value: the value itself if it is a number or text; for a mapping, its name and options."""
     match value:
         case bool() | None:
@@ -239,7 +239,7 @@ def label_of(value: Any) -> int | float | str:
     return text if len(text) <= LONGEST_LABEL else text[: LONGEST_LABEL - 3] + "..."
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
@@ -261,7 +261,7 @@ def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
     return tuple(result)
 
 
-def _hashable(value: Any) -> Hashable:
+def _hashable(value: object) -> Hashable:
     """Return a hashable object that is equal for equal values."""
     match value:
         case Mapping():

@@ -384,7 +384,7 @@ def _at(item: h5py.Dataset, row: int) -> Any:
     return item[row]
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 

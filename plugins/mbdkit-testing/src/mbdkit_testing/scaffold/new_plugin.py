@@ -8,11 +8,12 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, get_args
+
+import yaml
+from pydantic import BaseModel
 
 import mbdkit
 from mbdkit.plugin import SpecError
@@ -43,162 +44,22 @@ LIKE: tuple[Like, ...] = get_args(Like)
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
-@dataclass(frozen=True)
-class _Flavour:
-    """Values in the templates that differ between the kinds of project."""
+class _Flavour(BaseModel):
+    """Values in the templates that differ between the kinds of project, from ``flavours.yaml``."""
 
     kind: Kind
     what: str
-    dependencies: tuple[str, ...]
-    example: str
+    dependencies: list[str]
+    example: str = ""
     command: str
-    todo: tuple[str, ...]
-    words: Mapping[str, object] = field(default_factory=dict)
+    todo: list[str]
+    words: dict[str, object] = {}
 
 
-_RUN = "example.yaml", "mbdkit run {name}/example.yaml"
-
-
-def _item(kind: Kind, what: str, command: str, todo: str) -> _Flavour:
-    """Return a project without an example, whose code is in a module beside the table of contents."""
-    return _Flavour(kind, what, ("numpy>=1.26",), "", command, (todo,))
-
-
-def _integrator(
-    what: str, summary: str, create: str, todo: str, *needs: str, accuracy: float = 1e-6, controlled: bool = False
-) -> _Flavour:
-    """Return the project of an integrator; the accuracy is that of the tests."""
-    return _Flavour(
-        "integrator",
-        what,
-        ("numpy>=1.26", "pydantic>=2.7", *needs),
-        "study.yaml",
-        "mbdkit study {name}/study.yaml   # beside built-in methods",
-        (todo, "the claims, each of which `mbdkit plugins verify` checks;"),
-        {"summary": summary, "create": create, "accuracy": accuracy, "is_controlled": controlled},
-    )
-
-
-_INTEGRATORS: dict[Like, _Flavour] = {
-    "tableau": _integrator(
-        "A Runge-Kutta method given by its tableau",
-        "Kutta's method: explicit, 3 stages, order 3, fixed steps.",
-        "method",
-        'the tableau: exact coefficients as numbers or text such as `"1/4 - sqrt(3)/6"`, whose order mbdkit checks '
-        "(`mbdkit.ImplicitRungeKutta(tableau())` for an implicit one);",
-        accuracy=1e-4,
-    ),
-    "adaptive": _integrator(
-        "An explicit method with controlled steps",
-        "Dormand-Prince: explicit, order 5, controlled steps.",
-        "DormandPrince",
-        "the coefficients, `error_order`, and the dense output;",
-        controlled=True,
-    ),
-    "multistep": _integrator(
-        "A multistep method",
-        "Adams-Bashforth-Moulton: explicit, 4 points, order 4, fixed steps.",
-        "method",
-        "the formula; the memory holds numbers, texts, arrays, lists, tuples and mappings, not changed in place;",
-        accuracy=1e-5,
-    ),
-    "dae": _integrator(
-        "An implicit method on the differential-algebraic equations",
-        "BDF2 on the equations of Gear, Gupta and Leimkuhler: implicit, order 2, fixed steps.",
-        "Bdf2",
-        "the formula, its iteration, and the formulation in the claims and in `study.yaml`;",
-        accuracy=1e-3,
-    ),
-    "rosenbrock": _integrator(
-        "A Rosenbrock method with controlled steps",
-        "RODAS3: linearly implicit, order 3, L-stable, controlled steps.",
-        "Rodas3",
-        "the coefficients, `error_order`, and the dense output;",
-        "scipy>=1.13",
-        accuracy=1e-5,
-        controlled=True,
-    ),
-    "external": _integrator(
-        "A solver of a library with a loop of its own",
-        "RK45 of SciPy: explicit, order 5, controlled steps.",
-        "SciPyRK45",
-        "the library; a method without `save` and `restore` cannot be resumed, and claims `restartable=False`;",
-        "scipy>=1.13",
-        controlled=True,
-    ),
-}
-_FLAVOURS: dict[NewKind, _Flavour] = {
-    "model": _Flavour(
-        "model",
-        "A model",
-        ("pydantic>=2.7",),
-        *_RUN,
-        ("the options and `build`, which turns them into bodies, joints, drivers and forces;",),
-    ),
-    "force-law": _Flavour(
-        "force-law",
-        "A force law",
-        ("pydantic>=2.7", "sympy>=1.12"),
-        *_RUN,
-        (
-            (
-                "`law`: a SymPy expression of `length`, `rate`, `time` and the options, or an "
-                "`mbdkit.FunctionLaw` that Numba compiles;"
-            ),
-        ),
-    ),
-    "measure": _Flavour(
-        "measure",
-        "A measure of studies",
-        ("numpy>=1.26", "pydantic>=2.7"),
-        "study.yaml",
-        "mbdkit study {name}/study.yaml",
-        ("the options and `take`, which computes one number from a run (nan if that is not possible);",),
-    ),
-    "element": _Flavour(
-        "element-kind",
-        "A kind of elements",
-        ("numpy>=1.26", "sympy>=1.12"),
-        "src/{package}/{item}.yaml",
-        "mbdkit run {item}",
-        (
-            "the class of the elements and its force law, their quantities, and the criterion;",
-            "the example, on which `mbdkit plugins verify` checks the kind;",
-        ),
-    ),
-    "spec-kind": _Flavour(
-        "spec-kind",
-        "A kind of specs",
-        ("pydantic>=2.7", "typer"),
-        "example.yaml",
-        "mbdkit {item} {name}/example.yaml",
-        ("the class of the spec, its marker, and the functions that load, check and repeat it;",),
-    ),
-    "plot-kind": _item(
-        "plot-kind", "A kind of plot", "mbdkit plot run.h5 --kind {attribute}", "`charts` and `chart`, and its options;"
-    ),
-    "report-section": _item(
-        "report-section", "A section of reports", "mbdkit report run.h5", "`sections`, and the charts, if any;"
-    ),
-    "table-format": _item(
-        "table-format", "A format of tables", "mbdkit archive export run.h5 --to {item}", "the suffix and `write`;"
-    ),
-    "accessor": _item(
-        "accessor",
-        "An attribute of runs",
-        "python -c 'import mbdkit; print(mbdkit.run(\"pendulum\").{attribute})'",
-        "the function that computes the attribute;",
-    ),
-    "summary-line": _item(
-        "summary-line", "A line of summaries", "mbdkit run pendulum", "`lines`, which returns labels and texts;"
-    ),
-    "criterion": _item(
-        "criterion", "A criterion of verdicts on runs", "mbdkit run pendulum", "what rows are watched for;"
-    ),
-    "data-criterion": _item(
-        "criterion", "A criterion of verdicts on measured data", "mbdkit inverse walking", "the doubts about a result;"
-    ),
-}
+def _flavour(name: NewKind | Like) -> _Flavour:
+    """Return the flavour of a kind of project, or of a sort of integrator."""
+    text = Path(__file__).with_name("flavours.yaml").read_text(encoding="utf-8")
+    return _Flavour(**yaml.safe_load(text)[name])
 
 
 def new_project(name: str, kind: NewKind, folder: Path | None = None, like: Like | None = None) -> Path:
@@ -229,12 +90,12 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None, like: Like
         )
     if target.exists() or target.is_symlink():
         raise SpecError("this exists already; choose another name", file=target)
-    sort: Like = "tableau" if kind == "tableau" else like or "adaptive"
-    flavour = _FLAVOURS.get(kind) or _INTEGRATORS[sort]
+    template = (like or "adaptive") if kind == "integrator" else kind
+    flavour = _flavour(template)
     _check_free(name, package, item, flavour.kind)
     with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=target.parent) as work:
         made = Path(work) / name
-        for path, text in _files(name, package, item, kind if kind in _FLAVOURS else sort, flavour).items():
+        for path, text in _files(name, package, item, template, flavour).items():
             (made / path).parent.mkdir(parents=True, exist_ok=True)
             (made / path).write_text(text, encoding="utf-8", newline="\n")
         shutil.move(made, target)

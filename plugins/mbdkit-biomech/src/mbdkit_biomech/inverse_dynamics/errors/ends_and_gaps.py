@@ -185,8 +185,7 @@ def _end_accelerations(time: np.ndarray, coordinates: np.ndarray, how: Sequence[
     for index, one in enumerate(how):
         count = min(len(time), max(FEWEST_AT_END, int(np.ceil(1 / (cutoff_of(time, one) * interval))) + 1))
         for side, (rows, end) in enumerate(((slice(count), time[0]), (slice(-count, None), time[-1]))):
-            place = (time[rows] - end) / (count * interval)
-            cubic = np.vander(place, 4, increasing=True)[None]
+            cubic = np.vander((time[rows] - end) / (count * interval), 4, increasing=True)[None]
             second = 2 * pseudoinverses(cubic, NEGLIGIBLE)[0, 2] / (count * interval) ** 2
             found[side, index] = product(second, coordinates[rows, index])
     return found
@@ -212,8 +211,7 @@ def _third_derivatives(time: np.ndarray, series: Smoothed, path: NoisePath, devi
     blocks = path.samples(deviation, DRAWS, np.random.default_rng(0))
     noise = sum(mean_products(path.smoothed(block).acceleration) for block in blocks) / DRAWS
     square, direction = symmetric_eigenvectors(mean_products(series.acceleration[:, :, None]) - noise)
-    found: np.ndarray = END_FACTOR * direction * np.sqrt(np.maximum(0.0, square))
-    return found
+    return np.asarray(END_FACTOR * direction * np.sqrt(np.maximum(0.0, square)))
 
 
 def told_gaps(result: Inverse, gaps: Sequence[LongGap]) -> dict[tuple[float, float], str]:

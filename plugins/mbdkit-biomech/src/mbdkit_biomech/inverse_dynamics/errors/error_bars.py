@@ -298,8 +298,7 @@ def _norm_bound(xx: np.ndarray, yy: np.ndarray, xy: np.ndarray) -> np.ndarray:
     mean, square = xx + yy, xx**2 + yy**2 + 2 * xy**2
     safe = np.where(mean > 0, mean, 1.0)
     freedoms = np.where(mean > 0, safe**2 / np.where(square > 0, square, 1.0), 1.0)
-    bound: np.ndarray = np.sqrt(np.where(mean > 0, square / safe, 0.0) * quantile(freedoms))
-    return bound
+    return np.asarray(np.sqrt(np.where(mean > 0, square / safe, 0.0) * quantile(freedoms)))
 
 
 @dataclass(frozen=True)

@@ -99,8 +99,7 @@ class NoisePath:
 
     def residual(self, noise: np.ndarray) -> np.ndarray:
         """Return the changes (T, K, S) that noise causes in the differences between data and smoothed motion."""
-        left: np.ndarray = noise - products(self._seen, self.smoothed(noise).value)
-        return left
+        return np.asarray(noise - products(self._seen, self.smoothed(noise).value))
 
     def smoothed_as(self, quantities: Quantities, noise: np.ndarray) -> Smoothed:
         """Return the changes (T, Q, S) of other quantities and their derivatives due to noise (T, K, S) of the data."""
@@ -267,8 +266,7 @@ def _estimated(share: np.ndarray, actual: np.ndarray, stated: np.ndarray) -> np.
             ratio = np.divide(actual, expected, out=np.zeros_like(actual), where=expected > 0)
             found = found * product(rest.T, ratio) / np.sum(rest, axis=0)
         variance[seen] = found
-    deviation: np.ndarray = np.where(known | seen, np.sqrt(variance), np.nan)
-    return deviation
+    return np.asarray(np.where(known | seen, np.sqrt(variance), np.nan))
 
 
 class NoisyData(NamedTuple):

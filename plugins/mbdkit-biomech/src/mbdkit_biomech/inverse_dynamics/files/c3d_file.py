@@ -376,5 +376,4 @@ data and the number of analog samples per frame; the frame rate.
 def _swapped(content: bytes, size: int) -> bytes:
     """Return bytes with the byte order of each number of `size` bytes reversed."""
     whole = len(content) // size * size
-    numbers = np.frombuffer(content[:whole], np.uint8).reshape(-1, size)
-    return numbers[:, ::-1].tobytes() + content[whole:]
+    return np.frombuffer(content[:whole], np.uint8).reshape(-1, size)[:, ::-1].tobytes() + content[whole:]

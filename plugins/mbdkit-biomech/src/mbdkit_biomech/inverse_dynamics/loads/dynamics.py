@@ -143,8 +143,7 @@ class Balance:
 
     def as_actuators(self, forces: np.ndarray) -> np.ndarray:
         """Return the values (T, U, M) of actuators that have the same effect as generalized forces (T, n, M)."""
-        values: np.ndarray = products(self._inverted(), products(self._free, forces)) / self._weight[:, None]
-        return values
+        return np.asarray(products(self._inverted(), products(self._free, forces)) / self._weight[:, None])
 
     def _inverted(self) -> np.ndarray:
         if self._inverse is None:

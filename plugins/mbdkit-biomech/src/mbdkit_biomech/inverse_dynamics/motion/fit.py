@@ -200,15 +200,12 @@ class Fitter:
                 "the data is not unique",
                 float(target.time[0]),
             ) from None
-        size = self._size(step)
-        shortened: np.ndarray = step * np.minimum(1.0, LONGEST / np.maximum(size, LONGEST))[:, None]
-        return shortened
+        return np.asarray(step * np.minimum(1.0, LONGEST / np.maximum(self._size(step), LONGEST))[:, None])
 
     def _size(self, step: np.ndarray) -> np.ndarray:
         """Return the largest scaled change of a coordinate in each frame, (T,)."""
         scale = self.manifold.scale
-        sizes: np.ndarray = np.max(np.abs(step) / np.where(scale > 0, scale, 1.0), axis=1)
-        return sizes
+        return np.asarray(np.max(np.abs(step) / np.where(scale > 0, scale, 1.0), axis=1))
 
     def require_observed(self, target: FitTarget, q: np.ndarray, key: str) -> None:
         """Raise SpecError if the quantities do not determine the poses `q` (T, n) of all frames.

@@ -138,8 +138,7 @@ class Directions:
         if not self.triangle.shape[1]:
             return np.zeros(len(self.triangle), dtype=bool)
         pivots = np.abs(np.diagonal(self.triangle, axis1=1, axis2=2))
-        bad: np.ndarray = np.min(pivots, axis=1) <= DEPENDENT * np.max(pivots, axis=1)
-        return bad
+        return np.asarray(np.min(pivots, axis=1) <= DEPENDENT * np.max(pivots, axis=1))
 
     def displacement(self, rows: np.ndarray) -> np.ndarray:
         """Return the least scaled displacements (T, n) that change the constraint rows by `rows` (T, m)."""
@@ -175,5 +174,4 @@ class Directions:
             scaled = observed * self.scale
             seen, rest = products(scaled, self.free), values - products(scaled, x)
             x = x + products(self.free, least_norms(seen, rest, NEGLIGIBLE))
-        moved: np.ndarray = x * self.scale
-        return moved
+        return np.asarray(x * self.scale)

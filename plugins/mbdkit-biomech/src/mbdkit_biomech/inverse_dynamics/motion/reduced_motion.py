@@ -218,13 +218,11 @@ def _derived(
     def solved(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
         x = directions.least_squares(rows, observed, values * target.root_weight)
         left = rows - products(at_rest.jacobian, x)  # rounding errors of the first solution
-        refined: np.ndarray = x + directions.displacement(left) * manifold.scale
-        return refined
+        return np.asarray(x + directions.displacement(left) * manifold.scale)
 
     v = solved(-at_rest.rate, rate)
     gamma = manifold.frames(target.time, q, v).gamma
-    a = solved(gamma, acceleration - target.quantities.curvature(q, v))
-    return Motion(target.time, q, v, a)
+    return Motion(target.time, q, v, solved(gamma, acceleration - target.quantities.curvature(q, v)))
 
 
 def _chosen(rows: np.ndarray, preferred: int) -> Sequence[tuple[int, list[int]]]:

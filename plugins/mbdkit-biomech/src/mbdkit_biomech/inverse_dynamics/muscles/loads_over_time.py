@@ -70,8 +70,7 @@ class _Whole:
     exponent: float
 
     def slope(self, x: np.ndarray) -> np.ndarray:
-        own: np.ndarray = self.exponent * np.sign(x) * elementary.pow(np.abs(x), self.exponent - 1)
-        return own
+        return np.asarray(self.exponent * np.sign(x) * elementary.pow(np.abs(x), self.exponent - 1))
 
     def curvature(self, x: np.ndarray) -> np.ndarray:
         own: np.ndarray = self.exponent * (self.exponent - 1) * elementary.pow(np.abs(x), self.exponent - 2)

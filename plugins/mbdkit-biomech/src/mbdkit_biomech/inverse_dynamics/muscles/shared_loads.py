@@ -250,8 +250,7 @@ def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray
 
 
 def _residual(programme: Programme, x: np.ndarray) -> np.ndarray:
-    left: np.ndarray = programme.right - products(programme.matrix, x)
-    return left
+    return np.asarray(programme.right - products(programme.matrix, x))
 
 
 def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> np.ndarray:
@@ -263,8 +262,7 @@ def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -
     slope = np.where((x >= programme.high) & (slope < 0), 0.0, slope)
     largest = np.maximum(np.max(np.abs(cost), axis=1), np.max(np.abs(g), axis=1))
     wrong = np.max(np.abs(slope), axis=1) / np.where(largest > 0, largest, 1.0)
-    found: np.ndarray = np.maximum(wrong, np.max(np.abs(_residual(programme, x)), axis=1, initial=0.0))
-    return found
+    return np.asarray(np.maximum(wrong, np.max(np.abs(_residual(programme, x)), axis=1, initial=0.0)))
 
 
 def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

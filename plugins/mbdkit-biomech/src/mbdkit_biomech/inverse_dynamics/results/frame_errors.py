@@ -117,7 +117,7 @@ def _measured(load: Mapping[str, Any]) -> list[Any]:
     return [one for one in every if one is not None and not isinstance(one, int | float)]
 
 
-def _is_exact(column: Any) -> bool:
+def _is_exact(column: object) -> bool:
     return not (isinstance(column, Mapping) and column.get("deviation"))
 
 

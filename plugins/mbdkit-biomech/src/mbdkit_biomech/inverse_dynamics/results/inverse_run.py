@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -39,7 +38,7 @@ MOST_NAMED = 3
 
 
 def inverse(
-    source: InverseSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Any
+    source: InverseSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: object
 ) -> Run:
     """Compute the forces of actuators and joints that produce a measured motion.
 

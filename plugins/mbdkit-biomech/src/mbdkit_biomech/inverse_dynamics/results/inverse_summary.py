@@ -134,8 +134,7 @@ def _reserves(run: Run) -> str:
     """
     if not run.records("muscles/certificate"):
         return ""
-    shares = reserve_shares(run)
-    return ", ".join(f"{name} {share:.2%}" for name, share in shares.items()) or "none"
+    return ", ".join(f"{name} {share:.2%}" for name, share in reserve_shares(run).items()) or "none"
 
 
 def reserve_shares(run: Run) -> dict[str, float]:

@@ -108,8 +108,7 @@ def _measured(result: Inverse, errors: Mapping[str, float], run: Run) -> Measure
         else "the muscles cannot produce the motion in most of its samples"
     )
     unknown = {name: f"its error is unknown: {cause}" for name, error in errors.items() if math.isnan(error)}
-    remarks = {**unknown, **values.remarks}
-    return MeasuredValues(values, values.units, values.reasons, errors, remarks)
+    return MeasuredValues(values, values.units, values.reasons, errors, {**unknown, **values.remarks})
 
 
 def _names(result: Inverse) -> ArchiveNames:

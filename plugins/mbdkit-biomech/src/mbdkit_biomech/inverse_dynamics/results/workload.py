@@ -211,8 +211,7 @@ class Workload(HtmlView):
     def text(self) -> str:
         """Return the workload as tables of plain text."""
         whole = WorkloadPhase("whole motion", self.start, self.end, self.elements)
-        texts = [_phase_text(phase) for phase in (whole, *self.phases)]
-        return "\n\n".join([*texts, self.note])
+        return "\n\n".join([*[_phase_text(phase) for phase in (whole, *self.phases)], self.note])
 
 
 def workload(

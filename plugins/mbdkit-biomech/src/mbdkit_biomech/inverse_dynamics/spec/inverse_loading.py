@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from mbdkit.plugin import loaded
 from mbdkit.plugin.files import Path as KeyPath
@@ -17,7 +17,9 @@ InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
 """A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics."""
 
 
-def load_inverse_spec(source: InverseSource | Document, overrides: Iterable[str] = (), **sections: Any) -> InverseSpec:
+def load_inverse_spec(
+    source: InverseSource | Document, overrides: Iterable[str] = (), **sections: object
+) -> InverseSpec:
     """Load and validate a spec of inverse dynamics, build its mechanism, and return the spec.
 
     Parameters

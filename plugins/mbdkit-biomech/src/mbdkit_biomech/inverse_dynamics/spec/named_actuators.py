@@ -85,8 +85,7 @@ class Shortening(Quantity):
 
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return the negative distance."""
-        length: np.ndarray = -self._apart(q)[2]
-        return length
+        return np.asarray(-self._apart(q)[2])
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
         """Add the gradient, which is the generalized force of a unit tension."""
