@@ -153,7 +153,7 @@ def located_below(error: ValidationError, tag: str) -> ValidationError:
     lines: list[InitErrorDetails] = []
     for details in error.errors(include_url=False):
         context = details.get("ctx", {})
-        kind: Any = details["type"]
+        kind: object = details["type"]
         line = InitErrorDetails(type=kind, loc=(tag, *details["loc"]), input=details["input"], ctx=context)
         lines.append(line)
     return ValidationError.from_exception_data(error.title, lines)
