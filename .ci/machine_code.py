@@ -28,13 +28,13 @@ def main() -> int:
             stale.append(f"all of {package}, which was built with another builder")
         known = symbols(package)
         groups = sorted({group_of(symbol) for symbol in known})
-        libraries += [(package, group, [symbol for symbol in known if group_of(symbol) == group]) for group in groups]
+        libraries += [(package, [symbol for symbol in known if group_of(symbol) == group]) for group in groups]
         stale += [symbol for symbol in known if machine_code.stored_file(symbol, chosen_level()) is None]
     if stale:
         print(f"out of date: {', '.join(stale[:10])}{', ...' * (len(stale) > 10)}; run `mbdkit_builder build --all`")
         return 1
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout
-    package, group, names = libraries[int(commit, 16) % len(libraries)]
+    package, names = libraries[int(commit, 16) % len(libraries)]
     (target,) = (one for one in PLATFORMS if str(one) == "linux-x86_64")
     with tempfile.TemporaryDirectory() as work:
         again = Path(work) / "again"
