@@ -30,7 +30,7 @@ UFUNCS: Mapping[Any, str] = {
 """Operations that can be recorded, by functions of NumPy; `numpy.where` is the operation ``select``."""
 
 _OF_NUMBERS: Mapping[str, Callable[..., Any]] = {name: function for function, name in UFUNCS.items()} | {
-    name: own for name, own in elementary.FUNCTIONS.items() if UFUNCS.get(own.ufunc) == name
+    UFUNCS[own.ufunc]: own for own in elementary.FUNCTIONS.values() if own.ufunc in UFUNCS
 }
 """Functions that evaluate operations on constants."""
 _COMMUTATIVE = ("add", "multiply")

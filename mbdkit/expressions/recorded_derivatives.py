@@ -85,7 +85,7 @@ def derivatives(of: Recorded, by: Sequence[Recorded], order: int) -> list[Record
 
     Derivatives of one order are those by the combinations of inputs (i <= j <= k) in lexicographic order.
     """
-    known = {(): of}
+    known: dict[tuple[int, ...], Recorded] = {(): of}
     for size in range(1, order + 1):
         for chosen in combinations_with_replacement(range(len(by)), size):
             known[chosen] = derivative(known[chosen[:-1]], by[chosen[-1]])
@@ -160,7 +160,7 @@ def root(condition: Callable[[Recorded], Recorded], start: Recorded, iterations:
     for _ in range(iterations):
         last, s = s, s - recorder.replaced(step, unknown, s)
     has_converged = np.absolute(s - last) <= CONVERGED * np.maximum(np.absolute(s), 1.0)
-    value = np.where(has_converged, s - recorder.replaced(step, unknown, s), np.nan)
+    value: Any = np.where(has_converged, s - recorder.replaced(step, unknown, s), np.nan)
     return recorder.apply("root", [value, wanted, unknown])
 
 

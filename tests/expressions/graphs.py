@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import operator
 import random
@@ -14,6 +15,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.engine.kernels.law_programs import _power_of_integer, run_function
 from mbdkit.engine.native.calls import LAW
+from mbdkit.engine.native.number_arrays import new_duals
 from mbdkit.expressions.recorded import Recorded, Recorder
 
 _PLAIN = {
@@ -46,6 +48,21 @@ def run_block(block: np.ndarray, inputs: Sequence[float], time: float = 0.0) -> 
     parameters, results = np.array([len(inputs), *inputs], dtype=float), np.zeros(block[2])
     LAW(run_function.address)(block.ctypes.data, 0.0, 0.0, time, parameters.ctypes.data, results.ctypes.data)
     return results
+
+
+_LAW_FOR_DUALS = ctypes.CFUNCTYPE(
+    None, ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p
+)
+
+
+def run_block_with_duals(block: np.ndarray, inputs: Sequence[float]) -> np.ndarray:
+    """Return the results of a program at time 0, each with its derivatives with respect to the inputs."""
+    parameters, results, zero = new_duals(1 + len(inputs)), new_duals(block[2]), new_duals(1)
+    parameters[:, 0] = [len(inputs), *inputs]
+    parameters[1:, 1 : 1 + len(inputs)] = np.eye(len(inputs))
+    law, rest = _LAW_FOR_DUALS(run_function.address_for_duals), zero.ctypes.data
+    law(block.ctypes.data, rest, rest, 0.0, parameters.ctypes.data, results.ctypes.data)
+    return np.asarray(results[:, : 1 + len(inputs)])
 
 
 NAMES = ("x", "y", "beta", "alpha", "t")

@@ -19,7 +19,7 @@ from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.recorded import Recorded, Recorder, recorded_program
 from mbdkit.expressions.recorded_derivatives import derivative, derivatives, root
 
-from .graphs import FLOATS, NAMES, PRECISE, drawn, run_block, values
+from .graphs import FLOATS, NAMES, PRECISE, drawn, run_block, run_block_with_duals, values
 
 
 def inputs_of(of: Recorded) -> list[Recorded]:
@@ -97,6 +97,21 @@ def test_a_root_that_is_not_found_is_nan(y: float) -> None:
     x, t = recorder.input("y"), recorder.input("t")
     s = root(lambda s: s * s - x, recorder.constant(0.7))
     assert np.isnan(run_block(block([x, t], [s, derivative(s, x)]), [y])).all()
+
+
+def test_dual_numbers_differentiate_programs() -> None:
+    recorder = Recorder()
+    x, y, t = (recorder.input(name) for name in ("x", "y", "t"))
+    functions = [
+        np.arctan2(y, -x),
+        np.hypot(x, y * y),
+        recorder.table([0.0, 0.5, 2.0], [[0.3, 1.0, -2.0], [0.1, 0.4, 0.7]], x + y, 1.7),
+        root(lambda s: np.exp(s) * x - y, recorder.constant(0.5)),
+    ]
+    recorded = [one for function in functions for one in derivatives(function, [x, y], 1)]
+    wanted = run_block(block([x, y, t], recorded), [0.4, 0.9]).reshape(-1, 3)
+    found = run_block_with_duals(block([x, y, t], functions), [0.4, 0.9])
+    np.testing.assert_allclose(found, wanted, rtol=1e-14)
 
 
 @pytest.mark.parametrize("period", [0.0, 2.5])
