@@ -27,6 +27,7 @@ NewKind = Literal[
     "force-law",
     "measure",
     "element",
+    "joint",
     "spec-kind",
     "plot-kind",
     "report-section",
@@ -163,6 +164,17 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
         "mbdkit run {item}",
         (
             "the class of the elements and its force law, their quantities, and the criterion;",
+            "the example, on which `mbdkit plugins verify` checks the kind;",
+        ),
+    ),
+    "joint": _Flavour(
+        "joint-kind",
+        "A kind of joints",
+        ("numpy>=1.26", "pydantic>=2.7"),
+        "src/{package}/{item}.yaml",
+        "mbdkit run {item}",
+        (
+            "the class of the joints: its keys, rows and units, and the function of the pose of each row;",
             "the example, on which `mbdkit plugins verify` checks the kind;",
         ),
     ),
