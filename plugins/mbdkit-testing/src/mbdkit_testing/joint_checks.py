@@ -156,8 +156,8 @@ def points(kind: JointUnderTest) -> Result:
                 at, listed_there = _points(joint)[which], [point for _, on, point in joint.attachments() if on == body]
                 if at not in map(tuple, listed_there):
                     return failed(
-                        f"the pose of '{name}' refers to the point {list(at)} of the {word} body, which is not among the "
-                        "`attachments` of the joint; `flat_points` has to return the points that it has"
+                        f"the pose of '{name}' refers to the point {list(at)} of the {word} body, which is not among "
+                        "the `attachments` of the joint; `flat_points` has to return the points that it has"
                     )
             for q in () if other is pair else pair.states():
                 k = 3 * pair.equations.bodies.index(body)

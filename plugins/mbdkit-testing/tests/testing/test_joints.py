@@ -107,7 +107,7 @@ FREE = {"l": PINS["l"]}
 
 
 def example(x: float, y: float, pins: dict[str, Any], **joint: Any) -> dict[str, Any]:
-    """Return a spec with a joint between two bodies, off their centres of mass; its point on the second one is (x, y)."""
+    """Return a spec with a joint of two bodies, off their centres of mass; its point on the second is (x, y)."""
     bodies: dict[str, Any] = {
         "left": {"mass": 1.0, "inertia": 0.01, "position": [0.0, -0.02], "angular_velocity": 2.0},
         "right": {"mass": 1.0, "inertia": 0.02, "position": [x, y - 0.02]},
