@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import mbdkit.testing
@@ -14,10 +15,13 @@ from mbdkit.registry.manager import forget
 from mbdkit.spec import load_spec
 from mbdkit_testing import checks_of
 from mbdkit_testing.check_result import Result
+from mbdkit_testing.example_under_test import completed
 from mbdkit_testing.joint_under_test import JointUnderTest
 from mbdkit_testing.kit import plugin_under_test
 from mbdkit_testing.scaffold.new_plugin import new_project
-from tests.installing import install_project
+from tests.first_party import ROOT
+from tests.installing import install_module, install_project
+from tests.printed_code import fenced_blocks
 
 LEFT = 'p["radius"] * np.arctan2(np.sin(left), np.cos(left))'
 ROWS = 'rows: ClassVar[tuple[str, ...]] = ("mesh",)'
@@ -144,11 +148,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         for old, new in WRONG[name][2].items() if name in WRONG else ():
             assert old in file.read_text(), old
             file.write_text(file.read_text().replace(old, new))
+    page = (ROOT / "mbdkit" / "guide" / "joints.md").read_text(encoding="utf-8")
+    (printed,) = (one.code for one in fenced_blocks(page) if "class PinInSlot" in one.code)
+    install_module(folder / "site", "geneva-kit", printed)
     sys.path.append(str(folder / "site"))
     forget()
     yield folder
     sys.path[:] = before
-    for name in [name for name in sys.modules if name.startswith("mbdkit_wrong_")]:
+    for name in [name for name in sys.modules if name.startswith(("mbdkit_wrong_", "geneva_kit"))]:
         del sys.modules[name]  # parallel tests may use this fixture twice in a process
     forget()
 
@@ -181,3 +188,32 @@ def test_joints_of_mbdkit_conform_on_mechanisms_with_them(name: str) -> None:
     assert not {"energy.balance", "energy.methods", "derivatives.rows"} & {
         one.name for one in found if one.outcome == "skip"
     }
+
+
+def test_the_joint_of_the_guide_conforms_and_turns_a_geneva_wheel(site: Path) -> None:
+    axes = 0.1 * np.sqrt(2.0)
+    pins = {
+        "crank": {"type": "revolute", "bodies": ["ground", "disc"], "at": [0.0, 0.0]},
+        "center": {"type": "revolute", "bodies": ["ground", "wheel"], "at": [axes, 0.0]},
+    }
+    slot = {"bodies": ["wheel", "disc"], "points": [[0.0, 0.0], [0.1, 0.0]], "type": "pin-in-slot", "direction": np.pi}
+    bodies = {
+        "disc": {"mass": 1.0, "inertia": 0.01, "position": [0.0, 0.0], "angle": -0.6, "angular_velocity": 3.0},
+        "wheel": {"mass": 1.0, "inertia": 0.002, "position": [axes, 0.0]},
+    }
+    pin = 0.1 * np.exp(-0.6j) - axes
+    bodies["wheel"]["angle"] = float(np.angle(-pin))
+    spec = {
+        "mbdkit": 1,
+        "model": {"name": "mechanism", "bodies": bodies, "joints": {**pins, "slot": slot}},
+        "integrator": {"name": "gauss", "stages": 4},
+        "time": {"end": 0.2, "step": 0.01},
+    }
+    kind = plugin_under_test("joint-kind", "pin-in-slot", {})
+    kind.spec = load_spec(spec)
+    found = [one.run(kind) for one in checks_of("joint-kind", quick=True)]
+    assert not [(one.name, one.cause) for one in found if one.outcome == "fail"]
+    # expected: the wheel turns to the pin, seen from its axis
+    run = completed(kind.spec)
+    pin = 0.1 * np.exp(1j * run["disc"].angle) - axes
+    np.testing.assert_allclose(run["wheel"].angle, np.angle(-pin), atol=1e-9)
