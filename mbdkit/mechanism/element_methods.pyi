@@ -19,6 +19,10 @@ from mbdkit_contact.contact import Compliance
 from mbdkit_contact.contact import Contact
 from mbdkit_contact.contact import Friction
 from mbdkit_contact.contact import Shape
+from mbdkit_transmissions.cams import Flat
+from mbdkit_transmissions.cams import Graph
+from mbdkit_transmissions.cams import Polar
+from mbdkit_transmissions.cams import Roller
 
 class ElementMethods(NamedElements):
     """The part of `Mechanism` that adds its elements."""
@@ -662,4 +666,196 @@ class ElementMethods(NamedElements):
         compliance
             Law of the normal force, which the compliant treatment needs. Keys of `Compliance`: law, stiffness,
             dissipation, impact_speed, transition_speed.
+        """
+
+    def gear(
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
+        radii: Sequence[float] | None = None, teeth: Sequence[int] | None = None, module: float | None = None,
+        internal: bool = False
+    ) -> None:
+        """Connect bodies `a` and `b`: two gears whose pitch circles roll on each other
+
+        Two gears, whose pitch circles roll on each other. Other joints hold their centres at a constant distance.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        a
+            First body.
+        b
+            Second body.
+        points
+            Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass
+            by default.
+        radii
+            Pitch radii of the gears on a and b [m].
+        teeth
+            Numbers of teeth of the gears on a and b; with `module`, an alternative to `radii`.
+        module
+            Module of the teeth, the pitch diameter divided by the number of teeth [m].
+        internal
+            Whether the larger gear is a ring, with teeth inside.
+        """
+
+    def rack(
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
+        radius: float, axis: Sequence[float] = (1.0, 0.0)
+    ) -> None:
+        """Connect bodies `a` and `b`: a gear that rolls on a rack
+
+        A gear and a rack: the pitch circle of a rolls on the pitch line of b. Other joints hold both at this distance.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        a
+            First body.
+        b
+            Second body.
+        points
+            Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass
+            by default.
+        radius
+            Pitch radius of the gear on a [m]; `points` are its centre, and a point on the pitch line of the rack.
+        axis
+            Direction of the pitch line in b's frame; only the direction of this vector is used.
+        """
+
+    def rolling(
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
+        radius: float, axis: Sequence[float] | None = None, on_radius: float | None = None
+    ) -> None:
+        """Connect bodies `a` and `b`: a wheel that rolls without slip on a line or a circle
+
+        A wheel of b that rolls without slip on a line or a circle of a, and does not lift off.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        a
+            First body.
+        b
+            Second body.
+        points
+            Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass
+            by default.
+        radius
+            Radius of the wheel [m]; `points` are a point of the line, or the centre of the circle, and that of the
+            wheel.
+        axis
+            Direction of the line in a's frame; by default, [1, 0], unless `on_radius` is given.
+        on_radius
+            Radius of the circle on which the wheel rolls [m]; negative if it rolls inside.
+        """
+
+    def belt(
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
+        radii: Sequence[float], crossed: bool = False
+    ) -> None:
+        """Connect bodies `a` and `b`: a belt over two pulleys
+
+        A belt, chain or cable over two pulleys, which does not slip or stretch; other joints hold their axes.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        a
+            First body.
+        b
+            Second body.
+        points
+            Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass
+            by default.
+        radii
+            Radii of the pulleys on a and b [m].
+        crossed
+            Whether the belt is crossed, so that the pulleys turn in opposite directions.
+        """
+
+    def cam(
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
+        profile: float | str | Mapping[str, Any],
+        follower: Literal["point"] | Mapping[str, Any] | Roller | Mapping[str, Any] | Flat = 'point'
+    ) -> None:
+        """Connect bodies `a` and `b`: a cam and a follower
+
+        A cam of a and a follower of b, which other joints guide. The follower does not lift off.
+
+        A force that pulls the follower to the cam is a doubt about the run: a real follower would lift off.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        a
+            First body.
+        b
+            Second body.
+        points
+            Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass
+            by default.
+        profile
+            Radius of the cam [m] from its centre, a's point, as a function of the `angle` from a's x axis [rad]: a
+            number, an expression, or a table with `ends: periodic`. Keys of `TableOfAngle`: table, interpolation,
+            ends.
+        follower
+            What touches the cam at b's point: the `point` itself, `{roller: radius}`, or `{flat: [x, y]}`, a face
+            with this normal in b's frame. Keys of `Roller`: roller. Keys of `Flat`: flat.
+        """
+
+    def slot(
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
+        curve: Mapping[str, Any] | Graph | Mapping[str, Any] | Polar, point: Sequence[float] | None = None
+    ) -> None:
+        """Connect bodies `a` and `b`: a point that slides along a curve
+
+        A point of b that slides along a curve of a, in both directions of the normal; b may turn.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        a
+            First body.
+        b
+            Second body.
+        points
+            Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass
+            by default.
+        curve
+            The curve, with a's point as its origin: ``{y: EXPRESSION of x}``, or ``{radius: EXPRESSION of angle}``
+            for a closed one. Each may also be a table. Keys of `Graph`: y. Keys of `Polar`: radius.
+        point
+            The point in b's frame [m], in place of the second of `points`.
+        """
+
+    def coupling(
+        self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
+        equation: str, unit: Literal["rad", "m"] = 'rad'
+    ) -> None:
+        """Connect bodies `a` and `b`: an equation between the relative coordinates of two bodies
+
+        An equation between the relative coordinates of a pair of bodies, such as ``angle - 2*first`` = 0.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        a
+            First body.
+        b
+            Second body.
+        points
+            Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass
+            by default.
+        equation
+            Expression that is zero, of `x`, `y` [m] and `angle` [rad] of b in a's frame, of the angles `first` of a
+            and `second` of b [rad], and of the time `t` [s]. The point of b, and the origin in a's frame, are
+            `points`.
+        unit
+            Unit of the expression.
         """

@@ -6,6 +6,7 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
+    from mbdkit.expressions.recorded import Recorder as Recorder
     from mbdkit.expressions.recorded_derivatives import root as root, with_slope_at as with_slope_at
     from mbdkit.mechanism.angle_function import (
         AngleFunction as AngleFunction, AngleTable as AngleTable, Center as Center, expression_of as expression_of,

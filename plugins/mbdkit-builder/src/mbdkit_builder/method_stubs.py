@@ -14,7 +14,8 @@ from typing import Any, cast
 from mbdkit.kernels import machine_code
 from mbdkit.mechanism.element_kinds import builder_of
 from mbdkit.mechanism.element_methods import ElementMethods
-from mbdkit.plugin import ElementKind
+from mbdkit.mechanism.joint_kinds import joint_builder
+from mbdkit.plugin import ElementKind, JointKind
 from mbdkit.registry.manager import built_in
 
 TARGET = machine_code.PACKAGE / "mechanism/element_methods.pyi"
@@ -37,13 +38,17 @@ def generated() -> str:
     kinds = [item.plugin for item in built_in().of_kind("element-kind") if isinstance(item.plugin, ElementKind)]
     methods = {name: one for name, one in vars(ElementMethods).items() if not name.startswith("_")}
     methods |= {kind.builder: builder_of(kind) for kind in kinds if kind.builder}
+    joints = [item.plugin for item in built_in().of_kind("joint-kind") if isinstance(item.plugin, JointKind)]
+    methods |= {kind.builder: joint_builder(kind.name) for kind in joints}
     text = "\n".join(f"    {kind.key_in_model}: dict[str, {cast(type, kind.model()).__name__}]" for kind in kinds)
     text += "\n\n" + "\n\n".join(_method(name, one) for name, one in methods.items())
+    modules = {cast(type, kind.model()).__module__ for kind in (*kinds, *joints)}
+    rooms = [vars(one) for name, one in sys.modules.items() if name.startswith("mbdkit.mechanism.") or name in modules]
+    places = {name: one.__module__ for room in rooms for name, one in room.items() if isinstance(one, type)}
+    # classes that are made by a function have no name to import
+    text = re.sub(r"(\bMapping\[str, Any\]) \| (\w+)", lambda one: one[0] if one[2] in places else one[1], text)
     used = [name for pair in re.findall(r"\bMapping\[str, Any\] \| (\w+)|: dict\[str, (\w+)\]", text) for name in pair]
     classes = ["NamedElements", *filter(None, used)]
-    own = {cast(type, kind.model()).__module__ for kind in kinds}
-    rooms = [vars(one) for name, one in sys.modules.items() if name.startswith("mbdkit.mechanism.") or name in own]
-    places = {name: one.__module__ for room in rooms for name, one in room.items() if isinstance(one, type)}
     imports = "\n".join(sorted({f"from {places[name]} import {name}" for name in classes}))
     return _HEADER.format(imports=imports, about=ElementMethods.__doc__) + text + "\n"
 

@@ -21,6 +21,7 @@ __all__ = [
     "check_element",
     "check_force_law",
     "check_integrator",
+    "check_joint",
     "check_model",
     "checks_of",
     "conformance",
@@ -36,6 +37,11 @@ def check_element(name: str, *, quick: bool = False) -> Report:
 def check_integrator(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
     """Run all checks of an integrator; see `mbdkit_testing.kit.verify`."""
     return _verify("integrator", name, options, quick=quick)
+
+
+def check_joint(name: str, *, quick: bool = False) -> Report:
+    """Run all checks of a kind of joints; see `mbdkit_testing.kit.verify`."""
+    return _verify("joint-kind", name, None, quick=quick)
 
 
 def check_model(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:

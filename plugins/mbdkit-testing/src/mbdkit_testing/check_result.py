@@ -21,6 +21,7 @@ REQUIRED_GROUP: dict[Kind, str] = {
     "study": "study",
     "measure": "measure",
     "element-kind": "energy",
+    "joint-kind": "energy",
 }
 """For each kind of plugin, the group of checks of which at least one must have run for the plugin to be verified."""
 

@@ -2,58 +2,44 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import subprocess
-import sys
-import tempfile
+from collections.abc import Mapping
 from copy import deepcopy
 from functools import cached_property
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from mbdkit import resume
 from mbdkit.plugin import (
     GROUND,
     Element,
     ElementKind,
-    EquationsOfMotion,
     Kind,
     MbdkitError,
     Mechanism,
     Recorded,
-    Run,
     RunSpec,
     SpecError,
     listed,
     parse_path,
     read_unit,
-    simulate,
 )
 from mbdkit.plugin.archives import kind_of_group
-from mbdkit.plugin.equations import StateObserver, Workspace
+from mbdkit.plugin.equations import StateObserver
 from mbdkit.plugin.mechanisms import lines_of
-from mbdkit.plugin.runs import build
-from mbdkit.plugin.specs import described_units, description, load_spec, put
+from mbdkit.plugin.specs import described_units, description, put
 from mbdkit_gradients.gradient import Gradient, gradient
 from mbdkit_statics.equilibrium import equilibrium
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped
-from mbdkit_testing.item_checks import ItemUnderTest
+from mbdkit_testing.example_checks import SAME, TINY, balance, checkpoint, tangents, without_plugin
+from mbdkit_testing.example_under_test import ADAPTIVE, ExampleUnderTest, completed
 
 OF_FORCES = {"length": 0, "rate": 1, "force": 2, "power": 3}
 """Columns that the equations also contain, by their index in `mbdkit.plugin.Observed.forces`."""
-STEPS, DERIVATIVE, SAME, TINY = (1e-4, 1e-5, 1e-6, 1e-7), 1e-5, 1e-9, 1e-300
-"""Relative steps of differences, largest relative error of derivatives and of columns, and the smallest divisor."""
-
-ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9}
-"""Method for examples with adaptive steps, where it matters."""
 
 
-class ElementUnderTest(ItemUnderTest):
+class ElementUnderTest(ExampleUnderTest):
     """A kind of elements under test."""
 
     @property
@@ -66,62 +52,30 @@ class ElementUnderTest(ItemUnderTest):
         """Key of the elements in the model."""
         return self.kind.key_in_model
 
-    @cached_property
-    def spec(self) -> RunSpec:
-        """The spec of the example."""
-        if not self.kind.example:
-            raise Skip("it has no `example`, the name of a packaged run with such elements")
-        spec = load_spec(self.kind.example)
-        if not spec.mechanism().elements.get(self.key):
-            raise SpecError(f"its example '{self.kind.example}' has no {self.key}")
-        return spec
+    @property
+    def example(self) -> str:
+        """Name of the example; empty if there is none."""
+        return self.kind.example
+
+    @property
+    def what(self) -> str:
+        """What the example must have, in the plural."""
+        return self.key
+
+    def members(self, spec: RunSpec) -> Mapping[str, Any]:
+        """Return the elements of a spec by name."""
+        return spec.mechanism().elements.get(self.key, {})
 
     @cached_property
     def elements(self) -> dict[str, Any]:
         """The elements of the example by name."""
-        return dict(self.spec.mechanism().elements[self.key])
-
-    @cached_property
-    def workspace(self) -> Workspace:
-        """The compiled mechanism of the example at its start."""
-        return build(self.spec)[0].with_own_pivots()
-
-    @cached_property
-    def run(self) -> Run:
-        """The run of the example."""
-        return _complete(self.spec)
-
-    @cached_property
-    def rows(self) -> tuple[np.ndarray, ...]:
-        """Times (T,), positions and velocities (T, 3 (B + 1)), and first-order states (T, Z) of the run."""
-        times = self.run.array("trajectory/time")
-        q, v = (self.run.array(f"trajectory/{name}").reshape(len(times), -1) for name in ("position", "velocity"))
-        z = self.run.array("states/value") if self.workspace.mechanism.states else np.zeros((len(times), 0))
-        return times, *(np.hstack([x, np.zeros((len(times), 3))]) for x in (q, v)), z
-
-    def times(self, factor: float = 1.0) -> dict[str, float]:
-        """Return the times of the example, with its step times a factor, or with 500 fixed steps if it has none."""
-        start, end, step = self.spec.time.start, self.spec.time.final, self.spec.time.step
-        return {"start": start, "end": end, "step": factor * ((end - start) / 500 if step is None else step)}
+        return dict(self.members(self.spec))
 
     @cached_property
     def groups(self) -> list[Kind]:
         """The groups of archives that belong to the kind."""
         items: list[Any] = [item.plugin for item in self.installed.of_kind("quantity")]
         return [kind_of_group(item.group) for item in items if item.of == self.key]
-
-    def changed(self, mechanism: dict[str, Any] | None = None, **sections: object) -> RunSpec:
-        """Return the spec of the example with plain data of another mechanism, and with other sections."""
-        data = json.loads(self.spec.canonical_json())
-        model = {"name": "mechanism", **(mechanism or self.spec.mechanism().to_spec())}
-        return load_spec({**data, "model": model, **sections})
-
-
-def _complete(spec: RunSpec) -> Run:
-    run = simulate(spec)
-    if run.status != "complete":
-        raise SpecError(f"a run of its example did not complete: {run.status_reason}")
-    return run
 
 
 @check("element.spec")
@@ -203,46 +157,6 @@ def columns(kind: ElementUnderTest) -> Result:
     return passed(groups=len(kind.groups)) if kind.groups else skipped("no quantity belongs to it")
 
 
-@check("energy.balance")
-def balance(kind: ElementUnderTest) -> Result:
-    """The energy balance of the example's run converges to zero with the step, or with the tolerances."""
-    found = []
-    for factor in (1.0, 0.25):
-        fixed = {"time": kind.times(factor), "output": {}}
-        adaptive = {"integrator": {**ADAPTIVE, "rtol": 1e-6 * factor**4}}
-        with _complete(kind.changed(None, **(adaptive if kind.spec.claims.adaptive else fixed))) as run:
-            energy = max(float(np.max(np.abs(run.energy.kinetic))), float(np.ptp(run.energy.potential)), TINY)
-            found.append(float(np.max(np.abs(run.energy.balance))) / energy)
-    if not found[-1] <= max(SAME, found[0] / 4.0):
-        return failed("the energy balance of its example does not converge", coarsest=found[0], finest=found[-1])
-    return passed(coarsest=found[0], finest=found[-1])
-
-
-@check("derivatives.tangents")
-def tangents(kind: ElementUnderTest) -> Result:
-    """The derivatives of accelerations and rates of states agree with differences, at states of the example's run."""
-    equations, (times, q, v, z) = EquationsOfMotion(kind.workspace), kind.rows
-    n = equations.n
-    largest = int(np.argmax(np.abs(kind.run.array("trajectory/acceleration")).max(axis=(1, 2))))
-    for row in {largest, *np.linspace(1, len(times) - 2, 8).astype(int).tolist()}:
-        t, y = float(times[row]), np.concatenate([q[row, :n], v[row, :n], z[row]])
-
-        def rates(y: np.ndarray, t: float = t) -> np.ndarray:
-            a, _, change = equations.derivatives(t, y[:n], y[n : 2 * n], y[2 * n :])
-            return np.concatenate([y[n : 2 * n], a, change])
-
-        exact = equations.jacobian(t, y[:n], y[n : 2 * n], y[2 * n :])
-        scale = np.maximum(np.max(np.abs(exact), axis=1), 1e-3)
-        for column, direction in enumerate(np.eye(len(y))):
-            steps = [h * max(abs(y[column]), 0.1) * direction for h in STEPS]
-            tried = [(rates(y + h) - rates(y - h)) / (2.0 * h[column]) for h in steps]
-            off = float(np.min([np.abs(one - exact[:, column]) / scale for one in tried], axis=0).max())
-            if not off <= DERIVATIVE:
-                of = "a state" if column >= 2 * n else "a velocity" if column >= n else "a position"
-                return failed(f"a derivative with respect to {of} differs from differences at t = {t:g} s", off=off)
-    return passed()
-
-
 @check("order.states")
 def order(kind: ElementUnderTest) -> Result:
     """States at the end of the example converge with the order of the method."""
@@ -251,7 +165,7 @@ def order(kind: ElementUnderTest) -> Result:
     ends = []
     for stages, factor in ((2, 1.0), (2, 0.5), (4, 0.5)):
         gauss = {"name": "gauss", "stages": stages}
-        with _complete(kind.changed(integrator=gauss, time=kind.times(factor), output={})) as run:
+        with completed(kind.changed(integrator=gauss, time=kind.times(factor), output={})) as run:
             ends.append(run.array("states/value")[-1])
     coarse, fine = (float(np.max(np.abs(one - ends[-1]) / np.maximum(np.abs(ends[-1]), TINY))) for one in ends[:-1])
     if fine < SAME:
@@ -259,28 +173,6 @@ def order(kind: ElementUnderTest) -> Result:
     if not (measured := math.log2(coarse / fine)) >= 3.0:
         return failed(f"its states converge with order {measured:.1f} instead of 4", error=fine)
     return passed(order=measured, error=fine).within({"order": "at least 3"})
-
-
-@check("restart.checkpoint")
-def checkpoint(kind: ElementUnderTest) -> Result:
-    """A run that is interrupted and continued from its checkpoint is bitwise the same, and so is its verdict."""
-    # Fixed steps without events return to Python after a known number of steps, so that the run can be interrupted.
-    fixed: dict[str, Any] = (
-        {"integrator": {"name": "rk4"}, "time": kind.times(0.05)} if kind.spec.claims.adaptive else {}
-    )
-    spec = kind.changed(events={}, **fixed)
-
-    def stop(reached: float, end: float) -> None:
-        if reached > spec.time.start:
-            raise KeyboardInterrupt
-
-    with tempfile.TemporaryDirectory(prefix="mbdkit-element-") as folder, simulate(spec) as whole:
-        path = Path(folder) / "run.h5"
-        simulate(spec, path=path, progress=stop).close()
-        with resume(path, overwrite=True) as run:
-            if run.data_sha256 != whole.data_sha256 or run.verdict_reasons != whole.verdict_reasons:
-                return failed("the data or the verdict of a run that is continued from its checkpoint are different")
-    return passed()
 
 
 @check("drawing.lines")
@@ -327,23 +219,6 @@ def _gradient(kind: ElementUnderTest) -> Gradient:
     measures = [f"final(bodies.{list(data['bodies'])[-1]}.{axis})" for axis in "xy"]
     method: dict[str, Any] = {"integrator": ADAPTIVE} if kind.spec.claims.adaptive else {}
     return gradient(kind.changed(events={}, measures={}, parameters={}, **method), measures, numbers[:4])
-
-
-@check("archive.without-plugin", slow=True)
-def without_plugin(kind: ElementUnderTest) -> Result:
-    """Where the plugin is not installed, archives are sound, and a repetition is refused with its name."""
-    origin = kind.item.origin
-    if (entry_point := origin.entry_point.partition(" = ")[0]) == "builtin":
-        raise Skip("it is part of the core")
-    alone = os.environ | {"MBDKIT_DISABLE_PLUGINS": f"{origin.distribution}/{entry_point}"}
-    with tempfile.TemporaryDirectory(prefix="mbdkit-element-") as folder:
-        path = Path(folder) / "run.h5"
-        simulate(kind.spec, path=path).close()
-        commands = [[sys.executable, "-m", "mbdkit", *words, str(path)] for words in (("archive", "check"), ("rerun",))]
-        check, again = (subprocess.run(one, env=alone, capture_output=True, text=True, check=False) for one in commands)
-    if check.returncode or again.returncode != 2 or origin.distribution not in again.stderr:
-        return failed(f"without the plugin, mbdkit says: {check.stderr.strip()} {again.stderr.strip()}")
-    return passed()
 
 
 CHECKS = (

@@ -22,6 +22,7 @@ from mbdkit_testing import (
     inside_step_checks,
     invariant_checks,
     item_checks,
+    joint_checks,
     measure_checks,
     model_checks,
     newton_checks,
@@ -35,6 +36,7 @@ from mbdkit_testing import (
 from mbdkit_testing.check import Check
 from mbdkit_testing.check_result import Report, Result
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.joint_under_test import JointUnderTest
 from mbdkit_testing.options_under_test import plain_options
 
 INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
@@ -60,6 +62,7 @@ CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "study": study_checks.CHECKS,
     "measure": measure_checks.CHECKS,
     "element-kind": (*item_checks.CHECKS, *element_checks.CHECKS),
+    "joint-kind": (*item_checks.CHECKS, *joint_checks.CHECKS),
 }
 """Checks of the kinds that have some of their own."""
 Watch = Callable[[int, int, str], None]
@@ -91,6 +94,7 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, object], inst
         "study": study_checks.StudyUnderTest,
         "measure": measure_checks.MeasureUnderTest,
         "element-kind": element_checks.ElementUnderTest,
+        "joint-kind": JointUnderTest,
     }
     return types.get(kind, item_checks.ItemUnderTest)(item, chosen, installed)
 

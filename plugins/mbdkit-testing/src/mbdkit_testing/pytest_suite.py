@@ -70,6 +70,7 @@ def conformance(
     force_law: str | None = None,
     measure: str | None = None,
     element: str | None = None,
+    joint: str | None = None,
     options: dict[str, Any] | None = None,
     quick: bool = False,
 ) -> Callable[[Callable[[Case], Any]], Callable[[Case], Any]]:
@@ -77,8 +78,8 @@ def conformance(
 
     Parameters
     ----------
-    integrator, model, force_law, measure, element
-        Short or long name of the plugin; exactly one of the five is given.
+    integrator, model, force_law, measure, element, joint
+        Short or long name of the plugin; exactly one of the six is given.
     quick
         Whether to leave out the slow checks.
 
@@ -96,9 +97,12 @@ def conformance(
         "force-law": force_law,
         "measure": measure,
         "element-kind": element,
+        "joint-kind": joint,
     }
     named = [(kind, name) for kind, name in given.items() if name is not None]
     if len(named) != 1:
-        raise TypeError("conformance needs exactly one of integrator=, model=, force_law=, measure= and element=")
+        raise TypeError(
+            "conformance needs exactly one of integrator=, model=, force_law=, measure=, element= and joint="
+        )
     kind, name = named[0]
     return pytest.mark.parametrize("case", list(cases(kind, name, options, quick=quick)), ids=str)

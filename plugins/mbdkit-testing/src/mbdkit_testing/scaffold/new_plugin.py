@@ -28,6 +28,7 @@ NewKind = Literal[
     "force-law",
     "measure",
     "element",
+    "joint",
     "spec-kind",
     "plot-kind",
     "report-section",

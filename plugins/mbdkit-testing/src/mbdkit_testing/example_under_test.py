@@ -1,0 +1,86 @@
+"""Kinds of elements and of joints under test: the mechanism and the run of their packaged example."""
+
+from __future__ import annotations
+
+import json
+from abc import abstractmethod
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mbdkit.plugin import Run, RunSpec, SpecError, simulate
+from mbdkit.plugin.equations import Workspace
+from mbdkit.plugin.runs import build
+from mbdkit.plugin.specs import load_spec
+from mbdkit_testing.check import Skip
+from mbdkit_testing.item_checks import ItemUnderTest
+
+ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9}
+"""Method for examples with adaptive steps, where it matters."""
+
+
+class ExampleUnderTest(ItemUnderTest):
+    """An item whose checks use its packaged example."""
+
+    @property
+    @abstractmethod
+    def example(self) -> str:
+        """Name of the example; empty if there is none."""
+
+    @property
+    @abstractmethod
+    def what(self) -> str:
+        """What the example must have, in the plural."""
+
+    @abstractmethod
+    def members(self, spec: RunSpec) -> Mapping[str, Any]:
+        """Return those elements or joints of a spec, by name, that the item adds."""
+
+    @cached_property
+    def spec(self) -> RunSpec:
+        """The spec of the example."""
+        if not self.example:
+            raise Skip(f"it has no `example`, the name of a packaged run with {self.what}")
+        spec = load_spec(self.example)
+        if not self.members(spec):
+            raise SpecError(f"its example '{self.example}' has no {self.what}")
+        return spec
+
+    @cached_property
+    def workspace(self) -> Workspace:
+        """The compiled mechanism of the example at its start."""
+        return build(self.spec)[0].with_own_pivots()
+
+    @cached_property
+    def run(self) -> Run:
+        """The run of the example."""
+        return completed(self.spec)
+
+    @cached_property
+    def rows(self) -> tuple[np.ndarray, ...]:
+        """Times (T,), positions and velocities (T, 3 (B + 1)), and first-order states (T, Z) of the run."""
+        times = self.run.array("trajectory/time")
+        q, v = (self.run.array(f"trajectory/{name}").reshape(len(times), -1) for name in ("position", "velocity"))
+        z = self.run.array("states/value") if self.workspace.mechanism.states else np.zeros((len(times), 0))
+        return times, *(np.hstack([x, np.zeros((len(times), 3))]) for x in (q, v)), z
+
+    def times(self, factor: float = 1.0) -> dict[str, float]:
+        """Return the times of the example, with its step times a factor, or with 500 fixed steps if it has none."""
+        start, end, step = self.spec.time.start, self.spec.time.final, self.spec.time.step
+        return {"start": start, "end": end, "step": factor * ((end - start) / 500 if step is None else step)}
+
+    def changed(self, mechanism: dict[str, Any] | None = None, **sections: Any) -> RunSpec:
+        """Return the spec of the example with plain data of another mechanism, and with other sections."""
+        data = json.loads(self.spec.canonical_json())
+        model = {"name": "mechanism", **(mechanism or self.spec.mechanism().to_spec())}
+        return load_spec({**data, "model": model, **sections})
+
+
+def completed(spec: RunSpec) -> Run:
+    """Return the run of a spec; raises SpecError if it did not complete."""
+    run = simulate(spec)
+    if run.status != "complete":
+        raise SpecError(f"a run of its example did not complete: {run.status_reason}")
+    return run
