@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import CriterionItem, GuidePage, Item, JointKind, SummaryLine, Target, hookimpl
+from mbdkit.plugin import CriterionItem, Example, GuidePage, Item, JointKind, SummaryLine, Target, hookimpl
 
 _HERE = Path(__file__).parent
 
@@ -19,6 +19,7 @@ def mbdkit_items() -> Iterable[Item]:
             summary="two gears whose pitch circles roll on each other",
             order=100,
             model=Target("mbdkit_transmissions.gears:Gear"),
+            example="planetary-gear",
         ),
         JointKind(
             name="rack",
@@ -43,18 +44,21 @@ def mbdkit_items() -> Iterable[Item]:
             summary="a cam and a follower",
             order=140,
             model=Target("mbdkit_transmissions.cams:Cam"),
+            example="cam-follower",
         ),
         JointKind(
             name="slot",
             summary="a point that slides along a curve",
             order=150,
             model=Target("mbdkit_transmissions.cams:Slot"),
+            example="knee-slot",
         ),
         JointKind(
             name="coupling",
             summary="an equation between the relative coordinates of two bodies",
             order=160,
             model=Target("mbdkit_transmissions.coupling:Coupling"),
+            example="knee-slot",
         ),
         CriterionItem(
             name="pulled-joints",
@@ -73,5 +77,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=1030,
             text=Target("mbdkit_transmissions.rolling_summary:needed_friction"),
         ),
+        *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),
     ]
