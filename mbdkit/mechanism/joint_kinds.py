@@ -81,7 +81,8 @@ class OfJointKinds:
             if ":" not in name:
                 reference = handler(joint_class(item).__pydantic_core_schema__)
                 union["oneOf"].append(reference)
-                union["discriminator"]["mapping"][name] = reference["$ref"]
+                if "$ref" in reference:
+                    union["discriminator"]["mapping"][name] = reference["$ref"]
         return union
 
     @staticmethod
