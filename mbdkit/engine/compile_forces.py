@@ -95,7 +95,8 @@ class Lowering:
         self.friction = friction_forces(mechanism)
         self.first_friction = len(self.elements)
         self.following = following_forces(mechanism)
-        for place, force_of_joint in enumerate((*self.friction, *self.following)):
+        of_joints: list[FrictionForce | FollowingForce] = [*self.friction, *self.following]
+        for place, force_of_joint in enumerate(of_joints):
             self._add_friction(place, force_of_joint)
         for kind in further:
             if kind.order >= FRICTION:

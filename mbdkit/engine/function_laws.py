@@ -32,11 +32,12 @@ def laws_of_function(function: PoseFunction, name: str) -> tuple[CompiledLaw, Co
 @lru_cache(maxsize=256)
 def _laws(function: Function, parameters: tuple[str, ...], name: str) -> tuple[CompiledLaw, CompiledLaw]:
     recorder = Recorder()
-    *pose, time = (recorder.input(variable) for variable in Pose._fields)
+    x, y, angle, first_angle, time = (recorder.input(variable) for variable in Pose._fields)
+    pose = (x, y, angle, first_angle)
     given = {parameter: recorder.input(f"parameter {parameter}") for parameter in parameters}
     try:
         with blaming(f"the constraint of joint '{name}' cannot be computed", SpecError):
-            value: Any = function(Pose(*pose, time), given)
+            value: Any = function(Pose(x, y, angle, first_angle, time), given)
         terms = derivatives(value, (*pose, time), order=3)
         inputs = (*pose, *given.values(), time)
         first = replace(_law(block(inputs, terms[:VALUES])), claims=0 if terms[VARIABLES].number == 0.0 else OF_TIME)

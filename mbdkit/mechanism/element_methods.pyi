@@ -671,7 +671,7 @@ class ElementMethods(NamedElements):
     def gear(
         self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
         radii: Sequence[float] | None = None, teeth: Sequence[int] | None = None, module: float | None = None,
-        internal: bool = False
+        internal: bool = False, pressure_angle: float = 0.3490658503988659
     ) -> None:
         """Connect bodies `a` and `b`: two gears whose pitch circles roll on each other
 
@@ -696,6 +696,10 @@ class ElementMethods(NamedElements):
             Module of the teeth, the pitch diameter divided by the number of teeth [m].
         internal
             Whether the larger gear is a ring, with teeth inside.
+        pressure_angle
+            Pressure angle of the teeth [rad]: the force on a tooth has a radial part, the tangent of this angle
+            times the tangential one, which pushes the teeth apart. It changes the forces in the bearings, and not
+            the motion.
         """
 
     def rack(
@@ -704,7 +708,7 @@ class ElementMethods(NamedElements):
     ) -> None:
         """Connect bodies `a` and `b`: a gear that rolls on a rack
 
-        A gear and a rack: the pitch circle of a rolls on the pitch line of b. Other joints hold both at this distance.
+        A gear and a rack: the pitch circle of a rolls on the pitch line of b. Other joints keep their distance.
 
         Parameters
         ----------
@@ -725,7 +729,8 @@ class ElementMethods(NamedElements):
 
     def rolling(
         self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
-        radius: float, axis: Sequence[float] | None = None, on_radius: float | None = None
+        radius: float, axis: Sequence[float] | None = None, on_radius: float | None = None,
+        available_friction: float | None = None
     ) -> None:
         """Connect bodies `a` and `b`: a wheel that rolls without slip on a line or a circle
 
@@ -749,6 +754,9 @@ class ElementMethods(NamedElements):
             Direction of the line in a's frame; by default, [1, 0], unless `on_radius` is given.
         on_radius
             Radius of the circle on which the wheel rolls [m]; negative if it rolls inside.
+        available_friction
+            Coefficient of friction that is available. A run that needs a larger one to roll is doubtful; by
+            default, the summary only says how large it must be.
         """
 
     def belt(

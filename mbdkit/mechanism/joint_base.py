@@ -188,11 +188,21 @@ class FunctionJoint(JointBase):
     points: Points = ((0.0, 0.0), (0.0, 0.0))
     """Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass by
     default."""
-    rows: ClassVar[tuple[str, ...]]
-    """Name of each constraint row."""
-    units: ClassVar[tuple[str, ...]]
-    """Unit of each row, m or rad: whether it counts as misalignment or as angular misalignment of the joint."""
     mark: ClassVar[Mark] = "none"
+
+    if TYPE_CHECKING:  # a field, and attributes of the class or properties, of subclasses
+
+        @property
+        def type(self) -> str:
+            """Value of the key `type`."""
+
+        @property
+        def rows(self) -> tuple[str, ...]:
+            """Name of each constraint row."""
+
+        @property
+        def units(self) -> tuple[str, ...]:
+            """Unit of each row, m or rad: whether it counts as misalignment or as angular misalignment."""
 
     @property
     def point_moves_on_first(self) -> bool:

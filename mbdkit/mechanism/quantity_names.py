@@ -8,7 +8,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import last_nodes
-from mbdkit.mechanism.joints import JointBase
+from mbdkit.mechanism.joint_base import JointBase
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import (
     AXES,

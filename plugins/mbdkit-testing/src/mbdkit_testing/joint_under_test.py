@@ -213,8 +213,11 @@ class Pair:
 
     def differences(self, function: Callable[[np.ndarray], np.ndarray], q: np.ndarray) -> np.ndarray:
         """Return the derivatives of a vector with respect to positions, each of which counts in `scales`."""
-        columns = [slope(lambda s, e=e: function(q + s * e)) for e in np.diag(self.scales)]
-        return np.stack(columns, axis=-1)
+
+        def along(direction: np.ndarray) -> Callable[[float], np.ndarray]:
+            return lambda s: function(q + s * direction)
+
+        return np.stack([slope(along(direction)) for direction in np.diag(self.scales)], axis=-1)
 
     def point(self, q: np.ndarray, which: int) -> np.ndarray:
         """Return the joint's point on the first or second body in the global frame."""

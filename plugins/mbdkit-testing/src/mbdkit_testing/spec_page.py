@@ -11,10 +11,10 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from mbdkit.mechanism.angle_function import AngleTable
 from mbdkit.mechanism.pathways import Coordinate, RelativeAngle
 from mbdkit.plugin import Body, Joint, Table
 from mbdkit.plugin.mechanisms import (
+    AngleTable,
     Assembly,
     Beam,
     Controller,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -43,7 +43,7 @@ class Curve:
         return self.function + 0.0 * at
 
 
-def curve_type(variable: str, unit: str) -> Any:
+def curve_type(variable: str) -> Any:
     """Return the type of a field that is a smooth function of a variable."""
     shown = f"[[{variable}, ...], [value, ...]]"
 
@@ -74,8 +74,12 @@ def curve_type(variable: str, unit: str) -> Any:
     return Annotated[Number | str | CurveTable, BeforeValidator(smooth)]
 
 
-OfAngle = curve_type("angle", "rad")
-OfX = curve_type("x", "m")
+if TYPE_CHECKING:
+    OfAngle = float | str | Table
+    OfX = float | str | Table
+else:
+    OfAngle = curve_type("angle")
+    OfX = curve_type("x")
 
 CLOSED = 1e-9
 """Largest jump of a closed curve, relative to its size, where its angle passes 180 degrees."""
