@@ -14,8 +14,7 @@ from typing import Any, cast
 from mbdkit.kernels import machine_code
 from mbdkit.mechanism.element_kinds import builder_of
 from mbdkit.mechanism.element_methods import ElementMethods
-from mbdkit.mechanism.joint_kinds import joint_builder
-from mbdkit.plugin import ElementKind, JointKind
+from mbdkit.plugin import ElementKind, JointKind, Mechanism
 from mbdkit.registry.manager import built_in
 
 TARGET = machine_code.PACKAGE / "mechanism/element_methods.pyi"
@@ -39,7 +38,7 @@ def generated() -> str:
     methods = {name: one for name, one in vars(ElementMethods).items() if not name.startswith("_")}
     methods |= {kind.builder: builder_of(kind) for kind in kinds if kind.builder}
     joints = [item.plugin for item in built_in().of_kind("joint-kind") if isinstance(item.plugin, JointKind)]
-    methods |= {kind.builder: joint_builder(kind.name) for kind in joints}
+    methods |= {kind.builder: getattr(Mechanism(), kind.builder).__func__ for kind in joints}
     text = "\n".join(f"    {kind.key_in_model}: dict[str, {cast(type, kind.model()).__name__}]" for kind in kinds)
     text += "\n\n" + "\n\n".join(_method(name, one) for name, one in methods.items())
     modules = {cast(type, kind.model()).__module__ for kind in (*kinds, *joints)}
