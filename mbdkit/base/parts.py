@@ -18,6 +18,7 @@ PARTS = (
     "studies",
     "taylor",
     "testing",
+    "transmissions",
 )
 """Names of the parts; `mbdkit_NAME` is the package, and `mbdkit-NAME` the word in messages."""
 

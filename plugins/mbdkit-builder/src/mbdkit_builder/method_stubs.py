@@ -36,11 +36,12 @@ def generated() -> str:
     kinds = [cast(ElementKind, item.plugin) for item in built_in().of_kind("element-kind")]
     methods = {name: one for name, one in vars(ElementMethods).items() if not name.startswith("_")}
     joints = [cast(JointKind, item.plugin) for item in built_in().of_kind("joint-kind")]
-    of_kinds = [kind.builder for kind in (*kinds, *joints) if kind.builder]
+    both: list[ElementKind | JointKind] = [*kinds, *joints]
+    of_kinds = [kind.builder for kind in both if kind.builder]
     methods |= {name: getattr(Mechanism(), name).__func__ for name in of_kinds}
     text = "\n".join(f"    {kind.key_in_model}: dict[str, {cast(type, kind.model()).__name__}]" for kind in kinds)
     text += "\n\n" + "\n\n".join(_method(name, one) for name, one in methods.items())
-    modules = {cast(type, kind.model()).__module__ for kind in (*kinds, *joints)}
+    modules = {cast(type, kind.model()).__module__ for kind in both}
     rooms = [vars(one) for name, one in sys.modules.items() if name.startswith("mbdkit.mechanism.") or name in modules]
     places = {name: one.__module__ for room in rooms for name, one in room.items() if isinstance(one, type)}
     # classes that are made by a function have no name to import
