@@ -6,7 +6,7 @@ import ast
 from functools import cache
 from pathlib import Path
 
-from tests.first_party import ROOT
+from tests.first_party import ROOT, import_statements
 
 
 @cache
@@ -15,10 +15,10 @@ def imported_names(path: Path) -> tuple[str, ...]:
     folders = path.relative_to(ROOT).parts[:-1]
     package = folders[folders.index("tests") :]
     named = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in import_statements(path):
         if isinstance(node, ast.Import):
             named += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             above = package[: len(package) + 1 - node.level] if node.level else ()
             named.append(".".join((*above, *filter(None, [node.module]))))
     return tuple(named)

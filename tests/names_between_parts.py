@@ -11,7 +11,7 @@ import ast
 import sys
 from pathlib import Path
 
-from tests.first_party import PARTS
+from tests.first_party import PARTS, import_statements
 
 BUDGET = Path(__file__).with_suffix(".txt")
 
@@ -21,7 +21,7 @@ def names_between() -> dict[str, set[str]]:
     names: dict[str, set[str]] = {}
     for part, folder in PARTS.items():
         for file in folder.rglob("*.py"):
-            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            for node in import_statements(file):
                 if not isinstance(node, ast.ImportFrom) or "." not in str(node.module):
                     continue
                 other = str(node.module).partition(".")[0]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import mbdkit
 from mbdkit.base.lazy_names import homes_of
-from tests.first_party import PARTS
+from tests.first_party import PARTS, import_statements
 
 BUDGET = Path(__file__).with_suffix(".txt")
 _CORE = Path(mbdkit.__file__).parent
@@ -27,13 +27,11 @@ FACES = {"mbdkit": _CORE / "__init__.py", "mbdkit.kernels": _CORE / "kernels.py"
 
 def inner_imports(file: Path) -> Iterator[tuple[str, str]]:
     """Yield the modules and names that a file imports from inner rooms of the core."""
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in import_statements(file):
         if isinstance(node, ast.ImportFrom):
             imports = [(str(node.module), alias.name) for alias in node.names]
-        elif isinstance(node, ast.Import):
-            imports = [(alias.name, "*") for alias in node.names]
         else:
-            continue
+            imports = [(alias.name, "*") for alias in node.names]
         for module, name in imports:
             if module.partition(".")[0] == "mbdkit" and module not in FACES and module != "mbdkit.testing":
                 yield module, name

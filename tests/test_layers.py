@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.cli import QUIET
-from tests.first_party import PACKAGES, PARTS, ROOT, modules
+from tests.first_party import PACKAGES, PARTS, ROOT, import_statements, modules
 from tests.imports import imported_names
 
 FACES = ("mbdkit", "mbdkit.plugin", "mbdkit.spec", "mbdkit.testing")
@@ -18,10 +18,10 @@ FACES = ("mbdkit", "mbdkit.plugin", "mbdkit.spec", "mbdkit.testing")
 
 def imported(path: Path, known: dict[str, Path]) -> set[str]:
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in import_statements(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert not node.level, f"{path}: relative import"
             submodules = {f"{node.module}.{alias.name}" for alias in node.names}
             found |= {name if name in known else str(node.module) for name in submodules}

@@ -306,7 +306,8 @@ class Target:
         self._end_if_forked()
         self._close_file()
         if self._handle is not None:
-            self._unlock(self._handle)
+            with contextlib.suppress(OSError):  # closing does not unlock it if a forked process, as of a plugin, has it
+                file_locks.unlock(self._handle)
             with contextlib.suppress(OSError):  # the data of an archive with its final name are on the disk
                 os.close(self._handle)
             self._handle = None
@@ -321,11 +322,6 @@ class Target:
                 self.file.close()
         self._stream.close()
         self.file = self._stream = None
-
-    def _unlock(self, handle: int) -> None:
-        """Unlock an open file, because closing is not enough if a forked process, as of a plugin, has it open."""
-        with contextlib.suppress(OSError):
-            file_locks.unlock(handle)
 
     def drop(self) -> None:
         """Close and remove the .part and its checkpoint, unless `take_place_of` has renamed them."""

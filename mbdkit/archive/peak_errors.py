@@ -94,17 +94,6 @@ def _steps_per_row(run: Run) -> float:
     return max(1.0, float(run.stats.get("steps", 1)) / max(1, len(run.time) - 1))
 
 
-def whole_peak_errors(run: Run, name: str) -> np.ndarray:
-    """Return the errors (J,) of the largest values of the joints in all rows, nan where unknown; see `peak_errors`."""
-    if run.accuracy is None or not run.accuracy.is_complete:
-        return np.full(len(run.joint_names), np.nan)
-    values = run.array("joints/reaction_force" if name == "reaction_error" else "joints/reaction_torque")
-    size = np.linalg.norm(values, axis=2) if values.ndim == 3 else np.abs(values)
-    errors = peak_errors(run, name, size, len(run.time))
-    assert errors is not None
-    return errors
-
-
 def expression_of_largest(quantity: str, name: str) -> str:
     """Return the expression of the largest value of a quantity of the element `name`, as measures usually have it.
 

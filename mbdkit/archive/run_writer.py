@@ -180,27 +180,24 @@ class RunWriter(ABC):
         `rows`: ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, and the corrections of
         a stabilized run, each (N,).
         """
-        keyed = {f"steps/{name}": values for name, values in rows.items()}
-        self._append("interval", {**keyed, "steps/interval": self._numbers("interval", len(rows["time"]))})
+        self._append_numbered("steps", "interval", rows)
 
     def append_events(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append crossings of events; the values are copied.
 
         `rows`: ``name`` (strings), ``time`` and ``direction``, each (E,), and ``position`` and ``velocity`` (E, B, 3).
         """
-        keyed = {f"events/{name}": values for name, values in rows.items()}
-        self._append("event", {**keyed, "events/event": self._numbers("event", len(rows["name"]))})
+        self._append_numbered("events", "event", rows)
 
     def append_impacts(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append impacts: the arrays of the group by name, each (I,), and for the joints the impulses of forces
         (I, J, 2) and of torques (I, J).
         """
-        keyed = {f"impacts/{name}": values for name, values in rows.items()}
-        self._append("impact", {**keyed, "impacts/impact": self._numbers("impact", len(rows["time"]))})
+        self._append_numbered("impacts", "impact", rows)
 
-    def _numbers(self, dim: str, count: int) -> np.ndarray:
-        first = self.rows(dim) + 1
-        return np.arange(first, first + count)
+    def _append_numbered(self, group: str, dim: str, rows: Mapping[str, np.ndarray]) -> None:
+        numbers = np.arange(self.rows(dim) + 1, self.rows(dim) + 1 + len(rows["time"]))
+        self._append(dim, {f"{group}/{name}": values for name, values in {**rows, dim: numbers}.items()})
 
     def _append(self, dim: str, rows: Mapping[str, np.ndarray]) -> None:
         unknown = sorted(key for key in rows.keys() - _KEYS if array_at(key) is None)

@@ -37,7 +37,7 @@ def describe(measure: DefinedMeasure, spec: ModelSpec) -> Description:
     Raises SpecError if the expression of the measure is not valid for the spec.
     """
     if measure.item is None:
-        parsed = MeasureExpression.parse(measure.expression, spec, measure.unit)
+        parsed = _expression(measure, spec)
         return Description(parsed.unit.text, measure.expression)
     plugin = measure.item.plugin
     assert isinstance(plugin, MeasurePlugin)
@@ -66,7 +66,7 @@ def take(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> float:
     if not is_taken(measure, spec):
         return math.nan
     if measure.item is None:
-        return MeasureExpression.parse(measure.expression, spec, measure.unit).of(run)
+        return _expression(measure, spec).of(run)
     plugin = measure.item.plugin
     assert isinstance(plugin, MeasurePlugin)
     with blaming(f"measure {measure.item.id} failed for run {run.run_id}"):
@@ -86,7 +86,7 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: ModelSpec) -
     compared = () if accuracy is None else accuracy.compared_measures.get(measure.expression, ())
     if measure.item is not None or not compared or not is_taken(measure, spec) or _why_undecided(run, spec):
         return math.nan
-    unit = MeasureExpression.parse(measure.expression, spec, measure.unit).unit
+    unit = _expression(measure, spec).unit
     mechanism, duration = spec.mechanism(), float(run.time[-1] - run.time[0])
     mass = max((body.mass for body in mechanism.bodies.values()), default=0.0)
     scales = natural_scales(characteristic_length(mechanism), mass, mechanism.gravity, duration)
@@ -111,35 +111,35 @@ def take_all(run: Run, spec: ModelSpec) -> MeasuredValues:
         try:
             values[measure.name] = take(measure, run, spec)
             errors[measure.name] = error_of(measure, values[measure.name], run, spec)
-            clauses = [*_of_extrema(measure, run, spec), *_why_unknown(measure, errors[measure.name], run, spec)]
-            if clauses and math.isfinite(values[measure.name]):
-                remarks[measure.name] = "; ".join(clauses)
+            if math.isfinite(values[measure.name]):
+                clauses = [] if measure.item else _expression(measure, spec).remarks(run)
+                if why := _why_unknown(measure, errors[measure.name], run, spec):
+                    clauses.append(f"its error is unknown: {why}")
+                if clauses:
+                    remarks[measure.name] = "; ".join(clauses)
         except PluginError as error:
             values[measure.name], reasons[measure.name] = math.nan, message_of(error)
     return MeasuredValues(values, units, reasons, errors, remarks)
 
 
-def _of_extrema(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> list[str]:
-    """Return a remark if recorded rows exceed an extremum between ends of steps, or if it is at the end of a run."""
-    if measure.item is not None:
-        return []
-    return MeasureExpression.parse(measure.expression, spec, measure.unit).remarks(run)
+def _expression(measure: DefinedMeasure, spec: ModelSpec) -> MeasureExpression:
+    return MeasureExpression.parse(measure.expression, spec, measure.unit)
 
 
-def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: ModelSpec) -> list[str]:
+def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: ModelSpec) -> str:
     if not (spec.checks_measures and math.isnan(error)):
-        return []
+        return ""
     if measure.item is not None:
-        return ["its error is unknown: errors of measures of plugins are not estimated"]
+        return "errors of measures of plugins are not estimated"
     if run.status != "complete":
-        return ["its error is unknown: the run is not complete"]
+        return "the run is not complete"
     if why := _why_undecided(run, spec):
-        return [f"its error is unknown: {why}"]
+        return why
     compared = () if run.accuracy is None else run.accuracy.compared_measures.get(measure.expression, ())
     if len(compared) == 3 and all(map(math.isfinite, compared)):
         values = listed([f"{number:.6g}" for number in compared], "and")
-        return [f"its error is unknown: its values in the comparison runs, {values} in SI units, do not converge"]
-    return ["its error is unknown: a comparison run failed or has no value"]
+        return f"its values in the comparison runs, {values} in SI units, do not converge"
+    return "a comparison run failed or has no value"
 
 
 @Seam

@@ -40,6 +40,8 @@ class Item:
     """Whether a short name that mbdkit uses keeps its meaning when another distribution uses it too."""
     seams: ClassVar[Mapping[str, str]] = {}
     """Decorator of `mbdkit.plugin.seams` for the function behind each field that has one."""
+    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """Names of the arguments of the function in each field that is checked for them."""
 
     if TYPE_CHECKING:  # fields of the subclasses; a property would become the default of the field
 
@@ -103,6 +105,8 @@ class Item:
 
     def _check_fields(self, names: Iterable[str]) -> None:
         for name in names:
+            if name in self.arguments:
+                self._check_callable(name, *self.arguments[name])
             if (check := getattr(self, f"_check_{name}", None)) is not None:
                 check()
 

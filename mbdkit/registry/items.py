@@ -181,6 +181,7 @@ class ModelPlugin(Plugin):
     hook: ClassVar[str] = "mbdkit_models"
     key: ClassVar[str] = "model.name"
     seams: ClassVar[Mapping[str, str]] = {"build": "model_builder"}
+    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"build": ("options",)}
 
     name: str
     summary: str
@@ -199,9 +200,6 @@ class ModelPlugin(Plugin):
         order: int = 500,
     ):
         vars(self).update(name=name, summary=summary, options=options, build=build, references=references, order=order)
-
-    def _check_build(self) -> None:
-        self._check_callable("build", "options")
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -232,6 +230,7 @@ class IntegratorPlugin(Plugin):
     hook: ClassVar[str] = "mbdkit_integrators"
     key: ClassVar[str] = "integrator.name"
     seams: ClassVar[Mapping[str, str]] = {"create": "integrator_method", "claims": "integrator_claims"}
+    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"create": ("options",), "claims": ("options",)}
 
     name: str
     summary: str
@@ -255,12 +254,6 @@ class IntegratorPlugin(Plugin):
     ):
         vars(self).update(name=name, summary=summary, options=options, create=create, claims=claims)
         vars(self).update(references=references, dense_output=dense_output, order=order)
-
-    def _check_create(self) -> None:
-        self._check_callable("create", "options")
-
-    def _check_claims(self) -> None:
-        self._check_callable("claims", "options")
 
     def check_targets(self) -> None:
         """Also check the claims with default options, if the options have defaults."""
@@ -420,6 +413,7 @@ class MeasurePlugin(Plugin):
     hook: ClassVar[str] = "mbdkit_measures"
     key: ClassVar[str] = "name"
     seams: ClassVar[Mapping[str, str]] = {"take": "measure_function"}
+    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"take": ("run", "options")}
 
     name: str
     summary: str
@@ -441,9 +435,6 @@ class MeasurePlugin(Plugin):
     ):
         vars(self).update(name=name, summary=summary, options=options, units=units, take=take)
         vars(self).update(references=references, order=order)
-
-    def _check_take(self) -> None:
-        self._check_callable("take", "run", "options")
 
     def _check_units(self) -> None:
         from mbdkit.base.units import read_unit

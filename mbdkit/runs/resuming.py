@@ -21,7 +21,6 @@ from mbdkit.archive.missing_plugins import check_plugins_of
 from mbdkit.archive.part_file import SUFFIX, check_target, checkpoint_path, part_path
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import file_locks
 from mbdkit.base.command_words import command_line
@@ -34,15 +33,13 @@ from mbdkit.base.text import listed, shown
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
-from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.runs.preparation import make_method, recorded_arrays
+from mbdkit.runs.preparation import make_method
 from mbdkit.runs.provenance import DECIDE_LAST_BITS, provenance
 from mbdkit.runs.recorded_states import ObservedRows
-from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import INTERVAL, Continuation, why_without
-from mbdkit.runs.simulated_run import Progress
-from mbdkit.runs.simulation import simulate_on
+from mbdkit.runs.run_seams import Progress
+from mbdkit.runs.simulation import begun_archive, simulate_on
 from mbdkit.spec import RunSpec, load_spec
 
 PART = f"{SUFFIX}.part"
@@ -278,17 +275,9 @@ class _Unfinished:
             raise error.located(file=self.part) from error
 
     def _writer(self, spec: RunSpec, method: Method, start: tuple[Workspace, AssembledState]) -> ArchiveWriter:
-        workspace, _ = start
-        then = self.checkpoint.head["provenance"]
-        writer = ArchiveWriter(
-            self.path,
-            archive_names(workspace.mechanism),
-            Origin.of(spec, {**then, "resumed": int(then.get("resumed", 0)) + 1, "resumed_by": command_line()}),
-            arrays=recorded_arrays(spec, method, workspace.mechanism),
-            overwrite=self.overwrite,
-            part=None if self.has_ended else _replacement(self.part),
-            shared=shared_forces(workspace.mechanism),
-        )
+        then, part = self.checkpoint.head["provenance"], None if self.has_ended else _replacement(self.part)
+        origin = {**then, "resumed": int(then.get("resumed", 0)) + 1, "resumed_by": command_line()}
+        writer = begun_archive(spec, method, start, path=self.path, overwrite=self.overwrite, part=part, origin=origin)
         # Another call may have resumed and finished the run after this call opened the file.
         if not file_locks.has_name(self.stream.fileno(), self.part):
             writer.abandon()

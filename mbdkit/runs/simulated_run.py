@@ -55,6 +55,7 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.runs.run_criteria import step_advice
+from mbdkit.runs.run_seams import Progress
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import judge
@@ -62,9 +63,6 @@ from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
-
-Progress = Callable[[float, float], None]
-"""Callback with the time reached and the end time [s]; see `mbdkit.run`."""
 
 _LOG = logger_of("mbdkit.runs.simulation")  # the start and the end of a run go to the same logger
 

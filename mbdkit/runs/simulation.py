@@ -40,8 +40,8 @@ from mbdkit.runs.preparation import build, caution, check_disk_space, make_metho
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import Continuation
-from mbdkit.runs.run_seams import computed_run
-from mbdkit.runs.simulated_run import Progress, Request, SimulatedRun
+from mbdkit.runs.run_seams import Progress, computed_run
+from mbdkit.runs.simulated_run import Request, SimulatedRun
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.trust.finding import Finding
@@ -143,7 +143,7 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     in_arrays = path is None and not tables
-    begun = _begun_arrays if in_arrays else partial(_begun_archive, path=path, overwrite=overwrite)
+    begun = _begun_arrays if in_arrays else partial(begun_archive, path=path, overwrite=overwrite)
     request = Request(
         begun=begun, begin=begin, measured_in=measured_in, path=path, starts=starts, measures=measures,
         tables=tables or {},
@@ -284,15 +284,26 @@ def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, at
     return None if attempts >= MOST_ATTEMPTS else choice.tightened(spec, spec.accuracy, simulation.reached)
 
 
-def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path | None, overwrite: bool) -> RunWriter:
-    workspace, assembled = start
+def begun_archive(
+    spec: RunSpec,
+    method: Method,
+    start: _Start,
+    *,
+    path: Path | None,
+    overwrite: bool,
+    part: Path | None = None,
+    origin: Mapping[str, str | int | float] | None = None,
+) -> ArchiveWriter:
+    """Return the writer of the archive of a run; by default, its provenance `origin` is that of this process."""
+    mechanism = start[0].mechanism
     return ArchiveWriter(
         path,
-        archive_names(workspace.mechanism),
-        Origin.of(spec, {**provenance(spec), "assembly": assembled.describe()}),
-        arrays=recorded_arrays(spec, method, workspace.mechanism),
+        archive_names(mechanism),
+        Origin.of(spec, origin or {**provenance(spec), "assembly": start[1].describe()}),
+        arrays=recorded_arrays(spec, method, mechanism),
         overwrite=overwrite,
-        shared=shared_forces(workspace.mechanism),
+        part=part,
+        shared=shared_forces(mechanism),
     )
 
 

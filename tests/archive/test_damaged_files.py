@@ -8,8 +8,6 @@ import pytest
 from typer.testing import CliRunner
 
 import mbdkit
-from mbdkit.archive.checkpoint import Checkpoint
-from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.cli import app
 
 RUN = {"integrator": {"name": "rk4"}, "time": {"end": 0.02, "step": 0.01}}
@@ -52,17 +50,3 @@ def test_a_truncated_block(tmp_path: Path) -> None:
     cut(tmp_path / "study" / "runs" / "block-000000.h5")
     with pytest.raises(mbdkit.ArchiveError, match="truncated"):
         mbdkit.load_study(tmp_path / "study").run(0)
-
-
-def test_a_truncated_checkpoint(tmp_path: Path) -> None:
-    part = tmp_path / "a.h5.part"
-    Checkpoint({"spec": "", "run_id": "", "created_utc": "", "provenance": {}}, 0, {}, (), {}, {}).write(_empty(part))
-    assert Checkpoint.of(part) is not None
-    cut(checkpoint_path(part))
-    with pytest.raises(mbdkit.ArchiveError, match="is damaged, so this run cannot be resumed"):
-        Checkpoint.of(part)
-
-
-def _empty(path: Path) -> Path:
-    path.touch()
-    return path

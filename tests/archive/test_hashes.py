@@ -18,7 +18,6 @@ from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.archive.layout import every_array, is_timing
 from mbdkit.archive.run_writer import Ending, SharedForces
-from mbdkit.quantities.array import TEXT
 from tests.archive.making import DOCUMENT
 
 from .making import fill, largest, make, names, rows, steps, writer
@@ -33,11 +32,6 @@ def test_lines_in_the_document_compute_the_hash(tmp_path: Path, sizes: tuple[int
         [sys.executable, "-c", script, str(tmp_path / "run.h5")], capture_output=True, text=True, check=True
     )
     assert done.stdout == "True\n"
-
-
-def test_hash_written_while_writing_is_that_of_the_file(archive: Path) -> None:
-    with h5py.File(archive) as file:
-        assert file.attrs["data_sha256"] == data_sha256(file)
 
 
 def test_every_array_but_timings_is_covered(archive: Path) -> None:
@@ -91,24 +85,6 @@ def test_order_in_the_file_is_not_covered(archive: Path, tmp_path: Path) -> None
         file.create_dataset("energy/work", data=values, chunks=(3,), compression="gzip")
         assert attributes
         assert data_sha256(file) == before
-
-
-def test_text_is_hashed_as_utf8(tmp_path: Path) -> None:
-    make(tmp_path / "run.h5", named=replace(names(), bodies=["für", "大腿"]))
-    with h5py.File(tmp_path / "run.h5") as file:
-        assert file.attrs["data_sha256"] == data_sha256(file)
-    assert any(array.dtype == TEXT for array in every_array())
-
-
-def test_pieces_are_not_covered(tmp_path: Path) -> None:
-    hashes = set()
-    for piece in (1, 3, 11):
-        into = writer(tmp_path / f"{piece}.h5")
-        fill(into, 11, piece=piece)
-        into.finish(Ending("complete", "", {}, largest(11, names())))
-        with h5py.File(tmp_path / f"{piece}.h5") as file:
-            hashes.add(file.attrs["data_sha256"])
-    assert len(hashes) == 1
 
 
 def test_attributes_have_the_hash_that_the_document_defines(archive: Path) -> None:

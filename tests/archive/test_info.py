@@ -5,10 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
-
 from mbdkit.archive.info import describe, text
-from mbdkit.base.errors import SpecError
 from mbdkit.quantities.registered_kinds import array_at
 
 from .making import PROVENANCE, STATS, make, names, writer
@@ -45,8 +42,3 @@ def test_text_of_a_description_fits_its_names(tmp_path: Path) -> None:
     assert "rod32, ... (100 in all)" in written
     assert "joints/reaction_force              (time 11, joint 100, axis 2)  N" in written
     assert max(map(len, written.splitlines())) < 800
-
-
-def test_no_archive_is_no_description(tmp_path: Path) -> None:
-    with pytest.raises(SpecError):
-        describe(tmp_path / "run.h5")

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.headlines import Headline, headlines, largest_loads, plus_minus
+from mbdkit.archive.headlines import headlines, largest_loads, plus_minus
 from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps, peak_errors
 from mbdkit.archive.run_summary import summary, summary_lines
 
@@ -20,15 +20,15 @@ def test_the_peaks_of_random_sums_of_sines_are_covered(rows: int, share: float) 
     """Three frequencies up to 1 Hz, in irregular rows, of which there are `rows` in a second."""
     random, missed, ratios = np.random.default_rng(7), 0, []
     frequencies = np.array([0.3, 0.6, 1.0])
-    for _ in range(400):
+    for _ in range(200):
         time = (np.arange(3 * rows) + random.uniform(-0.1, 0.1, 3 * rows)) / rows
-        fine = np.linspace(time[0], time[-1], 10_001)
+        fine = np.linspace(time[0], time[-1], 2_001)
         size, phase = random.normal(size=3), random.uniform(0.0, 2.0 * math.pi, 3)
         curve, true = (np.sin(2.0 * math.pi * frequencies * t[:, None] + phase) @ size for t in (time, fine))
         excess, bar = np.max(true) - np.max(curve), excess_between_rows(time, curve[:, None])[0]
         missed += excess > bar + 1e-6
         ratios.append(bar / max(excess, 1e-9))
-    assert missed <= share * 400
+    assert missed <= share * 200
     assert np.median(ratios) < 2.2
 
 
@@ -115,13 +115,6 @@ def test_peaks_that_all_rows_miss_make_a_run_bad(output: dict[str, float]) -> No
     assert "the force in joint 'pin' reaches 59.1 N, in the recorded rows 19.86 N" in run.verdict_reasons[0]
 
 
-def test_a_largest_force_that_is_a_measure_has_one_value_and_does_not_depend_on_rows() -> None:
-    run = _turning({"peak": "max(abs(joints.pin.force))"}, every=200)
-    assert run.measures["peak"] == pytest.approx(MASS * (ARM * SPEED**2 + 9.81), rel=1e-9)
-    assert run.errors.sentence().startswith("largest force in pin 59.098417")
-    assert run.verdict == "good"
-
-
 def test_a_largest_load_that_is_a_measure_has_the_error_of_the_measure_everywhere() -> None:
     """The rows show a torque of zero; the largest one, m g r, is known as well as the measure knows it."""
     run = _turning({"peak": {"value": "max(abs(joints.motor.torque))", "unit": "mN m"}}, every=200)
@@ -149,21 +142,6 @@ def test_peaks_between_coarse_steps_are_covered_and_count_in_the_verdict() -> No
     peak = mbdkit.workload(run)["motor"].load
     assert peak.peak + peak.peak_error == pytest.approx(torque.value + torque.error)
     assert run.plot.torques().get_figure() is not None
-
-
-def test_an_unknown_error_is_stated_in_checked_runs_only() -> None:
-    assert Headline("largest force", 1.23456, "N").text() == "1.23456 N"
-    assert Headline("largest force", 1.23456, "N", is_checked=True).text() == "1.235 N (error unknown)"
-
-
-def test_rows_that_miss_little_have_small_errors() -> None:
-    """With 25 rows in a turn, rows are at most a 50th of a turn from the largest torque."""
-    run = _turning(every=8)
-    torque, force = largest_loads(run)
-    for one, true in ((torque, MASS * 9.81 * ARM), (force, MASS * (ARM * SPEED**2 + 9.81))):
-        assert abs(true - one.value) <= one.error + 1e-9 * true
-        assert one.error <= 1.01 * (1.0 - math.cos(SPEED / 50)) * true
-    assert run.verdict == "good"
 
 
 def test_errors_are_unknown_if_rows_skip_steps_of_an_archive_without_largest_values() -> None:

@@ -8,6 +8,7 @@ import h5py
 import pytest
 
 from mbdkit.archive.archive_check import check
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import ArchiveError, SpecError
 
@@ -66,6 +67,9 @@ def test_later_minor_version_is_read(archive: Path) -> None:
         file.attrs["format_version"] = "1.7"
         file["trajectory/more"] = [1.0]
         file["stats"].attrs["more"] = "words"
+        file.attrs["data_sha256"] = data_sha256(file)
+        file.attrs["attributes_sha256"] = attributes_sha256(file)
+    assert check(archive) == []
     with load(archive) as run:
         assert run.format_version == "1.7"
         assert len(run.time) == 11
@@ -85,6 +89,8 @@ def test_part_without_a_row_is_read_as_empty(tmp_path: Path) -> None:
     into._begin()
     assert into._target is not None
     into._target.close()  # as a crash during the first flush
+    (problem,) = check(tmp_path / "run.h5.part")
+    assert problem.startswith("the run did not end")
     with load(tmp_path / "run.h5.part") as run:
         assert run.status == "running"
         assert run.time.shape == (0,)

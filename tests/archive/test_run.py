@@ -96,12 +96,6 @@ def test_arrays_are_read_only(run: Run) -> None:
             values[0] = 1.0
 
 
-def test_arrays_are_read_once(archive: Path) -> None:
-    with load(archive) as run:
-        assert run.array("trajectory/position") is run.array("trajectory/position")
-        assert run.array("trajectory/body").tolist() == ["rod1", "rod2"]
-
-
 def test_unknown_names_are_refused_with_the_nearest(run: Run) -> None:
     for ask, words in (
         (lambda: run["rod3"], r"the run has no body 'rod3' \(did you mean 'rod2'\?\)|rod1"),
@@ -122,16 +116,6 @@ def test_unrecorded_quantities_are_said(tmp_path: Path) -> None:
             with pytest.raises(NotRecordedError, match=r"did not record .*; `output.quantities`"):
                 ask()
         assert run.joints["J1"].misalignment_max == 1.0
-
-
-def test_run_without_joints_has_no_misalignment() -> None:
-    with Run(make(None, named=names(1, 0))) as run:
-        assert run.misalignment_max == 0.0
-        assert dict(run.joints) == {}
-
-
-def test_check_passes_a_complete_run(run: Run) -> None:
-    assert run.check() is run
 
 
 @pytest.mark.parametrize(

@@ -70,14 +70,6 @@ def test_speed_of_a_checked_run_is_the_cost_of_its_steps(tmp_path: Path) -> None
     assert check(tmp_path / "run.h5") == []
 
 
-def test_estimated_errors_are_printed_in_a_few_lines() -> None:
-    run = mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}, check=True)
-    assert run.accuracy is not None
-    printed = str(run.accuracy)
-    assert len(printed.splitlines()) == 4
-    assert f"angle {run.accuracy.angle_error_max:.2g} rad, reaction force" in printed
-
-
 def test_a_run_is_answered_by_its_measures_or_by_its_largest_forces() -> None:
     hanging = {"mbdkit": 1, "model": {"name": "single-pendulum", "mass": 2.0, "angle": -np.pi / 2}}
     hanging |= {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}

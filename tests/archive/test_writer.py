@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
-import subprocess
-import sys
-import textwrap
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -101,39 +97,6 @@ def test_part_is_flushed_when_a_second_has_passed(tmp_path: Path, monkeypatch: p
     into.abandon()
 
 
-def test_run_killed_after_a_flush_leaves_what_was_flushed(tmp_path: Path) -> None:
-    script = f"""
-        import sys
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
-        import making
-        from pathlib import Path
-        from mbdkit.archive import writer
-        writer.FLUSH_INTERVAL = 0.0
-        into = making.writer(Path("run.h5"))
-        making.fill(into, 300, piece=50, after=into.flush_if_due)
-        into.append(making.rows(5, making.names(), 300))
-        print("flushed", flush=True)
-        sys.stdin.read()
-    """
-    with subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(script)],
-        cwd=tmp_path,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"flushed\n"
-        process.send_signal(signal.SIGKILL)
-    assert not (tmp_path / "run.h5").exists()
-    with load(tmp_path / "run.h5.part") as run:
-        assert run.status == "running"
-        np.testing.assert_array_equal(run.array("joints/reaction_force"), rows(300, names())["joints/reaction_force"])
-        assert run.misalignment_max == run.array("joints/misalignment").max()
-    make(tmp_path / "run.h5")  # the next run replaces what the dead one left
-    assert not (tmp_path / "run.h5.part").exists()
-    assert_holds(tmp_path / "run.h5", 11)
-
-
 @pytest.mark.parametrize("written", [1, 5, 12, 20])
 def test_run_killed_in_the_middle_of_a_flush_has_whole_rows_of_the_flush_before(tmp_path: Path, written: int) -> None:
     into = writer(tmp_path / "run.h5")
@@ -207,27 +170,12 @@ def test_every_end_gives_the_archive_its_name_and_status(tmp_path: Path, status:
     assert check(tmp_path / "run.h5") == []
 
 
-def test_unended_archive_says_running(tmp_path: Path) -> None:
-    into = writer(tmp_path / "run.h5")
-    assert into._begin().attrs["status"] == "running"
-    into.abandon()
-    assert os.listdir(tmp_path) == []
-    into.abandon()
-
-
 def test_finish_adds_its_own_time_and_keeps_integers_integers(tmp_path: Path) -> None:
     make(tmp_path / "run.h5")
     with load(tmp_path / "run.h5") as run:
         assert {name: run.stats[name] for name in STATS} == STATS
         assert [type(run.stats[name]) for name in STATS] == [type(value) for value in STATS.values()]
         assert 0.0 < run.stats["finish_s"] < 10.0
-
-
-def test_finish_needs_an_end(tmp_path: Path) -> None:
-    into = writer(tmp_path / "run.h5")
-    with pytest.raises(ValueError, match="complete, failed or interrupted"):
-        into.finish(Ending("running", "", STATS, np.zeros(2)))
-    into.abandon()
 
 
 @pytest.mark.parametrize("recorded", [set(), {"energy"}, {"joints"}, {"constraints", "joints"}])
@@ -240,16 +188,6 @@ def test_only_the_asked_quantities_are_recorded(tmp_path: Path, recorded: set[st
         assert run.records("joints/misalignment") == ("joints" in recorded)
         assert run.records("constraints/multiplier") == ("constraints" in recorded)
         assert run.joints["J2"].misalignment_max == 1.001  # over every step, so it needs no rows
-
-
-def test_row_keys_are_what_append_needs(tmp_path: Path) -> None:
-    into = writer(tmp_path / "run.h5", quantities=frozenset({"energy"}))
-    made = rows(2, names())
-    into.append({key: made[key] for key in into.row_keys})
-    for key in into.row_keys:
-        with pytest.raises(ValueError, match=key):
-            into.append({other: made[other] for other in into.row_keys - {key}})
-    into.abandon()
 
 
 def test_method_brings_its_own_multiplier(tmp_path: Path) -> None:
@@ -301,21 +239,6 @@ def test_interrupted_write_is_taken_up_again(tmp_path: Path, monkeypatch: pytest
     into.finish(Ending("interrupted", "", STATS, largest(25, names())))
     assert_holds(tmp_path / "run.h5", 25)
     assert check(tmp_path / "run.h5") == []
-
-
-def test_archive_in_memory_is_the_archive_in_a_file(tmp_path: Path) -> None:
-    make(tmp_path / "run.h5")
-    memory = make(None)
-    other = make(None)  # another at the same time
-    with h5py.File(tmp_path / "run.h5") as file:
-        assert memory.attrs["data_sha256"] == file.attrs["data_sha256"]
-        there: list[str] = []
-        file.visit(there.append)
-        inside: list[str] = []
-        memory.visit(inside.append)
-        assert there == inside
-    memory.close()
-    other.close()
 
 
 def test_spec_and_misalignments_may_exceed_64_kib(tmp_path: Path) -> None:

@@ -50,11 +50,6 @@ def test_only_regular_files_are_replaced(in_tmp_path: Path, kind: str) -> None:
     assert not Path("precious").exists() or Path("precious").read_text() == "precious"
 
 
-def test_a_device_is_not_replaced() -> None:
-    with pytest.raises(SpecError, match="not a regular file"):
-        check_output(Path("/dev/null"), overwrite=True)
-
-
 def test_the_input_is_not_replaced(tmp_path: Path) -> None:
     path = tmp_path / "spec.yaml"
     path.write_text("precious")

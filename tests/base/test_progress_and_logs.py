@@ -28,12 +28,6 @@ def test_progress_is_called_with_the_time_reached_and_the_end() -> None:
     assert [time for time, _ in seen] == sorted(time for time, _ in seen)
 
 
-def test_companion_runs_of_a_check_are_part_of_the_progress() -> None:
-    seen: list[float] = []
-    mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}, check=True, progress=lambda time, _: seen.append(time))
-    assert seen.count(1.0) >= 3
-
-
 def interrupt(time: float, end: float) -> None:
     raise KeyboardInterrupt
 

@@ -47,14 +47,6 @@ def test_an_example_of_the_other_kind_is_refused_with_its_command(mbdkit):
     assert "this spec of inverse dynamics is valid" in mbdkit("validate", "walking").stdout
 
 
-def test_inverse_dynamics_is_no_base_of_a_study(mbdkit, tmp_path):
-    spec = tmp_path / "study.yaml"
-    spec.write_text("mbdkit_study: 1\nbase: walking\naxes:\n- model.height: [1.7, 1.8]\n", encoding="utf-8")
-    result = mbdkit("validate", str(spec))
-    assert result.exit_code == 2
-    assert "motion: this is a spec of inverse dynamics; the base of a study is a run spec" in result.stderr
-
-
 def test_a_copy_never_replaces_a_file(mbdkit, tmp_path):
     mine = tmp_path / "mine.yaml"
     mine.write_text("mine", encoding="utf-8")

@@ -68,10 +68,6 @@ def test_plugins_list_show_and_doctor(mbdkit):
     assert json.loads(mbdkit("plugins", "doctor", "--json").stdout)["plugins"]
 
 
-def test_schema_run_is_json(mbdkit):
-    assert json.loads(mbdkit("schema", "run").stdout)["title"] == "mbdkit run spec"
-
-
 @pytest.mark.parametrize(
     ("error", "status", "words"),
     [

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.archive.making import make
+from tests.slow_cases import slow, slow_but
 from tests.tiny_disk import tiny_disk
 
 COMMANDS = {
@@ -37,12 +38,14 @@ def test_pipes_and_devices_are_not_replaced(mbdkit, in_tmp_path, command, kind):
     assert (target.lstat().st_ino, target.lstat().st_mode) == (before.st_ino, before.st_mode)
 
 
-@pytest.mark.parametrize(
-    "words", [("plot", "run.h5"), ("animate", "run.h5"), ("modes", "pendulum")], ids=lambda w: w[0]
-)
-def test_a_picture_is_replaced_only_with_overwrite(mbdkit, in_tmp_path, words):
+PICTURES = {"plot": "run.h5", "animate": "run.h5", "modes": "pendulum"}
+
+
+@pytest.mark.parametrize("command", slow_but(PICTURES, "plot", "modes"))
+def test_a_picture_is_replaced_only_with_overwrite(mbdkit, in_tmp_path, command):
+    words = command, PICTURES[command]
     assert mbdkit("run", "pendulum", "-o", "run.h5").exit_code == 0
-    old = Path("old.gif" if words[0] == "animate" else "old.png")
+    old = Path("old.gif" if command == "animate" else "old.png")
     old.write_text("precious")
     result = mbdkit(*words, "-o", old)
     assert result.exit_code == 2
@@ -71,7 +74,7 @@ def test_a_copy_onto_a_full_disk_leaves_nothing(mbdkit, tmp_path):
         assert list(disk.iterdir()) == [ballast]
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+@pytest.mark.parametrize("suffix", ["svg", *slow("png", "pdf")])
 def test_a_picture_onto_a_full_disk_leaves_the_old_one(mbdkit, tmp_path, suffix):
     assert mbdkit("run", "pendulum", "-o", tmp_path / "run.h5").exit_code == 0
     with tiny_disk(tmp_path / "disk", 64) as disk:

@@ -183,26 +183,12 @@ def test_an_output_that_cannot_be_is_refused_before_any_work(output, words, refu
     assert (in_tmp_path / "there.h5").read_bytes() == b"precious"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_cannot_be_written_to_is_refused(refusal, in_tmp_path):
-    (in_tmp_path / "locked").mkdir(mode=0o500)
-    (in_tmp_path / "spec.yaml").write_text(SMALL)
-    refusal("run", "spec.yaml", "-o", "locked/out.h5")
-
-
-def test_the_spec_itself_is_never_overwritten(refusal, in_tmp_path):
-    (in_tmp_path / "spec.h5").write_text(SMALL)
-    message = refusal("run", "spec.h5", "-o", "spec.h5", "--overwrite")
-    assert "this file is the input, which is not overwritten" in message
-
-
 def test_stdin_is_named_in_messages(refusal, in_tmp_path):
     assert refusal("run", "-", stdin=small("step:", "stpe:")).startswith("<stdin>:8: time.stpe: ")
 
 
-@pytest.mark.parametrize("case", ["unknown key below", "code in an expression", "recursive alias"])
-def test_a_process_of_its_own_says_the_same(case, mbdkit_process, in_tmp_path):
-    text, line, key, words = WRONG[case]
+def test_a_process_of_its_own_says_the_same(mbdkit_process, in_tmp_path):
+    text, line, key, words = WRONG["unknown key below"]
     (in_tmp_path / "spec.yaml").write_text(text)
     result = mbdkit_process("run", "spec.yaml")
     assert result.returncode == 2
@@ -215,8 +201,7 @@ def test_a_process_of_its_own_says_the_same(case, mbdkit_process, in_tmp_path):
 
 def test_debug_shows_the_traceback(mbdkit_process, in_tmp_path):
     (in_tmp_path / "spec.yaml").write_text(small("step:", "stpe:"))
-    for arguments in (("run", "spec.yaml", "--debug"), ("--debug", "run", "spec.yaml")):
-        result = mbdkit_process(*arguments)
-        assert result.returncode == 2
-        assert "Traceback" in result.stderr
-        assert "SpecError" in result.stderr
+    result = mbdkit_process("--debug", "run", "spec.yaml")
+    assert result.returncode == 2
+    assert "Traceback" in result.stderr
+    assert "SpecError" in result.stderr

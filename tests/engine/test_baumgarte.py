@@ -14,9 +14,6 @@ import mbdkit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Timetable
-from mbdkit.integrators.start import start_method
-from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from tests.engine.linkages_in_sympy import parallelogram, slider_crank
@@ -87,28 +84,6 @@ def test_constraint_errors_die_out_as_the_damped_oscillator_says() -> None:
     there = (e + (rate + alpha * e) * end) * math.exp(-alpha * end)
     assert np.abs(there).max() > 1e-5
     np.testing.assert_allclose(p.constraints(end, y[:3]), there, atol=1e-11)
-
-
-@pytest.mark.parametrize("solver", ["DOP853", "Radau"])
-def test_scipy_on_our_equations_goes_where_scipy_goes_on_those_by_hand(solver: str) -> None:
-    workspace = workspace_of(swung_pendulum(), BAUMGARTE)
-    workspace.q0[:2] += (0.01, -0.02)  # off the joints, so that the terms pull
-    start = np.concatenate([workspace.q0[:3], workspace.v0[:3]])
-    there = solve_ivp(
-        lambda t, y: np.concatenate([y[3:], by_hand(t, y[:3], y[3:])[0]]),
-        (0.0, 2.0), start, "DOP853", rtol=1e-12, atol=1e-13,
-    )  # fmt: skip
-    method = SciPySolver(solver, 1e-10, 1e-12, needs_jacobian=solver == "Radau")
-    stepper = start_method(method, workspace, Timetable(0.0, 2.0))
-    rows = []
-    while not (stepper.finished or stepper.failure):
-        rows.append(stepper.advance())
-    assert stepper.failure is None
-    end = np.concatenate([rows[-1].q[-1, :3], rows[-1].v[-1, :3]])
-    np.testing.assert_allclose(end, there.y[:, -1], atol=3e-8)
-    corrections = np.vstack([stretch.corrections for stretch in rows])
-    assert corrections[:, 3].max() > 0.1
-    np.testing.assert_array_equal(corrections[:, :3], 0.0)
 
 
 MODELS = {
@@ -188,10 +163,3 @@ def test_what_is_recorded_is_taken_without_the_terms() -> None:
     np.testing.assert_allclose(run.array("trajectory/acceleration")[-1].ravel(), a, rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(run.array("constraints/multiplier")[-1], lam, rtol=1e-13, atol=1e-13)
     assert run.steps.acceleration_correction.max() > 0
-
-
-def test_baumgarte_holds_the_drift_of_a_method_back() -> None:
-    plain = {"mbdkit": 1, "model": {"name": "double-pendulum"}, "time": {"end": 20.0}}
-    plain |= {"integrator": {"name": "scipy-dop853", "rtol": 1e-6, "atol": 1e-8}}
-    free, held = (mbdkit.run(plain, stabilization=name).check() for name in ("none", "baumgarte"))
-    assert held.misalignment_max < 0.1 * free.misalignment_max

@@ -84,23 +84,6 @@ def test_tangents_of_a_cable_couple_all_bodies_that_it_passes() -> None:
         assert_close(full[: c.n, : c.n], factor * np.outer(s_q, s_q)[: c.n, : c.n])
 
 
-def test_a_cable_over_one_joint_is_a_torsion_spring() -> None:
-    # expected: tension k (L - r phi - s_0) = torque r k (L - r phi - s_0), a torsion spring of stiffness k r^2
-    radius, runs = 0.05, []
-    for kind in ("cable", "spring"):
-        m = leg()
-        if kind == "cable":
-            m.cable("s", {"knee": radius}, law="linear", stiffness=STIFFNESS, length=0.3, free_length=0.29)
-        else:
-            m.torsion_spring("s", "thigh", "shank", stiffness=STIFFNESS * radius**2, free_angle=0.01 / radius)
-        runs.append(mbdkit.run(m, integrator={"name": "gauss", "stages": 3}, time={"end": 0.5, "step": 0.01}))
-    cable_run, spring_run = runs
-    np.testing.assert_allclose(cable_run["foot"].position, spring_run["foot"].position, rtol=0, atol=1e-10)
-    torque = spring_run.forces["s"].value
-    np.testing.assert_allclose(radius * cable_run.forces["s"].value, torque, rtol=0, atol=1e-8 * np.max(abs(torque)))
-    np.testing.assert_allclose(cable_run.forces["s"].potential, spring_run.forces["s"].potential, rtol=1e-8, atol=1e-10)
-
-
 @pytest.mark.parametrize(
     "method", [{"name": "gauss", "stages": 2}, {"name": "radau-iia", "stages": 3}, {"name": "rk4"}]
 )

@@ -13,6 +13,7 @@ import sympy as sp
 from mbdkit import EquationsOfMotion, StepError
 from tests.engine.linkages_in_sympy import MECHANISMS, RNG, parallelogram, somewhere, symbolic
 from tests.integrators.running import driven_chain
+from tests.slow_cases import slow
 
 T = 0.7
 
@@ -70,7 +71,7 @@ def tangents(name: str, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.nda
     return [np.array(x, dtype=float) for x in function(T, q, v, a, lam)]
 
 
-@pytest.mark.parametrize("name", ["driven chain", "moved slider-crank"])
+@pytest.mark.parametrize("name", ["driven chain", *slow("moved slider-crank")])
 def test_tangents_and_iteration_matrix_are_the_derivatives(name: str) -> None:
     # expected: SymPy's derivatives, and dense linear algebra
     p = equations_of(name)

@@ -91,15 +91,6 @@ STATEFUL: dict[str, Callable[[], mbdkit.Mechanism]] = {
 }
 
 
-def test_of_a_redundant_mechanism_the_multipliers_are_those_of_the_independent_rows() -> None:
-    # expected: the residual, whose forces use the states held last
-    p = EquationsOfMotion.of(STATEFUL["redundant loop with a muscle"]())
-    v = p.project_velocities(T, p.q0, np.random.default_rng(52).standard_normal(p.n))
-    a, lam, _ = p.derivatives(T, p.q0, v, p.z0 * 1.01)
-    np.testing.assert_allclose(p.residual(T, p.q0, v, a, lam), 0.0, atol=1e-10)
-    np.testing.assert_allclose(p.constraint_jacobian(T, p.q0) @ a, p.gamma(T, p.q0, v), atol=1e-10)
-
-
 @pytest.mark.parametrize("name", STATEFUL)
 def test_the_jacobian_is_the_derivative_of_the_rates(name: str) -> None:
     # expected: differences of order 6; those of the method have order 2, which shows where short tendons are stiff

@@ -161,21 +161,6 @@ def test_loads_act_where_and_how_they_say() -> None:
     assert_close(c.scratch.force[:6], expected)
 
 
-def test_the_tangent_of_a_force_is_that_of_its_turning_arm() -> None:
-    # expected: -d/dtheta (arm x F) by complex step; a force in global axes has no other derivative
-    m = two_bodies()
-    m.force("f", "b", value=[3.0, "2*cos(t)"], point=POINT_B)
-    c = Compiled(m, T)
-    force = np.array([3.0, 2 * np.cos(T)])
-
-    def moment(q: Any) -> Any:
-        arm = place(q, 1, POINT_B) - q[3:5]
-        return arm[0] * force[1] - arm[1] * force[0]
-
-    c.tangents()
-    assert_close(c.scratch.load_stiff, [[0.0, 0.0, -gradient(moment, c.q)[5]]])
-
-
 def test_a_force_in_the_frame_of_its_body_turns_with_it() -> None:
     # expected: R(theta) F at the point, written by hand, its derivatives with respect to theta by complex step
     m = two_bodies()

@@ -11,7 +11,6 @@ import pytest
 import mbdkit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
-from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, loop, slides, tree
@@ -151,23 +150,6 @@ def test_distance_of_one_joint_is_one_and_without_joints_there_is_none():
     m.body("ball", mass=1, inertia=1)
     with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.01}) as run:
         assert not run.records("constraints/singularity_distance")
-
-
-def test_distance_does_not_depend_on_the_directions_of_the_axes():
-    found = []
-    for turn in (0.0, 0.7):
-        c, s = math.cos(turn), math.sin(turn)
-        m = Mechanism()
-        rod = m.body("rod", mass=1, inertia=0.02, position=(0.5 * c, 0.5 * s), angle=turn)
-        tip = m.body("tip", mass=1, inertia=0.05, position=(c - 0.5 * s, s + 0.5 * c), angle=turn + math.pi / 2)
-        m.revolute("A", m.ground, rod, points=((0, 0), (-0.5, 0)))
-        m.revolute("B", rod, tip, points=((0.5, 0), (-0.5, 0)))
-        found.append(nearest_singularity(workspace_of(m), 0.0, EquationsOfMotion.of(m).q0)[0])
-    assert found[0] == pytest.approx(found[1], rel=1e-12)
-
-
-def workspace_of(m: Mechanism) -> Workspace:
-    return EquationsOfMotion.of(m)._workspace
 
 
 @pytest.mark.parametrize("grown", [chain, driven_frame, ladder, loop, slides, tree])

@@ -15,11 +15,10 @@ import xarray
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.base.errors import UnknownNameError
-from mbdkit.events import watch
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
 from mbdkit.spec.run_spec import spec_type
-from tests.integrators.step_methods import Failing, Remembering, RungeKutta, offering, run_with
+from tests.integrators.step_methods import Remembering, RungeKutta, offering, run_with
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
 GAUSS = {"name": "gauss", "stages": 3}
@@ -121,12 +120,6 @@ def test_an_event_between_recorded_rows_ends_the_run_at_a_row_of_its_own(integra
         assert stopped.steps.steps.sum() == stopped.stats["steps"]
 
 
-def test_rows_at_an_interval_end_with_the_event() -> None:
-    with run({"enough": stop("t - 0.4321")}, DOP853, output={"interval": 0.1}) as stopped:
-        np.testing.assert_allclose(stopped.time, [0.0, 0.1, 0.2, 0.3, 0.4, 0.4321], rtol=0, atol=1e-12)
-        assert stopped.steps.steps.sum() == stopped.stats["steps"]
-
-
 def test_an_event_at_the_end_of_a_step_ends_the_run_there_once() -> None:
     with run({"enough": stop("t - 0.5")}, {"name": "rk4"}) as stopped:
         assert stopped.time[-2:] == pytest.approx([0.49, 0.5], abs=1e-15)
@@ -137,12 +130,6 @@ def test_zeros_at_the_start_and_at_the_end_are_no_crossings() -> None:
     with run({"start": "t", "end": "t - 1", "rest": "rod1.angular_velocity"}, {"name": "rk4"}) as noted:
         assert len(noted.events) == 0
         assert noted.events.position.shape == (0, 2, 3)
-
-
-def test_a_crossing_there_and_back_within_a_step_is_found() -> None:
-    with run({"dip": "(t - 0.5031)*(t - 0.5039)"}) as noted:
-        assert noted.events.time == pytest.approx([0.5031, 0.5039], abs=1e-12)
-        assert noted.events.direction.tolist() == [-1, 1]
 
 
 def test_a_run_that_fails_keeps_the_events_found_before() -> None:
@@ -223,17 +210,6 @@ def test_a_step_that_is_cut_short_is_projected_where_it_is_due(when: float, due:
         assert bool(off < 1e-15) is due
 
 
-def test_a_plugin_that_raises_keeps_the_events_found_before() -> None:
-    def burst(problem: Any, state: Any) -> Any:
-        raise RuntimeError("burst")
-
-    named = {"early": {"when": "t - 0.0501"}}
-    with run_with(Failing(20, burst), DOUBLE, {"end": 1.0, "step": 0.01}, events=named) as failed:
-        assert failed.status_reason.startswith("plugin-error")
-        assert len(failed.time) > 10  # steps that locate the event count among the twenty
-        assert [event.name for event in failed.events] == ["early"]
-
-
 def test_redundant_joints_share_their_force_as_in_the_archive() -> None:
     m = mbdkit.Mechanism()
     rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
@@ -288,26 +264,6 @@ def test_other_programs_read_the_events_whether_they_came_in_one_piece_or_in_man
         assert data["events/position"].dimensions == ("event", "body", "coordinate")
 
 
-def test_archive_says_that_no_event_was_found(tmp_path: Path) -> None:
-    path = tmp_path / "run.h5"
-    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 0.1, "step": 0.01}}
-    mbdkit.run(spec, archive=path, events={"never": {"when": "rod1.x - 9"}}).close()
-    assert check(path) == []
-    with mbdkit.load(path) as loaded:
-        assert len(loaded.events) == 0
-        assert loaded.to_xarray()["events/time"].shape == (0,)
-
-
-def test_a_spec_without_events_has_the_hash_that_it_had_before_there_were_any() -> None:
-    # expected: written down before the section was added, when the number of iterations always had a limit
-    spec = load_spec("pendulum", ["integrator.max_iterations=50"])
-    assert "events" not in spec.canonical_json()
-    assert spec.sha256() == "3a7b807dd456ca9af57bfedc93a477c7fa9d20de35582b21e3a85a95c6c761ad"
-    with run({}) as plain:
-        assert "events" not in plain.file
-        assert len(plain.events) == 0
-
-
 THROWN = {
     "name": "mechanism",
     "gravity": [0, -9.81],
@@ -324,13 +280,6 @@ def thrown(when: str, integrator: dict[str, Any], end: float = 2.0, **event: str
 LONG_STEPS = [
     {"name": "dop853", "adaptive": True}, {"name": "gauss", "stages": 3, "adaptive": True}, {"name": "scipy-dop853"},
 ]  # fmt: skip
-
-
-@pytest.mark.parametrize("integrator", LONG_STEPS, ids=lambda one: one["name"])
-def test_every_crossing_of_a_fast_expression_is_found_in_long_steps(integrator: dict[str, Any]) -> None:
-    with thrown("sin(40*a.x)", integrator) as there:
-        assert there.check().stats["steps"] < 30
-        assert there.events.time == pytest.approx(np.arange(1, 26) * np.pi / 40, abs=1e-9)
 
 
 @pytest.mark.parametrize("integrator", LONG_STEPS, ids=lambda one: one["name"])
@@ -388,20 +337,6 @@ def test_a_pole_at_the_end_of_a_step_does_not_end_the_run(when: str) -> None:
         assert there.check().time[-1] == 1.0
         jumps = [0.5] if when.startswith("abs") else []
         assert there.events.time == pytest.approx(jumps, abs=1e-10)
-
-
-@pytest.mark.parametrize("integrator", [{"name": "rk4"}, DOP853, ADAPTIVE[1]], ids=lambda one: one["name"])
-def test_an_exception_in_the_last_step_is_raised(integrator: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    crossings = watch.crossings
-
-    def burst(before: int, shown: list[tuple[float, float]], *rest: Any) -> Any:
-        if shown[-1][1] >= 1.0:
-            raise RuntimeError("burst")
-        return crossings(before, shown, *rest)
-
-    monkeypatch.setattr("mbdkit.events.watch.crossings", burst)
-    with pytest.raises(RuntimeError, match="burst"):
-        run({"wave": "t*(1 + 0*sin(1e3*t))"}, integrator)
 
 
 def test_an_exception_of_dense_output_in_the_last_step_is_not_lost() -> None:

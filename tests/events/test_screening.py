@@ -16,6 +16,7 @@ from mbdkit.integrators.loop.steps_ahead import StepsAhead
 from mbdkit.integrators.start import start_method
 from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import load_spec
+from tests.slow_cases import slow_but
 
 PLACES = (0.0, *INSIDE, 1.0)
 
@@ -92,7 +93,7 @@ def cases() -> list[dict[str, Any]]:
     return [*runs, *(charged | METHODS[number] | {"output": {"every": 2}} for number in (1, 3))]
 
 
-@pytest.mark.parametrize("spec", cases(), ids=lambda spec: spec["integrator"]["name"])
+@pytest.mark.parametrize("spec", slow_but(cases(), *cases()[::3]), ids=lambda spec: spec["integrator"]["name"])
 def test_many_steps_at_once_yield_the_same_bits_as_one_by_one(
     spec: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,6 @@ as x = 0.3 cos 2t + 3 (s - sin(2s) / 2) / 4 with s = max(0, t - c).
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,7 @@ from scipy.interpolate import make_interp_spline
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit.integrators.interface import Guards
-from mbdkit.integrators.start import start_method
 from mbdkit.runs.corners import stops_of
-from mbdkit.runs.preparation import caution, make_method, timetable
 from mbdkit.spec import load_spec
 from tests.integrators.step_methods import Remembering, RungeKutta, run_with
 from tests.linkages import driven_crank
@@ -135,17 +130,6 @@ def test_adaptive_steps_do_not_jump_over_a_pulse(integrator: dict[str, Any]) -> 
         assert there["a"].velocity[-1, 0] == pytest.approx(5.0, rel=1e-9)
         assert there["a"].position[-1, 0] == pytest.approx(25.0, rel=1e-9)
         assert there.stats["accepted"] < 1000
-
-
-def test_a_short_pulse_in_a_table_is_not_missed() -> None:
-    table = {"table": [[0.0, 4.9, 4.95, 5.0, 5.05, 5.1, 10.0], [0.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0]]}
-    from scipy.interpolate import CubicSpline
-
-    area = float(CubicSpline(*table["table"]).integrate(0.0, 10.0))
-    with run(pushed(table), DOP853, 10.0) as there:
-        assert there["a"].velocity[-1, 0] == pytest.approx(area, rel=1e-12)
-    with run(pushed({**table, "interpolation": "linear"}), DOP853, 10.0) as there:
-        assert there["a"].velocity[-1, 0] == pytest.approx(5.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("integrator", [GAUSS, {**GAUSS, "adaptive": True, "rtol": 1e-10}, DOP853], ids=named)
@@ -395,43 +379,6 @@ def test_impulses_of_joints_change_the_momenta_of_their_bodies() -> None:
 # ---- tables and specs ----------------------------------------------------------------------------------------------
 
 
-STEPS = {"table": [[0.0, 1.0, 1.01, 1.5, 1.51, 2.0], [0.0, 0.0, 10.0, 10.0, 0.0, 0.0]]}
-
-
-def test_a_table_that_overshoots_is_warned_of() -> None:
-    (sentence,) = map(str, caution(load_spec(spec_of(pushed(STEPS)))))
-    assert "table at model.forces.f.value[0] leaves the range of its values by 66.8 times" in sentence
-    assert "`interpolation: linear`" in sentence
-    assert caution(load_spec(spec_of(pushed({**STEPS, "interpolation": "linear"})))) == []
-
-
-def test_a_linear_table_is_integrated_exactly() -> None:
-    with mbdkit.run(spec_of(pushed({**STEPS, "interpolation": "linear"}))) as there:
-        assert there.check()["a"].velocity[-1, 0] == pytest.approx(5.0, rel=1e-13)
-
-
-def test_new_keys_are_absent_from_the_canonical_form_by_default() -> None:
-    spec = load_spec(spec_of(pushed({**STEPS, "interpolation": "cubic"}), impacts="refuse"))
-    assert not any(word in spec.canonical_json() for word in ('"impacts"', '"interpolation"', '"max_step"'))
-    spec = load_spec(spec_of(pushed({**STEPS, "interpolation": "linear"}), impacts="allow"))
-    assert all(word in spec.canonical_json() for word in ("impacts", "interpolation"))
-
-
-def test_a_step_that_ends_at_an_impact_ends_with_the_velocities_before_it() -> None:
-    # also in steps taken one at a time
-    spec = load_spec(spec_of(driven("min(t, 1.0037)"), DOP853, impacts="allow", time={"end": 2.0}))
-    workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
-    stepper = start_method(make_method(spec), workspace, replace(timetable(spec, Guards()), single=True))
-    ends = {}
-    while not stepper.finished:
-        stepper.advance()
-        assert stepper.last_step is not None
-        ends[stepper.last_step.t1] = float(stepper.last_step.v0[0]), float(stepper.last_step.v1[0])
-    at = next(t for t in ends if t == pytest.approx(1.0037, abs=1e-9))
-    assert ends[at] == pytest.approx((1.0, 1.0))
-    assert ends[min(t for t in ends if t > at)] == pytest.approx((0.0, 0.0), abs=1e-12)
-
-
 # ---- quintic and periodic tables -----------------------------------------------------------------------------------
 
 KNOTS = [-0.5, 0.0371, 0.4113, 0.7317, 1.0531, 1.3919, 1.7673, 2.5]
@@ -465,18 +412,6 @@ def test_a_method_keeps_its_order_over_the_knots_of_a_quintic_load(integrator: d
         with run(pushed(quintic()), integrator, 2.0, step=step) as there:
             exact = twice(there.time) - twice(0.0) - there.time * once(0.0)
             errors.append(np.max(np.abs(there["a"].position[:, 0] - exact)))
-    assert math.log2(errors[0] / errors[1]) > order - 0.5 or errors[1] < 1e-12
-
-
-@pytest.mark.parametrize(("integrator", "order"), [({"name": "rk4"}, 4), (GAUSS, 6)])
-def test_a_method_keeps_its_order_over_the_knots_of_a_quintic_driver(integrator: dict[str, Any], order: int) -> None:
-    # expected: the spline of SciPy; a driven position is the second integral of an acceleration with jumps in its third
-    # derivative
-    curve = make_interp_spline(*quintic()["table"], k=5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
-    errors = []
-    for step in (0.1, 0.05):
-        with run(driven(quintic()), integrator, 2.0, step=step) as there:
-            errors.append(np.max(np.abs(there["a"].position[:, 0] - curve(there.time))))
     assert math.log2(errors[0] / errors[1]) > order - 0.5 or errors[1] < 1e-12
 
 

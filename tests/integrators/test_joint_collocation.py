@@ -10,7 +10,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
-from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from tests.engine.random_mechanisms import flexible
 from tests.integrators.pendulums_on_joints import JOINT, KINDS, forced_pendulum, lagrange
@@ -112,18 +111,6 @@ def test_stiff_springs_allow_steps_far_beyond_the_stability_of_explicit_methods(
     assert run.stats["newton_iterations"] <= 8 * run.stats["steps"] + 8 * run.stats["rejected"]
 
 
-def test_cut_joints_drift_until_they_are_projected() -> None:
-    make, cut, _ = KINDS["loop"]
-    drift = {}
-    for kind in ("none", "baumgarte", "projection"):
-        run = mbdkit.run(
-            make(np.random.default_rng(1)), formulation=JOINT, integrator={"name": "gauss"}, stabilization=kind,
-            time={"end": 0.2, "step": 0.005},
-        )  # fmt: skip
-        drift[kind] = max(run.joints[name].misalignment_max for name in cut)
-    assert drift["projection"] < 1e-13 < min(drift["baumgarte"], drift["none"])
-
-
 def test_first_order_states_act_in_joint_coordinates() -> None:
     # expected: index-1 in absolute coordinates, with the same method
     m = forced_pendulum()
@@ -135,12 +122,3 @@ def test_first_order_states_act_in_joint_coordinates() -> None:
     ]
     ours, theirs = ((run.states["z"].value[-1], run.bodies["r1"].angle[-1]) for run in runs)
     assert ours == pytest.approx(theirs, abs=1e-10)
-
-
-def test_what_collocation_cannot_do_in_joint_coordinates_is_refused_in_a_sentence() -> None:
-    spec: dict[str, Any] = {
-        "mbdkit": 1, "model": {"name": "double-pendulum"}, "formulation": JOINT, "integrator": {"name": "gauss"},
-        "time": {"end": 0.1, "step": 0.01},
-    }  # fmt: skip
-    with pytest.raises(SpecError, match="with joint-coordinates, only steps of explicit Runge-Kutta methods have"):
-        mbdkit.gradient(spec, "final(bodies.rod2.angle)", "model.gravity.1")

@@ -76,19 +76,6 @@ def test_pins_stay_closed_to_the_last_bits_over_many_turns(method: str) -> None:
     assert max(joint.misalignment_max for joint in run.joints.values()) <= 4 * EPS * 2.0
 
 
-def test_dense_output_and_events_are_on_the_joints() -> None:
-    # expected: recorded states between steps that the tree places, and an event at the root of its expression
-    method = {"formulation": JOINT, "integrator": {**TIGHT, "rtol": 1e-8, "atol": 1e-8}, "output": {"interval": 0.013}}
-    events = {"down": {"when": "bodies.r0.angle + pi/2"}}
-    run = mbdkit.run(forced_pendulum(), **method, time={"end": 2.0}, events=events)
-    assert max(float(np.max(joint.misalignment)) for joint in run.joints.values()) <= 4 * EPS * 2.0
-    found = solve_ivp(
-        lagrange, (0.0, 2.0), [-1.0, -0.4, 0.0, 0.0], "DOP853", rtol=1e-12, atol=1e-12,
-        events=lambda t, y: y[0] + np.pi / 2,
-    )  # fmt: skip
-    np.testing.assert_allclose(run.events.of_name("down").time, found.t_events[0], atol=1e-7)
-
-
 def test_cut_joints_drift_until_they_are_projected() -> None:
     make, cut, _ = KINDS["loop"]
     settings: dict[str, Any] = {"integrator": {"name": "rk4"}, "time": {"end": 0.5, "step": 0.005}}

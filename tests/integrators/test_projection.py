@@ -18,6 +18,7 @@ from mbdkit.integrators.start import start_method
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from tests.engine.linkages_in_sympy import parallelogram
+from tests.slow_cases import slow
 
 from .running import DOUBLE, driven_chain, spec_run
 from .step_methods import Remembering, RungeKutta, run_with
@@ -193,28 +194,6 @@ def test_baumgarte_reaches_methods_written_in_python() -> None:
     assert held.records("steps/projections") is False
 
 
-def test_a_method_sees_what_the_run_asks_for() -> None:
-    seen: list[Any] = []
-
-    class Looking(RungeKutta):
-        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
-            seen.append((equations.formulation, equations.stabilization))
-            return super().step(equations, t, state, h)
-
-    run_with(Looking(), DOUBLE, {"steps": 1, "step": 0.01}, stabilization={"name": "projection", "every": 3}).check()
-    assert seen == [("index-1", Stabilization("projection", every=3))]
-
-
-def test_a_run_warns_where_baumgarte_is_stiff() -> None:
-    # expected: RK4 multiplies an error by R(-3) = 1 - 3 + 9/2 - 9/2 + 27/8 a step
-    stiff = {"name": "baumgarte", "alpha": 300.0}
-    run = run_with(RungeKutta(), DOUBLE, {"steps": 3, "step": 0.01}, stabilization=stiff).check()
-    words = "with 'mine' each step multiplies constraint errors by 1.38"
-    assert words in run.warnings[0]
-    assert words in run.summary()
-    assert run_with(RungeKutta(), DOUBLE, {"steps": 3, "step": 0.01}).warnings == []
-
-
 def test_a_state_that_no_projection_can_reach_ends_the_run() -> None:
     class Leaping(RungeKutta):
         def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
@@ -251,7 +230,7 @@ def spinning_rods(rate: float) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("turn", [0.1, 0.25, 0.4])
+@pytest.mark.parametrize("turn", [0.4, *slow(0.1, 0.25)])
 @pytest.mark.parametrize(
     "method", [{"name": "gauss"}, {"name": "radau-iia"}, Midpoint()], ids=["gauss", "radau", "python"]
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import time
 from typing import Any
 
@@ -10,10 +9,11 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
+from mbdkit import StepError, StepState
 from mbdkit.integrators import interface
 from mbdkit.spec.run_spec import spec_type
 from tests.engine.linkages_in_sympy import parallelogram
+from tests.slow_cases import slow
 
 from .running import DOUBLE, driven_chain, spec_run
 from .step_methods import Failing, Remembering, RungeKutta, offering, run_with
@@ -48,18 +48,6 @@ def test_work_and_dissipation_that_a_method_does_not_book_are_integrated_to_orde
     assert np.log2(open_by[0] / open_by[1]) > 3.8
 
 
-def test_a_method_may_book_work_and_dissipation_itself() -> None:
-    class Booking(RungeKutta):
-        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
-            new = super().step(equations, t, state, h)
-            return StepState(new.q, new.v, work=2 * h, dissipated=3 * h)
-
-    run = run_with(Booking(), driven_chain(), {"steps": 20, "step": 0.01}).check()
-    np.testing.assert_allclose(run.energy.work, 2 * run.time, atol=1e-15)
-    np.testing.assert_allclose(run.energy.dissipated, 3 * run.time, atol=1e-15)
-    assert run.stats["rhs_evaluations"] == 80
-
-
 def test_multipliers_of_the_method_are_recorded_beside_those_of_index_one() -> None:
     run = run_with(Remembering(), DOUBLE, {"steps": 10, "step": 0.01}, output={"every": 3}).check()
     own = run.array("constraints/method_multiplier")
@@ -87,7 +75,7 @@ def test_a_redundant_mechanism_runs_as_under_the_compiled_method() -> None:
     np.testing.assert_allclose(pushes[0], pushes[1], rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("every", [1, 7, 400])
+@pytest.mark.parametrize("every", [7, *slow(1, 400)])
 def test_results_do_not_depend_on_the_stretches_that_a_run_is_cut_into(
     every: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -109,22 +97,6 @@ def test_slow_steps_still_return_to_the_recorder_in_time() -> None:
     run = run_with(Slow(), DOUBLE, {"steps": 60, "step": 0.01}, limits={"wall_time": 0.5})
     assert run.status_reason.startswith("wall-time")
     assert run.stats["wall_s"] < 0.5 + 0.2
-
-
-def test_going_on_from_a_pickled_state_is_the_same_to_the_bit() -> None:
-    h, method = 0.01, RungeKutta()
-    p = EquationsOfMotion.of(driven_chain())
-    state = StepState(p.q0, p.v0)
-    kept = b""
-    for k in range(20):
-        if k == 10:
-            kept = pickle.dumps(state)
-        state = method.step(p, k * h, state, h)
-    fresh, again = EquationsOfMotion.of(driven_chain()), pickle.loads(kept)
-    for k in range(10, 20):
-        again = method.step(fresh, k * h, again, h)
-    assert np.array_equal(again.q, state.q)
-    assert np.array_equal(again.v, state.v)
 
 
 def test_moved_carries_the_rounding_errors_of_its_sums() -> None:
@@ -211,11 +183,6 @@ def test_a_method_that_is_none_is_refused_by_name() -> None:
 
     with pytest.raises(mbdkit.PluginError, match=r"type Bare; .* subclass of StepMethod or ExternalMethod"):
         run_with(Bare(), DOUBLE, {"steps": 3, "step": 0.01})
-
-
-def test_a_class_without_a_step_cannot_be_made() -> None:
-    with pytest.raises(TypeError, match="step"):
-        type("Empty", (StepMethod,), {})()
 
 
 def test_a_method_of_another_formulation_is_refused_by_name() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbdkit.integrators import interface
+from tests.slow_cases import slow
 
 from .running import DOUBLE, FIXED, driven_chain, run, spec_run
 
@@ -71,12 +72,6 @@ def test_a_shorter_last_step_keeps_the_order_of_the_method(integrator: dict[str,
     np.testing.assert_allclose(odd["rod2"].position[-1], even["rod2"].position[-1], rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("integrator", FIXED, ids=str)
-def test_steps_may_be_given_by_number(integrator: dict[str, Any]) -> None:
-    result = run(DOUBLE, integrator, steps=7, step=0.1)
-    np.testing.assert_array_equal(result.time, [0.1 * k if k < 7 else 7 * 0.1 for k in range(8)])
-
-
 APART: dict[str, Any] = {"output": {"every": 9}, "limits": {"misalignment": 1e9}}
 """Sections of a run whose joints may drift apart: it is about the time alone."""
 
@@ -91,7 +86,7 @@ def test_time_is_never_summed_up() -> None:
 @pytest.mark.parametrize(
     "integrator", [{"name": "rk-gill"}, {"name": "gauss"}, {"name": "gauss", "stages": 3}], ids=str
 )
-@pytest.mark.parametrize("every", [1, 7, 400])
+@pytest.mark.parametrize("every", [7, *slow(1, 400)])
 def test_results_do_not_depend_on_the_stretches_that_a_run_is_cut_into(
     integrator: dict[str, Any], every: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -123,14 +123,6 @@ def test_its_weights_alone_are_refused_too() -> None:
         ButcherTableau("s3IRK with b_2 as printed", right.a, PAPER_S3["b"], right.c, order=6)
 
 
-@shipped
-def test_a_claim_of_one_order_more_is_refused(name: str) -> None:
-    t = SHIPPED[name]
-    if t.order < 9:
-        with pytest.raises(TableauError, match=f"claims order {t.order + 1}"):
-            ButcherTableau(name, t.a, t.b, t.c, order=t.order + 1)
-
-
 def test_dense_output_without_an_error_estimate_ends_at_the_step_and_controls_none() -> None:
     # expected: Hairer, Norsett and Wanner (1993), II.6.10-6.11: dense output of order 3 of the method of order 4
     t = SHIPPED["rk4"]
@@ -143,11 +135,6 @@ def test_dense_output_without_an_error_estimate_ends_at_the_step_and_controls_no
         EmbeddedPair.without_error(t, dense[:3])
     with pytest.raises(TableauError, match=r"does not end where the step ends.* by 0.667"):
         EmbeddedPair.without_error(t, [[*row[:2], 0.0] for row in dense])
-
-
-def test_a_claim_of_less_is_accepted() -> None:
-    t = SHIPPED["rk4"]
-    assert ButcherTableau("rk4", t.a, t.b, t.c, order=3).order == 3
 
 
 def test_rounded_coefficients_are_held_to_round_off_and_not_to_less() -> None:
@@ -186,10 +173,3 @@ UNEVEN: list[tuple[Any, Any, Any]] = [
 def test_coefficients_that_make_no_method_are_refused(a: Any, b: Any, c: Any, order: int, words: str) -> None:
     with pytest.raises(TableauError, match=words or None):
         ButcherTableau("bad", a, b, c, order=order)
-
-
-def test_a_tableau_is_a_value() -> None:
-    assert rk4.tableau() == rk4.tableau()
-    assert rk4.tableau() != rk_gill.tableau()
-    with pytest.raises(AttributeError):
-        rk4.tableau().order = 5  # type: ignore[misc]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from scipy.integrate import quad
 
 import mbdkit
 from mbdkit import Mechanism, SpecError
-from mbdkit.spec import load_spec
 from tests.laws.walker import SWEEP, walker
 
 T = np.linspace(0.0, 1.0, 101)
@@ -103,45 +101,6 @@ def test_options_that_make_no_device_are_refused(law: str, options: dict[str, An
     m.body("mass", mass=1.0)
     with pytest.raises(SpecError, match=words):
         m.law("device", m.ground, "mass", law=law, along="x", **options)
-
-
-LEG = """mbdkit: 1
-parameters: {radius: 0.04, slack: 0.01}
-model:
-  name: mechanism
-  bodies:
-    thigh: {mass: 8, inertia: 0.1, position: [0, -0.2], angle: -1.5}
-    shank: {mass: 4, inertia: 0.05, position: [0, -0.6], angle: -1.6}
-    mass: {mass: 1, position: [0, -0.8]}
-  joints:
-    hip: {type: revolute, bodies: [ground, thigh], at: [0, 0]}
-    knee: {type: revolute, bodies: [thigh, shank], at: [0, -0.4]}
-    ankle: {type: revolute, bodies: [shank, mass], at: [0, -0.8]}
-    guide: {type: point-on-line, bodies: [ground, mass], at: [0, -0.8], axis: [0, 1]}
-  forces:
-    tendon:
-      type: law
-      law: one-sided
-      acts: tension
-      stiffness: 1.0e+4
-      free_length: slack
-      pathway:
-        type: joint-angles
-        angles: {hip: radius, knee: -radius/2}
-integrator: {name: rk4}
-time: {end: 0.1, step: 0.01}
-"""
-
-
-def test_parameters_and_keys_of_a_cable_can_be_set(tmp_path: Path) -> None:
-    file = tmp_path / "leg.yaml"
-    file.write_text(LEG)
-    given = load_spec(str(file), ["parameters.radius=0.06", "model.forces.tendon.pathway.angles.knee=-0.01"])
-    tendon = mbdkit.run(given).forces["tendon"]
-    start = -(0.06 * -1.5 - 0.01 * (-1.6 + 1.5))
-    assert tendon.length[0] == pytest.approx(start, abs=1e-9)
-    assert tendon.value[0] == pytest.approx(1e4 * (start - 0.01), rel=1e-6)
-    assert tendon.units == "N"
 
 
 def test_a_cable_in_a_spec_is_the_cable_of_the_builder() -> None:

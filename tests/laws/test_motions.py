@@ -76,29 +76,6 @@ def test_a_law_in_sympy_moves_like_the_same_law_as_a_function(name: str, options
     np.testing.assert_allclose(runs[0].energy.work, runs[1].energy.work, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("along", ["line", "angle", "x", "y"])
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [("duffing-numba", {"stiffness": 20.0, "cubic": 50.0, "damping": 0.5}), ("pump-sympy", {})],
-    ids=["passive", "active"],
-)
-@pytest.mark.parametrize(
-    ("integrator", "step", "order"),
-    [(RK4, 0.01, 4), ({"name": "gauss", "stages": 2}, 0.02, 4), (GAUSS, 0.04, 6)],
-    ids=["rk4", "gauss2", "gauss3"],
-)
-def test_the_energy_balance_of_a_law_closes_with_the_order_of_the_method(
-    name: str, options: Any, along: str, integrator: Any, step: float, order: int
-) -> None:
-    # expected: the error of a method of order p is divided by 2^p when its step is halved
-    errors = [
-        float(np.max(np.abs(run(swinging(along, name, **options), 0.8, h, integrator).energy.balance)))
-        for h in (step, step / 2)
-    ]
-    assert errors[1] < 1e-3
-    assert math.log2(errors[0] / errors[1]) > order - 0.5
-
-
 def test_a_law_that_dissipates_books_no_work_and_one_that_drives_dissipates_nothing() -> None:
     passive = run(swinging("line", "duffing-numba", stiffness=20.0, damping=0.5), 0.5, 0.01).energy
     assert not np.any(passive.work)
@@ -107,27 +84,6 @@ def test_a_law_that_dissipates_books_no_work_and_one_that_drives_dissipates_noth
     active = run(swinging("line", "pump-numba"), 0.5, 0.01).energy
     assert not np.any(active.dissipated)
     assert abs(active.work[-1]) > 0.001
-
-
-@pytest.mark.parametrize("along", ["x", "y"])
-def test_a_mass_on_a_coordinate_spring_swings_with_the_root_of_stiffness_over_mass(along: str) -> None:
-    # expected: x = l + a cos(w t), w = sqrt(k/m), in the frame of a body that stands turned by 0.7 rad
-    k, free, start = 9.0, 0.4, 0.9
-    turn = np.array([[math.cos(0.7), -math.sin(0.7)], [math.sin(0.7), math.cos(0.7)]])
-    column = 0 if along == "x" else 1
-    local = np.array([0.0, 0.3])
-    local[column] = start
-    m = Mechanism(gravity=(0, 0))
-    m.body("frame", mass=5.0, inertia=1.0, position=(0.2, -0.1), angle=0.7)
-    m.weld("hold", m.ground, "frame", points=((0.2, -0.1), (0, 0)))
-    m.body("mass", mass=1.0, position=np.array([0.2, -0.1]) + turn @ local)
-    m.law("s", "frame", "mass", law="linear", along=along, stiffness=k, free_length=free)
-    found = run(m, 2.0, 0.05)
-    inside = (found["mass"].position[:, :2] - (0.2, -0.1)) @ turn
-    np.testing.assert_allclose(
-        inside[:, column], free + (start - free) * np.cos(math.sqrt(k) * found.time), rtol=0, atol=1e-7
-    )
-    np.testing.assert_allclose(inside[:, 1 - column], local[1 - column], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("integrator", [RK4, GAUSS], ids=["rk4", "gauss"])
@@ -175,31 +131,6 @@ def test_a_damped_one_sided_spring_never_acts_the_other_way(acts: str, side: flo
     assert abs(found.energy.balance[-1]) < 1e-3
 
 
-TABLE = (np.array([-0.4, 0.1, 0.5, 0.9, 1.4]), (3.0, -2.0, 0.5, 4.0))
-"""Lengths of a table, and the coefficients of a cubic by rising powers."""
-
-
-def cubic(x: np.ndarray) -> np.ndarray:
-    return np.polynomial.polynomial.polyval(x, TABLE[1])
-
-
-def test_a_table_through_a_cubic_is_the_cubic() -> None:
-    # expected: the not-a-knot spline through points of a cubic is this cubic
-    results = []
-    for law, options in (
-        ("table", {"table": [TABLE[0], cubic(TABLE[0])]}),
-        ("polynomial", {"weights": list(TABLE[1])}),
-    ):
-        m = mass_on_a_line(0.8, 0.3)
-        m.law("s", m.ground, "mass", law=law, along="x", **options)
-        results.append(run(m, 0.7, 0.02))
-    position = results[0]["mass"].position
-    assert np.all(np.abs(position[:, 0] - 0.5) < 0.9)
-    np.testing.assert_allclose(position, results[1]["mass"].position, rtol=0, atol=1e-12)
-    first, second = (one.energy.potential - one.energy.potential[0] for one in results)
-    np.testing.assert_allclose(first, second, rtol=0, atol=1e-12)
-
-
 def test_beyond_its_ends_a_table_goes_on_straight() -> None:
     # expected: accelerations -F(x) from SciPy's own spline, continued by its slope at the ends; potential by quadrature
     lengths, forces = np.array([0.0, 0.3, 0.5, 1.0]), np.array([-1.0, 0.2, 1.1, 5.0])
@@ -231,17 +162,6 @@ def test_a_disc_that_spins_and_pushes_itself_goes_in_a_circle_on_its_drift() -> 
     expected = size * np.column_stack([(1 - np.cos(w * t)) / w, t - np.sin(w * t) / w])
     np.testing.assert_allclose(found["disc"].position[:, :2], expected, rtol=0, atol=1e-10)
     np.testing.assert_allclose(found["disc"].angle, w * t, rtol=0, atol=1e-13)
-
-
-def test_thrust_beside_the_centre_of_mass_winds_up_a_disc_evenly() -> None:
-    # expected: the moment arm x force stays what it is in the body's frame, so theta = M t^2 / (2 I)
-    m = Mechanism(gravity=(0, 0))
-    m.body("disc", mass=1.5, inertia=0.4)
-    m.force("thrust", "disc", value=[0.3, 1.0], point=(0.5, -0.2), frame="body")
-    found = run(m, 2.0, 0.05)
-    moment = 0.5 * 1.0 + 0.2 * 0.3
-    np.testing.assert_allclose(found["disc"].angle, moment * found.time**2 / 0.8, rtol=0, atol=1e-12)
-    assert np.max(np.abs(found.energy.balance)) < 1e-5
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from scipy.linalg import expm
 
 import mbdkit
 from mbdkit import SpecError
-from tests.runs.resuming.killed_runs import killed
 
 INERTIA, OPTIONS = 0.02, {"voltage": 12.0, "resistance": 1.5, "inductance": 0.3, "constant": 0.4, "current": 2.0}
 END = 0.5
@@ -66,14 +65,6 @@ FIXED = {
     "rk4, projection": ({"name": "rk4"}, {"stabilization": "projection"}, 4),
     "gauss, symmetric": (GAUSS, {"stabilization": {"name": "projection", "symmetric": True}}, 4),
 }
-
-
-@pytest.mark.parametrize("name", FIXED)
-def test_states_are_integrated_with_the_order_of_the_method(name: str) -> None:
-    integrator, sections, order = FIXED[name]
-    errors = [error(run(integrator, step, **sections)) for step in (0.025, 0.0125)]
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.2)
-    assert errors[1] < 1e-4
 
 
 def alternating_motor() -> dict[str, Any]:
@@ -192,24 +183,3 @@ def test_a_gradient_is_that_of_the_matrix_exponential() -> None:
     numbers = np.array([*OPTIONS.values()], dtype=complex)
     wanted = np.array([at_end(numbers + 1e-20j * np.eye(5)[k]).imag / 1e-20 for k in range(5)]).T
     np.testing.assert_allclose(found.jacobian, wanted, rtol=1e-8, atol=1e-8)
-
-
-def test_states_are_read_by_name() -> None:
-    done = run({"name": "rk4"})
-    assert list(done.states) == ["motor.current"]
-    current = done.states["motor.current"]
-    assert current.units == "A"
-    differences = (current.value[2:] - current.value[:-2]) / (done.time[2:] - done.time[:-2])
-    assert current.rate[1:-1] == pytest.approx(differences, abs=0.02)
-    assert not mbdkit.run("pendulum", time={"end": 0.1, "step": 0.05}).states
-
-
-@pytest.mark.parametrize("integrator", [{"name": "rk4"}, {"name": "gauss", "stages": 2}], ids=str)
-def test_a_killed_run_with_states_goes_on_to_the_same_bits(integrator: dict[str, Any], tmp_path: Path) -> None:
-    spec = spec_of(alternating_motor(), integrator) | {"time": {"end": 60.0, "step": 1e-3}}
-    whole = mbdkit.run(spec)
-    part = tmp_path / "run.h5.part"
-    assert killed(spec, part, delay=0.0)
-    resumed = mbdkit.resume(part).check()
-    assert resumed.provenance["resumed"] == 1
-    assert resumed.data_sha256 == whole.data_sha256

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import pytest
@@ -11,37 +10,8 @@ import mbdkit
 from mbdkit import ExpressionLaw, ForceLawPlugin, FunctionLaw, Mechanism, PluginError, SpecError
 from mbdkit.engine.force_laws import bind_law
 from mbdkit.registry.manager import registry
-from tests.spec_texts import changed, mechanism
 
 from .plugin import Nothing, length
-
-SPEC = mechanism("""\
-    arm: {mass: 1, inertia: 0.1, position: [0.5, 0]}
-    ball: {mass: 1, position: [1.5, 0]}
-  forces:
-    p:
-      type: law
-      law: one-sided
-      pathway:
-        type: two-points
-        bodies: [ground, arm]
-        points: [[0, 0], [0.5, 0]]
-      stiffness: 10
-      acts: tension
-""")
-spec = functools.partial(changed, SPEC)
-
-
-def table(columns: str) -> str:
-    return spec("law: one-sided", f"law: table\n      table: {columns}").replace(
-        "      stiffness: 10\n      acts: tension\n", ""
-    )
-
-
-angle = functools.partial(
-    changed, spec("two-points", "relative-angle").replace("        points: [[0, 0], [0.5, 0]]\n", "")
-)
-coordinate = functools.partial(changed, spec("two-points", "coordinate\n        coordinate: x"))
 
 
 def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:
@@ -50,27 +20,6 @@ def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:
     m.force("f", "ball", value=[1.0, 0.0], frame="body")
     with pytest.raises(SpecError, match=r"model\.forces\.f\.body: 'ball' is a point mass .* no angle for a force in"):
         m.validate()
-
-
-@pytest.mark.parametrize(
-    ("changes", "key", "words"),
-    [
-        ({"law": "one-sidde"}, "law", "did you mean 'one-sided'?"),
-        ({"stifness": 2.0}, "stifness", "did you mean 'stiffness'?"),
-        ({"stiffness": -2.0}, "stiffness", "should be at least 0, not -2.0"),
-        ({"along": "x"}, "", "from_ and to can be given only with along="),
-        ({"points": ((0, 0), (0, 0, 0)), "from_": None, "to": None}, "pathway.points[1]", "two numbers"),
-    ],
-)
-def test_the_builder_refuses_at_once(changes: dict[str, Any], key: str, words: str) -> None:
-    m = Mechanism()
-    arm = m.body("arm", mass=1.0, inertia=1.0)
-    given: dict[str, Any] = {"law": "one-sided", "from_": (0, 0), "to": (1, 0), "stiffness": 1.0, "acts": "tension"}
-    with pytest.raises(SpecError) as caught:
-        m.law("p", m.ground, arm, **given | changes)
-    assert caught.value.key == f"model.forces.p{'.' * bool(key)}{key}"
-    assert words in caught.value.message
-    assert not m.forces
 
 
 def with_law(law: str, **options: Any) -> Mechanism:
@@ -121,7 +70,7 @@ def test_a_law_that_gives_no_number_ends_the_run_as_not_finite(integrator: str) 
     assert "the law of force 'p' does not give a finite number" in run.status_reason
 
 
-@pytest.mark.parametrize("integrator", ["gauss", "radau-iia", "scipy-radau"])
+@pytest.mark.parametrize("integrator", ["gauss", "scipy-radau"])
 def test_a_law_that_gives_no_derivative_ends_the_run_of_a_method_that_asks_for_it(integrator: str) -> None:
     # expected: the derivative is none from t = 0.5 s on; an adaptive method asks for it where it converges badly
     options = {"rtol": 1e-10, "atol": 1e-10} if integrator == "scipy-radau" else {"stages": 2}

@@ -124,11 +124,6 @@ def test_a_beam_survives_the_way_through_a_spec() -> None:
     assert m.description() == "1 body, 1 beam, 1 joint, 0 drivers, 4 forces; 3 constraint rows"
 
 
-def test_a_mechanism_may_be_a_beam_alone() -> None:
-    spec = {"beams": {"bar": {"type": "beam", "a": [0, 0], "b": [1, 0], "elements": 1, **DIRECT}}}
-    assert list(Mechanism.from_spec(spec).bodies) == ["bar.0", "bar.1"]
-
-
 ENDS = {"a": [0, 0], "b": [1, 0]}
 
 
@@ -161,12 +156,6 @@ def test_a_body_is_not_named_like_a_node() -> None:
     m.body("a.b.7", mass=1)
     with pytest.raises(SpecError, match=r'bodies."a.b.7": .* a node of the beam'):
         m.validate()
-
-
-def test_numbers_of_a_beam_may_be_expressions_of_parameters() -> None:
-    spec = {"beams": {"bar": {"a": [0, 0], "b": ["2*half", 0], "elements": 2, **DIRECT, "damping": "half/10"}}}
-    m = Mechanism.from_spec(spec, {"half": 0.5})
-    assert (m.beams["bar"].b, m.beams["bar"].damping) == ((1.0, 0.0), 0.05)
 
 
 @pytest.mark.parametrize(("nodes", "corrected", "nearly"), [(2, False, 0.9), (2, True, 0.8), (3, False, 0.9)])

@@ -3,7 +3,6 @@
 import math
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mbdkit.base.errors import SpecError
@@ -62,32 +61,6 @@ def test_builder_and_spec_give_the_same_mechanism():
     assert (read.gravity, read.assembly) == (built().gravity, built().assembly)
 
 
-def test_slides_welds_and_tables_are_the_same_by_builder_and_by_spec():
-    m = Mechanism()
-    a = m.body("a", mass=1, inertia=1, position=(1, 0), angle=math.pi / 2)
-    b = m.body("b", mass=1, inertia=1, position=(1, 3))
-    m.prismatic("P", a, b, at=(1, 2), axis=(0, 3))
-    m.prismatic("Q", m.ground, b, points=((0, 0), (1, 1)), axis=np.array([1, 0]), angle=0.25)
-    m.weld("W", a, b, at=(1, 2), angle=0)
-    m.weld("V", m.ground, a, points=((0, 0), (1, 1)))
-    m.driver("D", a, b, coordinate="x", motion={"table": np.array([[0, 1, 2], [3, 4, 5]])})
-    m.force("f", b, value=(1, {"table": [[0, 1], [2, 3]]}))
-    assert m.joints["P"].points[0] == pytest.approx((2, 0))
-    assert m.joints["W"].points[1] == pytest.approx((0, -1))
-    spec = m.to_spec()
-    slide = {"type": "prismatic", "bodies": ["ground", "b"], "points": [[0.0, 0.0], [1.0, 1.0]]}
-    assert spec["joints"]["Q"] == {**slide, "axis": [1.0, 0.0], "angle": 0.25}
-    assert spec["joints"]["W"]["angle"] == 0.0
-    assert "angle" not in spec["joints"]["V"]
-    assert spec["joints"]["D"]["motion"] == {"table": [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]}
-    assert spec["forces"]["f"]["value"] == [1.0, {"table": [[0.0, 1.0], [2.0, 3.0]]}]
-    read = Mechanism.from_spec(spec)
-    assert read.to_spec() == spec
-    assert (read.joints, read.forces) == (m.joints, m.forces)
-    assert m.constraint_rows()[:2] == [("P.normal", "m"), ("P.angle", "rad")]
-    assert m.constraint_rows()[4:7] == [("W.x", "m"), ("W.y", "m"), ("W.angle", "rad")]
-
-
 def test_tables_must_cover_the_run():
     m = Mechanism()
     a = m.body("a", mass=1, inertia=1)
@@ -103,36 +76,6 @@ def test_tables_must_cover_the_run():
     with pytest.raises(SpecError) as caught:
         m.check_span(0.0, 2.0)
     assert caught.value.key == "model.forces.f.value[1].table[0]"
-
-
-def test_names_keep_the_order_in_which_they_were_written():
-    read = Mechanism.from_spec(SPEC)
-    assert list(read.bodies) == ["crank", "rod", "bob"]
-    assert list(read.joints) == ["A", "D", "E", "Y"]
-    assert list(read.forces) == ["s", "t", "m", "f"]
-
-
-def test_a_name_is_no_part_of_what_must_be_said():
-    read = Mechanism.from_spec({"bodies": {"a": {"mass": 1}}})
-    assert read.to_spec() == {"name": "mechanism", "bodies": {"a": {"mass": 1.0}}}
-
-
-def test_global_points_are_turned_into_the_bodies_frames():
-    m = Mechanism()
-    a = m.body("a", mass=1, inertia=1, position=(1, 0), angle=math.pi / 2)
-    b = m.body("b", mass=1, inertia=1, position=(1, 3))
-    m.revolute("J", a, b, at=(1, 2))
-    assert m.joints["J"].points[0] == pytest.approx((2, 0))
-    assert m.joints["J"].points[1] == pytest.approx((0, -1))
-    m.distance("D", m.ground, b, from_=(4, -1), to=(1, 3))
-    assert m.joints["D"].length == pytest.approx(5)
-    assert m.joints["D"].points == ((4.0, -1.0), (0.0, 0.0))
-    m.spring_damper("s", a, b, from_=(1, 1), to=(2, 3), stiffness=1)
-    assert m.forces["s"].points[0] == pytest.approx((1, 0))
-    assert m.forces["s"].points[1] == pytest.approx((1, 0))
-    m.force("f", a, at=(0, 0), value=(1, 0))
-    assert m.forces["f"].point == pytest.approx((0, 1))
-    assert m.to_global("a", m.to_local("a", (0.3, 0.7))) == pytest.approx((0.3, 0.7))
 
 
 def test_description_counts_elements_rows_and_freedoms():
@@ -173,15 +116,6 @@ def test_the_builder_answers_at_once():
     with pytest.raises(TypeError, match=r"revolute\(\) missing 1 required positional argument: 'b'"):
         m.revolute("A", m.ground)
     assert not m.joints | m.forces | m.coordinates
-
-
-def test_arrays_are_points():
-    m = Mechanism(gravity=np.array([0, -9.81]))
-    rod = m.body("rod", mass=np.float64(1), inertia=1, position=np.array([1, 0]))
-    m.revolute("A", m.ground, rod, points=np.zeros((2, 2)))
-    m.force("f", rod, point=np.array([0, 1]), value=(0, 1))
-    assert m.forces["f"].point == (0.0, 1.0)
-    assert Mechanism.from_spec(m.to_spec()).to_spec() == m.to_spec()
 
 
 def test_a_key_that_is_no_text_is_refused():

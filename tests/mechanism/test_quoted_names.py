@@ -20,7 +20,7 @@ from mbdkit.base.plain_data import parse_path, path_text, quoted
 from mbdkit.cli import app
 from mbdkit.spec.reading import parse_key, read_assignment
 
-NAMES = ["R.ASIS", "knee (left)", "Fuß", "x[0]", 'say "a=b"', "back\\slash.1", "joints.0"]
+NAMES = ["Fuß", "x[0].y (left)", 'say "a=b"', "back\\slash.1"]
 
 
 def spec(name: str) -> dict[str, Any]:

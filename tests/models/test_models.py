@@ -34,12 +34,6 @@ def test_model_written_out_as_a_free_form_spec_is_the_same_mechanism(model):
     assert build(MechanismOptions(**spec)).to_spec() == mechanism.to_spec()
 
 
-def test_options_are_read_from_json_as_from_python():
-    for model in MODELS:
-        options = model.options(**LEAST.get(model.name, {}))
-        assert model.options.model_validate_json(options.model_dump_json()) == options
-
-
 @every_model
 def test_every_parameter_says_what_it_is(model):
     for name in model.options.model_fields:

@@ -3,7 +3,6 @@
 import math
 
 import pytest
-from pydantic import ValidationError
 
 import mbdkit
 from mbdkit.models.n_four_bar import NFourBarOptions, build
@@ -39,8 +38,3 @@ def test_start_needs_no_assembly_whatever_its_size_angle_and_speed():
         assert r.check().misalignment_max < 1e-15 * 9
         assert "left untouched" in str(r.provenance["assembly"])
         assert r["coupler9"].velocity[0] == pytest.approx((3.0 * math.sin(2.2), -3.0 * math.cos(2.2)))
-
-
-def test_no_windows_are_refused():
-    with pytest.raises(ValidationError):
-        NFourBarOptions(n=0)

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.models import pendulums
+from tests.slow_cases import slow
 
 EPSILON = np.finfo(float).eps
 
@@ -76,8 +77,9 @@ def test_chain_starts_with_joints_that_meet_to_round_off(n):
     assert max(gaps(m)) < m.assembly.tolerance
 
 
-def test_a_straight_chain_of_ten_thousand_rods_is_placed_to_the_last_bits():
-    n, angle = 10_000, -math.radians(40)
+@pytest.mark.parametrize("n", [1_000, *slow(10_000)])
+def test_a_straight_chain_of_thousands_of_rods_is_placed_to_the_last_bits(n):
+    angle = -math.radians(40)
     m = pendulums.build_n(pendulums.NPendulumOptions(n=n, angle=angle, length=0.3))
     m.validate()
     x, y = m.bodies[f"rod{n}"].position

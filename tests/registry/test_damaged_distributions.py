@@ -63,17 +63,6 @@ def test_entry_points_that_cannot_be_read_are_a_failure_of_their_distribution(in
     assert "its entry points cannot be read" in (failures(loaded)["damaged-1.0.dist-info"] or "")
 
 
-@pytest.mark.parametrize("points", WRONG_POINTS)
-def test_they_are_not_looked_at_without_plugins(
-    install: Install, monkeypatch: pytest.MonkeyPatch, points: bytes
-) -> None:
-    monkeypatch.setenv("MBDKIT_PLUGINS", "")
-    install("damaged", points)
-    loaded = manager.installed()
-    assert not loaded.failures
-    assert len(loaded.only("mbdkit").items) > 50
-
-
 def test_metadata_that_are_not_utf_8_cost_a_plugin_its_name_only(
     install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

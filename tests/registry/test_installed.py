@@ -77,27 +77,6 @@ def test_whatever_a_plugin_does_the_commands_live_and_say_so_in_one_line(tmp_pat
     assert strict.stderr.splitlines()[-1].startswith("error: plugin 'bad-kit")
 
 
-def test_a_plugin_that_fails_is_left_out_when_told(tmp_path):
-    install_module(tmp_path, "bad-kit", "import nowhere_at_all")
-    left_out = mbdkit(tmp_path, "plugins", "doctor", MBDKIT_STRICT_PLUGINS="1", MBDKIT_DISABLE_PLUGINS="bad_kit")
-    assert (left_out.returncode, left_out.stderr) == (0, "")
-    assert "bad-kit 1.0 (main = bad_kit): disabled: left out by MBDKIT_DISABLE_PLUGINS" in left_out.stdout
-
-
-def test_two_plugins_of_one_name_are_told_apart_by_their_long_names(tmp_path):
-    for name in ("swing-kit", "other-kit"):
-        install_module(tmp_path, name, GOOD)
-    doctor = mbdkit(tmp_path, "plugins", "doctor")
-    assert doctor.returncode == 0
-    assert doctor.stdout.count("clash: the short name 'swing' is also used by") == 2
-    (tmp_path / "short.json").write_text(json.dumps(SPEC | {"model": {"name": "swing"}}))
-    refused = mbdkit(tmp_path, "validate", "short.json")
-    assert refused.returncode == 2
-    assert "used by other-kit 1.0 and swing-kit 1.0; write 'other-kit:swing' or 'swing-kit:swing'" in refused.stderr
-    (tmp_path / "long.json").write_text(json.dumps(SPEC | {"model": {"name": "swing-kit:swing"}}))
-    assert mbdkit(tmp_path, "validate", "long.json").returncode == 0
-
-
 def test_a_model_of_a_plugin_goes_into_specs_and_schema(tmp_path):
     install_module(tmp_path, "swing-kit", GOOD)
     (tmp_path / "spec.json").write_text(json.dumps({**SPEC, "model": {"name": "swing", "lenght": 2.0}}))

@@ -8,7 +8,6 @@ import pytest
 from pydantic import BaseModel
 
 import mbdkit
-from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.plugin import (
     Accessor,
@@ -19,7 +18,7 @@ from mbdkit.plugin import (
     SummaryLine,
     TableFormat,
 )
-from mbdkit.registry import accessors, manager
+from mbdkit.registry import accessors
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked
 from mbdkit.spec.spec_kinds import kind_of
@@ -102,11 +101,6 @@ def test_kinds_of_specs_never_replace_those_of_mbdkit(installed):
 def test_the_doctor_reports_what_is_wrong_with_an_item(item, words, installed):
     failures = checked(installed(acme=[item()])).failures
     assert [words in (failure.error or "") for failure in failures] == [True]
-
-
-def test_all_accessors_are_of_runs_but_the_export_of_mechanisms():
-    of = {(item.plugin.of, item.name) for item in manager.registry().of_kind("accessor")}
-    assert {kind for kind, _ in of - {("Mechanism", "to_casadi")}} <= {Run.__name__}
 
 
 def criterion(stage, function):

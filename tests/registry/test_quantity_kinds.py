@@ -210,14 +210,6 @@ def test_a_group_of_mbdkit_is_not_replaced(made, tmp_path):
     assert "the group 'muscles' belongs to 'mbdkit:muscles', so 'wear-kit:wear' is not used" in done.stderr
 
 
-def test_rigid_contacts_are_summarized_and_reported_without_their_part(tmp_path):
-    mbdkit.run("walker", archive=tmp_path / "walker.h5").close()
-    of = {"path": (), "cwd": tmp_path, "MBDKIT_DISABLE_PLUGINS": "mbdkit/contact"}
-    assert "sound" in python("-m", "mbdkit", "archive", "check", "walker.h5", **of).stdout
-    reported = python("-m", "mbdkit", "report", "walker.h5", "-o", "walker.html", **of)
-    assert reported.returncode == 0, reported.stderr
-
-
 @pytest.mark.parametrize(("key", "builder"), [("muscles", ""), ("bodies", ""), ("ropes", "body"), ("ropes", "muscle")])
 def test_a_kind_of_elements_does_not_replace_names_of_mechanisms(key, builder, tmp_path):
     code = f"""
@@ -238,9 +230,3 @@ def mbdkit_items():
         f"mechanisms have '{builder or key}' already, so the kind of elements 'rope-kit:rope' is not used"
         in done.stderr
     )
-
-
-def test_elements_of_a_part_that_is_left_out_are_refused_by_its_name(tmp_path):
-    program = "import mbdkit; mbdkit.Mechanism().add('muscles', 'soleus')"
-    done = python("-c", program, path=(), cwd=tmp_path, MBDKIT_DISABLE_PLUGINS="mbdkit/biomech")
-    assert "model.muscles: a model with this key needs mbdkit-biomech" in done.stderr

@@ -86,10 +86,3 @@ def test_a_study_that_goes_on_says_what_to_install(made):
     assert done.returncode == 2
     assert "there is no integrator 'euler'" in done.stderr
     assert "was made with it: install the distribution that the archive names, euler-kit 2.3, if" in done.stderr
-
-
-def test_a_spec_with_a_long_name_says_which_distribution_is_missing(made):
-    (made / "long.json").write_text(json.dumps(SPEC | {"integrator": {"name": "euler-kit:euler"}}))
-    done = mbdkit(made, "validate", "long.json")
-    assert done.returncode == 2
-    assert "'euler-kit:euler' is provided by the distribution euler-kit, which is not installed" in done.stderr

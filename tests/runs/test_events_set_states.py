@@ -13,6 +13,7 @@ import mbdkit
 from mbdkit import SpecError
 from tests.runs.resuming.killed_runs import killed
 from tests.runs.rotor import END, FIRES, INERTIA, exact, rotor, spec_of
+from tests.slow_cases import slow
 
 RK4, GAUSS = {"name": "rk4"}, {"name": "gauss", "stages": 2}
 
@@ -193,7 +194,7 @@ def test_a_change_of_sign_at_an_impulse_or_a_sample_is_a_crossing(
     assert stopped.time[-1] == pytest.approx(1.2, abs=1e-12)
 
 
-@pytest.mark.parametrize(("integrator", "step"), [(RK4, 0.02), (GAUSS, 0.02)])
+@pytest.mark.parametrize(("integrator", "step"), [(RK4, 0.02), *slow((GAUSS, 0.02))])
 def test_error_bars_contain_the_errors(integrator: dict[str, Any], step: float) -> None:
     run = mbdkit.run(spec_of(integrator, step, check=True)).check()
     assert run.accuracy is not None

@@ -192,9 +192,3 @@ def test_recorded_rows_do_not_depend_on_what_else_is_recorded() -> None:
         np.testing.assert_array_equal(part.array(path), whole.array(path))
     assert not part.records("energy/total")
     assert part.misalignment_max == whole.misalignment_max
-
-
-def test_elapsed_time_rises_from_row_to_row() -> None:
-    elapsed = recorded("knee").run.elapsed
-    assert elapsed[0] == 0.0
-    assert np.all(np.diff(elapsed) > 0)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +82,6 @@ RADAU = {"name": "radau-iia", "adaptive": True}
 ENDINGS: dict[str, tuple[Any, dict[str, Any], dict[str, Any], str, str]] = {
     # name: model, integrator, other sections, status code, words of the sentence
     "max-steps": (DOUBLE, RK4, {"limits": {"max_steps": 7}}, "max-steps", "limits.max_steps = 7"),
-    "max-steps gauss": (DOUBLE, GAUSS, {"limits": {"max_steps": 7}}, "max-steps", "7 steps"),
     "max-steps adaptive": (DOUBLE, {"name": "scipy-dop853"}, FEW, "max-steps", "3 steps"),
     "max-steps by tolerance": (DOUBLE, DOPRI5, FEW, "max-steps", "3 steps"),
     "max-steps, rows at times": (DOUBLE, DOPRI5, FEW | {"output": {"interval": 1e-3}}, "max-steps", "3 steps"),
@@ -99,10 +95,8 @@ ENDINGS: dict[str, tuple[Any, dict[str, Any], dict[str, Any], str, str]] = {
     "stiff spring and joints": (stiff, RK4, longer(limits={"misalignment": 1e300}), "not-finite", "step"),
     "stiff spring seldom recorded": (stiff, RK4, longer(**every(7)), "fell-apart", "at t = 0.05 s"),
     "stiff spring, free": (stiff_and_free, RK4, longer(0.01, **every(100)), "not-finite", "step"),
-    "stiff spring in small steps": (stiff, RK4, longer(0.01, **every(7)), "fell-apart", "at t = 0.01 s"),
     "load that ends at a row": (lambda: loaded("log(0.05 - t)"), GAUSS, every(7), "not-finite", "0.0"),
     "load that ends": (lambda: loaded("log(0.055 - t)"), RK4, {}, "not-finite", "t = 0.0"),
-    "load that ends, seldom recorded": (lambda: loaded("log(0.055 - t)"), RK4, every(40), "not-finite", "t = 0.0"),
 }
 
 
@@ -153,55 +147,15 @@ def test_the_state_before_the_step_that_failed_is_recorded() -> None:
     np.testing.assert_array_equal(run.array("steps/steps"), [20, 20, 7])
 
 
-def test_a_complete_run_has_no_reason_and_its_counters() -> None:
-    run = mbdkit.run(spec())
-    assert (run.status, run.status_reason) == ("complete", "")
-    assert run.check() is run
-    assert run.stats["steps"] == 50
-    for name in ("setup_s", "wall_s", "finish_s", "cpu_s"):
-        assert run.stats[name] >= 0.0
-
-
-LONG = """\
-mbdkit: 1
-model: {name: n-pendulum, n: 20}
-integrator: {name: rk4}
-time: {end: 1.0e+6, step: 1.0e-3}
-output: {every: 1000}
-limits: {max_steps: 2000000000}
-"""
-
-
-@pytest.mark.end_to_end
-@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is another thing there")
-def test_an_interrupt_in_python_returns_a_run_and_keeps_a_sound_archive(tmp_path: Path) -> None:
-    (tmp_path / "long.yaml").write_text(LONG)
-    program = "import mbdkit; r = mbdkit.run('long.yaml', archive='long.h5'); print(r.status, '|', r.status_reason)"
-    process = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
-    try:
-        part, seen = tmp_path / "long.h5.part", 0
-        deadline = time.monotonic() + 200
-        while time.monotonic() < deadline and seen < 2:
-            time.sleep(0.1)
-            seen += part.exists() and part.stat().st_size > 0
-        time.sleep(0.5)
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert process.returncode == 0
-    assert output.startswith("interrupted | interrupted: stopped by the user at t = ")
-    assert sorted(os.listdir(tmp_path)) == ["long.h5", "long.h5.checkpoint", "long.yaml"]
-    assert check(tmp_path / "long.h5") == []
-    with mbdkit.load(tmp_path / "long.h5") as run:
-        assert run.status == "interrupted"
-        assert run.time[-1] > 0.0
-
-
-def test_signal_handlers_are_those_of_before_after_a_run() -> None:
+def test_ctrl_c_in_python_returns_an_interrupted_run_and_keeps_a_sound_archive(tmp_path: Path) -> None:
+    path = tmp_path / "long.h5"
+    steps, stop = {"end": 100.0, "step": 1e-3}, lambda reached, end: signal.raise_signal(signal.SIGINT)
     before = signal.getsignal(signal.SIGINT)
-    mbdkit.run(spec())
+    with mbdkit.run(spec(time=steps, output={"every": 100}), archive=path, progress=stop) as run:
+        assert run.status_reason.startswith("interrupted: stopped by the user at t = ")
+        assert 0.0 < run.time[-1] < 100.0
     assert signal.getsignal(signal.SIGINT) is before
+    assert check(path) == []
 
 
 @methods
@@ -216,15 +170,6 @@ def test_a_run_in_memory_equals_another_of_the_same_spec_in_a_file(integrator: d
     assert check(tmp_path / "run.h5") == []
 
 
-def test_the_builder_and_its_spec_give_equal_data() -> None:
-    m = stiff()
-    m.forces["s"] = m.forces["s"].model_copy(update={"stiffness": 20.0, "damping": 0.3})
-    time = {"end": 0.5, "step": 0.01}
-    built = mbdkit.run(m, integrator=GAUSS, time=time)
-    written = mbdkit.run({"mbdkit": 1, "model": m.to_spec(), "integrator": GAUSS, "time": time})
-    assert built.data_sha256 == written.data_sha256
-
-
 def test_what_assembly_did_is_told_in_the_provenance() -> None:
     m = rod()
     assert "left untouched" in str(mbdkit.run(m, integrator=RK4, time={"end": 0.1, "step": 0.1}).provenance["assembly"])
@@ -232,14 +177,6 @@ def test_what_assembly_did_is_told_in_the_provenance() -> None:
     moved = mbdkit.run(m, integrator=RK4, time={"end": 0.1, "step": 0.1})
     assert "rod 0." in str(moved.provenance["assembly"])
     assert moved.misalignment_max < 1e-4
-
-
-def test_joints_that_cannot_meet_leave_no_file(tmp_path: Path) -> None:
-    m = rod()
-    m.revolute("B", "rod", m.ground, points=((0.5, 0.0), (3.0, 0.0)))
-    with pytest.raises(mbdkit.SpecError, match="cannot be assembled"):
-        mbdkit.run(m, integrator=RK4, time={"end": 1.0, "step": 0.1}, archive=tmp_path / "run.h5")
-    assert os.listdir(tmp_path) == []
 
 
 def test_a_mechanism_without_joints_falls_freely() -> None:
@@ -350,14 +287,6 @@ def test_counters_of_an_adaptive_method_are_those_of_scipy(name: str) -> None:
     jacobians = run.stats["jacobian_evaluations"]
     assert solves + jacobians <= run.stats["factorizations"] <= solves + 2 * jacobians
     assert run.array("steps/rejected").sum() == run.stats["rejected"]
-
-
-def test_steps_rejected_by_dop853_are_counted() -> None:
-    # expected: 12 evaluations an attempt, the first of which is the last of the step before
-    run = mbdkit.run(spec(integrator={"name": "scipy-dop853"}, time={"end": 2.0, "step": 0.5})).check()
-    attempts = run.stats["accepted"] + run.stats["rejected"]
-    assert run.stats["rejected"] > 0
-    assert abs(run.stats["rhs_evaluations"] - 12 * attempts) <= 2
 
 
 @pytest.mark.parametrize("name", ["scipy-radau", "scipy-dop853"])

@@ -53,11 +53,6 @@ def test_steps_set_the_end(small):
     assert load_spec(small, time={"start": 1.0, "steps": 4, "step": 0.25}).time.final == 2.0
 
 
-def test_an_adaptive_method_needs_no_step(small):
-    spec = load_spec(small, integrator={"name": "scipy-dop853"}, time={"end": 1})
-    assert spec.time.count is None
-
-
 def test_interval_is_for_methods_with_dense_output(small):
     with pytest.raises(SpecError, match=r"output.interval: .*'rk4' has no dense output.*scipy-dop853"):
         load_spec(small, integrator={"name": "rk4"}, output={"interval": 0.1})
@@ -101,12 +96,6 @@ def test_equal_specs_have_equal_hashes_however_they_are_written(small):
     assert load_spec(small, title="x").sha256() != load_spec(small).sha256()
 
 
-def test_run_id_is_sixteen_hexadecimal_digits(small):
-    identifier = load_spec(small).run_id()
-    assert len(identifier) == 16
-    int(identifier, 16)
-
-
 def test_the_order_of_bodies_is_kept_because_it_is_that_of_the_arrays(small):
     bodies = {name: {"mass": 1.0} for name in ("z", "a", "m")}
     spec = load_spec(small, model={"name": "mechanism", "bodies": bodies})
@@ -130,18 +119,6 @@ def test_a_run_spec_can_be_made_and_changed_in_python(small):
     assert longer.model == spec.model
     with pytest.raises(SpecError, match=r"time\.end"):
         RunSpec(**{**small, "time": {"end": "soon"}})
-
-
-def test_the_mechanism_is_built_once(small):
-    spec = load_spec(small)
-    assert spec.mechanism() is spec.mechanism()
-
-
-def test_origin_of_model_and_integrator_are_known(small):
-    spec = load_spec(small)
-    assert spec.model_item.id == "mbdkit:double-pendulum"
-    assert spec.integrator_item.origin.version == mbdkit.__version__
-    assert spec.claims.order == 4
 
 
 OVERRIDES = [

@@ -30,12 +30,6 @@ CHOICES: list[tuple[Any, Stabilization]] = [
 
 
 @pytest.mark.parametrize(("given", "chosen"), CHOICES)
-def test_a_choice_is_a_name_or_a_name_with_options(given: Any, chosen: Stabilization, small: dict[str, Any]) -> None:
-    spec = load_spec(small, (), stabilization=given)
-    assert spec.stabilized == chosen
-
-
-@pytest.mark.parametrize(("given", "chosen"), CHOICES)
 def test_the_canonical_spec_holds_all_options_and_reads_back(
     given: Any, chosen: Stabilization, small: dict[str, Any]
 ) -> None:

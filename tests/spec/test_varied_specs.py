@@ -15,6 +15,7 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.loading import example_names, load_spec
 from mbdkit.spec.reading import put
 from mbdkit.spec.varied_specs import VariedSpecs
+from tests.slow_cases import slow
 
 ODD = (0, -0.0, 1, 1e-300, -1.5, 2.0**70, 1e308, True, None, "", "0.5*pi", "x", [1.0], {}, "double-pendulum")
 
@@ -39,13 +40,14 @@ def outcome(make: Any) -> tuple[Any, ...]:
     return spec.canonical_json(), spec.sha256(), spec.run_id(), spec.model_dump_json(), bodies, joints
 
 
+@pytest.mark.parametrize("count", [12, *slow(100)])
 @pytest.mark.parametrize("example", example_names("run"))
-def test_specs_and_errors_are_those_of_whole_specs(example: str) -> None:
+def test_specs_and_errors_are_those_of_whole_specs(example: str, count: int) -> None:
     base = json.loads(load_spec(example).canonical_json())
     text = json.dumps(base)
     varied, dice = VariedSpecs(text), random.Random(example)
     places = [*numbers_in(base["model"], ("model",)), ("time", "step"), ("model", "name"), ("model", "unknown")]
-    for _ in range(40):
+    for _ in range(count):
         values = []
         for place in dice.sample(places, min(2, len(places))):
             value = dice.choice(ODD) if dice.random() < 0.3 else dice.uniform(-2.0, 2.0)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from tests.slow_cases import slow
 from tests.trust.flat_linkages import angle_between_cranks, flat_linkage
 
 from .mechanisms import spec
@@ -21,9 +22,12 @@ ADAPTIVE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("n", [1, 2])
-@pytest.mark.parametrize(("name", "options"), ADAPTIVE, ids=lambda x: str(x))
-def test_no_adaptive_run_leaves_its_branch_without_a_word(n: int, name: str, options: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("name", "options", "n"),
+    [*((*method, 1) for method in ADAPTIVE), *((*method, 2) for method in ADAPTIVE[:4]), *slow((*ADAPTIVE[4], 2))],
+    ids=str,
+)
+def test_no_adaptive_run_leaves_its_branch_without_a_word(name: str, options: dict[str, Any], n: int) -> None:
     for rtol in (1e-4, 1e-6, 1e-8):
         run = flat_linkage(n, {"name": name, "adaptive": True, "rtol": rtol, **options})
         if run.status == "complete" and run.verdict in ("good", "unknown"):
@@ -36,11 +40,6 @@ def test_dop853_passes_flat_positions_by_projections_that_are_counted(rtol: floa
     run.check()
     assert angle_between_cranks(run, 2) < 0.05
     assert 0 < run.stats["projections"] < 0.5 * run.stats["steps"]
-
-
-def test_controlled_steps_far_from_singular_positions_are_not_projected() -> None:
-    run = mbdkit.run(spec({"name": "double-pendulum"}, {"name": "dop853", "adaptive": True}, 5.0))
-    assert run.stats["projections"] == 0
 
 
 SLIDER = {

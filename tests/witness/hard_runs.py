@@ -9,6 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.layout import every_array
+from tests.slow_cases import slow
 
 METHODS: dict[str, tuple[dict[str, Any], float | None, float]] = {
     "rk4": ({"name": "rk4"}, 2e-4, 1e-9),
@@ -30,7 +31,7 @@ EXPLICIT = ("rk4", "rk-gill")
 
 
 every_method = pytest.mark.parametrize(
-    "method", ["rk4", "gauss-2", "gauss-3", "radau-iia-3", "scipy-dop853", "scipy-radau", "scipy-lsoda"]
+    "method", ["rk4", "gauss-3", "radau-iia-3", "scipy-dop853", *slow("gauss-2", "scipy-radau", "scipy-lsoda")]
 )
 
 

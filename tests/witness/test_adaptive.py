@@ -17,6 +17,7 @@ from scipy.stats import linregress
 
 import mbdkit
 from mbdkit.spec import load_spec
+from tests.slow_cases import slow_but
 
 STIFF_KNEE = {"model.springs.support.stiffness": 1e5}
 PROBLEMS: dict[str, tuple[str, dict[str, Any], float]] = {
@@ -85,7 +86,7 @@ COVER = [
 """Every method on one problem or two, and every problem with two methods."""
 
 
-@pytest.mark.parametrize(("name", "stages", "problem"), COVER)
+@pytest.mark.parametrize(("name", "stages", "problem"), slow_but(COVER, *COVER[::2]))
 def test_errors_follow_the_tolerance(problem: str, name: str, stages: int) -> None:
     # expected: errors are the tolerance times a factor that changes by less than 30 over six decades, and on average
     # with no power of the tolerance: slope 1 within 0.1, as far as the scatter of the points determines it

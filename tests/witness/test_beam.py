@@ -25,6 +25,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from tests.slow_cases import slow_but
 
 from .running import gauss, run
 
@@ -103,9 +104,7 @@ METHODS: dict[str, tuple[dict[str, Any], int]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == "gauss4" else [pytest.mark.slow]) for name in METHODS]
-)
+@pytest.mark.parametrize("name", slow_but(METHODS, "gauss6"))
 def test_beam_ends_at_the_published_digits_of_all_forty_links(name: str) -> None:
     # expected: the published end values; the corner of the force at t = pi falls on the end of a step
     integrator, steps_to_pi = METHODS[name]
@@ -113,24 +112,3 @@ def test_beam_ends_at_the_published_digits_of_all_forty_links(name: str) -> None
     theta, rate = ends(result)
     np.testing.assert_allclose(theta, THETA, rtol=0, atol=1e-12)
     np.testing.assert_allclose(rate, RATE, rtol=0, atol=1e-9)
-
-
-def test_beam_in_two_runs_ends_where_one_run_does() -> None:
-    # expected: the published end values; the second run starts from the state in which the first ended, without force
-    step = math.pi / 5120
-    first = run(pushed_beam(), gauss(6), end=math.pi, step=step, every=10**6)
-    theta, rate = ends(first)
-    spec = {
-        "mbdkit": 1,
-        "model": beam(theta, rate, (0.0, 0.0)),
-        "integrator": gauss(6),
-        "time": {"start": math.pi, "end": 5.0, "step": step},
-        "output": {"every": 10**6},
-    }
-    second = mbdkit.run(spec)
-    second.check()
-    theta, rate = ends(second)
-    np.testing.assert_allclose(theta, THETA, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(rate, RATE, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(second.energy.balance, 0.0, rtol=0, atol=1e-12)
-    assert second.energy.work[-1] == 0.0

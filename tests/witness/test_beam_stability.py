@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipj, ellipk
 
 import mbdkit
+from tests.slow_cases import slow, slow_but
 
 from .extrapolation import limit
 from .reissner import Arch
@@ -81,10 +82,7 @@ def loaded(ends: str, elements: int, load: float) -> mbdkit.Mechanism:
     return m
 
 
-@pytest.mark.parametrize(
-    "ends",
-    [pytest.param(ends, marks=[pytest.mark.slow] * (ends != "clamped")) for ends in BUCKLING],
-)
+@pytest.mark.parametrize("ends", slow_but(BUCKLING, "clamped"))
 def test_the_first_three_bifurcations_are_eulers_loads(ends: str) -> None:
     found, load = [], 1.1 * BUCKLING[ends][-1]
     for elements in (8, 16, 32):
@@ -96,7 +94,7 @@ def test_the_first_three_bifurcations_are_eulers_loads(ends: str) -> None:
     np.testing.assert_allclose(limit(found, 4), BUCKLING[ends], rtol=1e-6)
 
 
-@pytest.mark.parametrize(("share", "count"), [(1.0, 1), (1.001, 2)])
+@pytest.mark.parametrize(("share", "count"), [(1.0, 1), *slow((1.001, 2))])
 def test_columns_that_buckle_together_are_found_one_by_one(share: float, count: int) -> None:
     # two columns side by side, one of them stiffer by `share`; both lie within one step along the path
     m = column(8)
@@ -113,10 +111,7 @@ def test_columns_that_buckle_together_are_found_one_by_one(share: float, count: 
     assert [one.body.partition(".")[0] for one in path.critical][:count] in (["column", "other"], ["column"], ["other"])
 
 
-SLOW = pytest.param(3, 40.0, marks=pytest.mark.slow)
-
-
-@pytest.mark.parametrize(("mode", "angle"), [(1, 60.0), (1, 120.0), (2, 60.0), SLOW])
+@pytest.mark.parametrize(("mode", "angle"), [(1, 120.0), *slow((1, 60.0), (2, 60.0), (3, 40.0))])
 def test_a_buckled_column_carries_the_load_of_the_elastica(mode: int, angle: float) -> None:
     # expected: P L^2 / EI = ((2 n - 1) K(sin(angle/2)))^2 where the top is turned by `angle` (Euler 1744), on the
     # branch of the n-th of Euler's loads; the load is found at which no torque is needed to hold that angle

@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from tests.witness.car_axis import L0, K, L, R, W, car_axis, in_two_coordinates
+from tests.witness.car_axis import L, R, W, car_axis, in_two_coordinates
 
 from .running import gauss, run
 
@@ -100,12 +100,6 @@ def test_car_axis_ends_at_the_refined_digits_and_so_do_its_multipliers(name: str
     np.testing.assert_allclose(end[8:], END[8:], rtol=0, atol=1e-12)
 
 
-def test_car_axis_follows_its_two_coordinates_all_the_way() -> None:
-    # expected: DOP853 in two coordinates
-    result = run(car_axis(), gauss(6), end=3.0, step=0.01, every=5)
-    np.testing.assert_allclose(states(result), in_two_coordinates(np.asarray(result.time)), rtol=0, atol=1e-11)
-
-
 def test_multipliers_of_the_car_axis_are_those_of_the_rows_scaled() -> None:
     # expected: lam grad g = -lambda grad Phi, from k p'' = f + lam grad g and M a = Q - lambda grad Phi; g1 = L x and
     # g2 = d^2 - L^2 for the rows x = 0 and d - L = 0; lambda comes from the linear system, a reaction from the bodies
@@ -114,19 +108,3 @@ def test_multipliers_of_the_car_axis_are_those_of_the_rows_scaled() -> None:
     rows = result.constraints
     np.testing.assert_allclose(-np.asarray(rows["upright.x"].multiplier) / L, lam1, rtol=0, atol=1e-14)
     np.testing.assert_allclose(-np.asarray(rows["axis.length"].multiplier) / (2 * L), lam2, rtol=0, atol=1e-14)
-
-
-def test_driver_of_the_road_does_the_work_that_axis_and_road_gain() -> None:
-    # expected: kinetic and potential energy of the refined end state, written out
-    def energy(state: Any, line: Any, rate: float) -> Any:
-        left, right = state[:2], state[2:4]
-        stretch = np.array([np.hypot(*left), np.hypot(*(right - line))]) - L0
-        return K * (state[4:8] @ state[4:8] / 2 + left[1] + right[1]) + stretch @ stretch / 2 + rate**2 / 2
-
-    yb = R * np.sin(3 * W)
-    xb = np.sqrt(L**2 - yb**2)
-    start = energy(np.array([0.0, 0.5, 1.0, 0.5, -0.5, 0.0, -0.5, 0.0]), np.array([L, 0.0]), R * W / L)
-    gain = energy(END, np.array([xb, yb]), R * W * np.cos(3 * W) / xb) - start
-    result = run(car_axis(), gauss(6), end=3.0, step=0.01, every=50)
-    assert result.energy.work[-1] == pytest.approx(gain, rel=0, abs=1e-11)
-    np.testing.assert_allclose(result.energy.balance, 0.0, rtol=0, atol=1e-12)

@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.slow_cases import slow
+
 from . import ode
 from .double_pendulum import HORIZONTAL, MODERATE, Reference
 from .rods import TwoRods
 from .running import gauss, run
 
 
-@pytest.mark.parametrize(("reference", "until"), [(MODERATE, 150.0), (HORIZONTAL, 5.0)], ids=["moderate", "horizontal"])
+@pytest.mark.parametrize(
+    ("reference", "until"), [(MODERATE, 40.0), *slow((MODERATE, 150.0)), (HORIZONTAL, 5.0)], ids=str
+)
 def test_yardstick_reference_digits_agree_with_dop853_in_two_angles_to_2e_11(
     reference: Reference, until: float
 ) -> None:

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-import pytest
 
 from . import ode
 from .problems import DRIVEN_PENDULUM
@@ -159,32 +158,3 @@ def test_a_mass_on_a_spring_damper_follows_its_equation_of_motion() -> None:
     np.testing.assert_allclose(result["bob"].velocity, solution[:, 2:4], rtol=0, atol=1e-9)
     np.testing.assert_allclose(result.energy.dissipated, solution[:, 4], rtol=0, atol=1e-10)
     np.testing.assert_allclose(result.energy.balance, 0.0, rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize("integrator", [gauss(2), {"name": "rk4"}], ids=["gauss2", "rk4"])
-def test_two_free_masses_on_a_spring_swing_about_their_resting_centre(integrator: dict[str, Any]) -> None:
-    # expected: closed form; relative motion l0 + A cos(w t), w^2 = k (1/m1 + 1/m2), centre of mass in uniform motion
-    model = {
-        "name": "mechanism",
-        "gravity": [0.0, 0.0],
-        "bodies": {
-            "left": {"mass": 1.0, "inertia": 0.1, "position": [0.0, 0.0], "velocity": [0.0, 0.4]},
-            "right": {"mass": 3.0, "inertia": 0.2, "position": [1.3, 0.0], "velocity": [0.0, 0.4]},
-        },
-        "forces": {
-            "spring": {
-                "type": "spring-damper",
-                "bodies": ["left", "right"],
-                "points": [[0.0, 0.0], [0.0, 0.0]],
-                "stiffness": 30.0,
-                "free_length": 1.0,
-            }
-        },
-    }
-    result = run(model, integrator, end=2.0, step=0.002, every=20)
-    t = np.asarray(result.time)
-    gap = 1.0 + 0.3 * np.cos(math.sqrt(40.0) * t)
-    left, right = np.asarray(result["left"].position), np.asarray(result["right"].position)
-    np.testing.assert_allclose(right[:, 0] - left[:, 0], gap, rtol=0, atol=1e-8)
-    np.testing.assert_allclose((left[:, 0] + 3 * right[:, 0]) / 4, 0.975, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(left[:, 1], 0.4 * t, rtol=0, atol=1e-13)

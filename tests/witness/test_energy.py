@@ -47,12 +47,3 @@ def test_energy_balance_closes_with_the_order_of_the_method(problem: Problem, na
     seen = np.diff(np.log(largest)) / -np.diff(np.log(numbers))
     assert seen.min() > order - 0.3
     assert 0.01 > largest[0] > largest[-1] > 0.0
-
-
-def test_energy_of_the_free_double_pendulum_stays_to_round_off_with_gauss6() -> None:
-    # expected: conservation of energy over 50 s
-    result = run({"name": "double-pendulum", "angles": [-1.0, -0.7]}, gauss(6), end=50.0, step=0.02, every=10)
-    total = np.asarray(result.energy.total)
-    np.testing.assert_allclose(total, total[0], rtol=0, atol=2e-11)
-    assert np.all(np.asarray(result.energy.dissipated) == 0.0)
-    assert np.all(np.asarray(result.energy.work) == 0.0)

@@ -59,19 +59,6 @@ def test_pendulum_passes_the_vertical_when_the_elliptic_integral_says(
         np.testing.assert_allclose(run.events.position[:, 0, 2], -math.pi / 2, rtol=0, atol=1e-10)
 
 
-@methods
-def test_pin_of_the_pendulum_carries_a_force_when_its_closed_form_does(
-    integrator: dict[str, Any], step: float | None
-) -> None:
-    # expected: F^2 = (m g)^2 (1 + 99 cos^2 phi) / 16 for a rod released from the horizontal, see tests/witness/pendulum
-    model = {"name": "single-pendulum", "angle": 0.0}
-    tilt = math.acos(math.sqrt(((4 * 20.0 / G) ** 2 - 1) / 99))
-    with watched(model, integrator, 2.5, step, {"loaded": {"when": "J1.force - 20", "direction": "rising"}}) as run:
-        expected = [time for time in passing_times(tilt, 5) if time < 2.5]
-        np.testing.assert_allclose(run.events.time, expected, rtol=0, atol=1e-10)
-        assert set(run.events.direction.tolist()) == {1}
-
-
 ANGLES, END = (-0.9, -0.3), 3.0
 SCALARS: dict[str, tuple[str, Callable[[TwoRods, float, np.ndarray], float]]] = {
     "kinetic energy": ("energy.kinetic - 5", lambda rods, t, y: kinetic(y) - 5.0),

@@ -9,8 +9,6 @@ import pytest
 
 import mbdkit
 
-from .extrapolation import limit
-from .reissner_motion import SpunBeam
 from .timoshenko import TimoshenkoBeam
 
 #: A rectangular bar of steel, 1 m x 20 mm x 40 mm; its axial vibrations are faster than those looked at.
@@ -157,52 +155,6 @@ def test_rotation_stretches_a_beam_after_any_number_of_turns(turns: int) -> None
     coarse, fine = (extension_error(4, 3, step, turns) for step in (0.005, 0.0025))
     assert np.log2(coarse / fine) == pytest.approx(4.0, abs=0.15)
     assert abs(fine) < 5e-6
-
-
-def test_the_extension_converges_with_the_mesh() -> None:
-    # expected: the closed form, approached with the order of two-node elements
-    coarse, fine = (extension_error(n, 2, 0.002) for n in (8, 16))
-    assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.05)
-    assert abs(extension_error(8, 3, 0.002)) < 3e-6
-
-
-TURNED = "min(t, 15)"
-SPIN_UP = f"6/15*({TURNED}**2/2 + (15/2/pi)**2*(cos(2*pi*{TURNED}/15) - 1)) + 6*max(t - 15, 0)"
-"""Angle of the hub, which is at constant speed after 15 s."""
-
-
-def spinning_up(elements: int, nodes: Literal[2, 3], end: float) -> np.ndarray:
-    """Return the displacement of the tip of the undamped beam at all times, (T, 2)."""
-    m = spun(elements, SPIN_UP, nodes, damping=0.0)
-    run = mbdkit.run(m, integrator={"name": "gauss", "stages": 3}, time={"end": end, "step": 0.005})
-    run.check()
-    return tip_of(run)
-
-
-@pytest.mark.slow
-def test_a_beam_that_is_spun_up_moves_as_reissners_equations_say() -> None:
-    # expected: the equations, collocated at Chebyshev's points, while the tip lags most
-    w = 2 * np.pi / 15
-
-    def turning(t: float) -> tuple[float, float]:
-        return 0.4 * (t - np.sin(w * t) / w), 0.4 * (1 - np.cos(w * t))
-
-    beam = SpunBeam(LENGTH, AXIAL, 1e7, 1.4e4, MASS, 6e-4, turning)
-    exact = beam.tip(6.0, points=12, steps=(600, 1200, 2400))
-    meshes: list[tuple[Literal[2, 3], tuple[int, ...]]] = [(2, (4, 8, 16, 32)), (3, (4, 8, 16))]
-    for nodes, sizes in meshes:
-        found = [spinning_up(n, nodes, 6.0)[-1] for n in sizes]
-        errors = [np.linalg.norm(one - exact) for one in found]
-        assert np.log2(errors[-2] / errors[-1]) == pytest.approx(2 * (nodes - 1), abs=0.1)
-        np.testing.assert_allclose(limit(found, 2 * (nodes - 1)), exact, rtol=0, atol=1e-8)
-
-
-def test_a_beam_that_is_spun_up_lags_behind_its_hub_and_is_stretched() -> None:
-    # expected: the published curve, whose lowest point is near -0.58 m, and the closed form at the end
-    tip = spinning_up(8, 3, 20.0)
-    assert -0.59 < tip[:, 1].min() < -0.57
-    swings = tip[3000:]
-    assert np.mean(swings[:, 0] + 0.6 * swings[:, 1] ** 2 / LENGTH) == pytest.approx(STRETCH, rel=1e-3)
 
 
 STATE = [(6.0 - 0.6 * s + 0.02 * s * (10 - s), 0.8 * s, 2.2 - 0.03 * s) for s in range(11)]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import mpmath
 import numpy as np
 import pytest
+
+from tests.slow_cases import slow_but
 
 from .four_bar import FourBar, Link, Spring
 from .running import gauss, run
@@ -32,91 +33,6 @@ TIMES = np.linspace(0.0, END, 21)
 linkages = pytest.mark.parametrize("linkage", [LIGHT, SPRUNG], ids=["inertias of 1e-13", "sprung"])
 
 
-def _closed(linkage: FourBar, phi: Any) -> tuple[list[Any], list[Any]]:
-    """Return the links' centres and their frames' directions as complex numbers, from two intersecting circles."""
-    fixed_a, fixed_d = (mpmath.mpc(*point) for point in linkage.ground)
-    lines = [mpmath.mpc(*link.pins[1]) - mpmath.mpc(*link.pins[0]) for link in linkage.links]
-    crank, coupler, follower = (abs(line) for line in lines)
-    pin_b = fixed_a + crank * mpmath.expj(phi)
-    gap = abs(fixed_d - pin_b)
-    along = (gap**2 + coupler**2 - follower**2) / (2 * gap)
-    across = linkage.branch * mpmath.sqrt(coupler**2 - along**2)
-    pin_c = pin_b + (fixed_d - pin_b) / gap * mpmath.mpc(along, across)
-    ends = [(fixed_a, pin_b), (pin_b, pin_c), (fixed_d, pin_c)]
-    turns = [(end - start) / line for (start, end), line in zip(ends, lines, strict=True)]
-    centres = [
-        start - turn * mpmath.mpc(*link.pins[0])
-        for (start, _), turn, link in zip(ends, turns, linkage.links, strict=True)
-    ]
-    return centres, turns
-
-
-def _inertia_and_potential(linkage: FourBar, phi: Any) -> tuple[Any, Any]:
-    """Return I(phi) and the potential of gravity and springs; derivatives by mpmath's differences in 25 digits."""
-
-    def slope(k: int, which: int) -> Any:
-        real = mpmath.diff(lambda angle: _closed(linkage, angle)[which][k].real, phi)
-        return mpmath.mpc(real, mpmath.diff(lambda angle: _closed(linkage, angle)[which][k].imag, phi))
-
-    centres, turns = _closed(linkage, phi)
-    inertia = sum(
-        link.mass * abs(slope(k, 0)) ** 2 + link.inertia * abs(slope(k, 1)) ** 2 for k, link in enumerate(linkage.links)
-    )
-    potential = sum(
-        link.mass * linkage.gravity * centre.imag for link, centre in zip(linkage.links, centres, strict=True)
-    )
-    for spring in linkage.springs:
-        end = centres[1] + turns[1] * mpmath.mpc(*spring.coupler)
-        length = abs(end - mpmath.mpc(*spring.ground))
-        potential += spring.stiffness * (length - spring.free_length) ** 2 / 2
-    return inertia, potential
-
-
-@linkages
-@pytest.mark.parametrize("phi", [0.3, -0.5, -1.0])
-def test_yardstick_equation_of_motion_agrees_with_25_digit_differences(linkage: FourBar, phi: float) -> None:
-    # expected: I, dI/dphi and -dV/dphi by numerical differentiation of the closed loop in complex numbers
-    with mpmath.workdps(25):
-        inertia = _inertia_and_potential(linkage, phi)[0]
-        slope = mpmath.diff(lambda angle: _inertia_and_potential(linkage, angle)[0], phi)
-        force = -mpmath.diff(lambda angle: _inertia_and_potential(linkage, angle)[1], phi)
-    np.testing.assert_allclose(
-        linkage.equation(phi), [float(inertia), float(slope), float(force)], rtol=1e-13, atol=1e-13
-    )
-
-
-def test_yardstick_motion_agrees_with_the_quadrature_of_the_energy_integral_to_1e_13() -> None:
-    # expected: t = int sqrt(I / (2 (E - V))) dphi in 25 digits, phi = phi0 - u^2 to take the singular start out
-    state = LIGHT.solve(START, 0.0, np.array([0.5]))[0]
-    with mpmath.workdps(25):
-        energy = _inertia_and_potential(LIGHT, mpmath.mpf(START))[1]
-
-        def integrand(u: Any) -> Any:
-            inertia, potential = _inertia_and_potential(LIGHT, START - u**2)
-            return 2 * u * mpmath.sqrt(inertia / (2 * (energy - potential)))
-
-        last = mpmath.sqrt(mpmath.mpf(START) - mpmath.mpf(float(state[0])))
-        time = mpmath.quad(integrand, [0, last / 2, last], maxdegree=4, method="gauss-legendre")
-    assert float(time.real) == pytest.approx(0.5, rel=0, abs=1e-13)
-
-
-@linkages
-def test_yardstick_energy_is_constant_but_for_the_dampers(linkage: FourBar) -> None:
-    # expected: conservation of energy; the dissipated energy is integrated beside the motion
-    solution = linkage.solve(START, 0.0, TIMES)
-    energies = np.array([linkage.energy(phi, rate) for phi, rate, _ in solution])
-    np.testing.assert_allclose(energies + solution[:, 2], energies[0], rtol=1e-12)
-    assert (np.ptp(energies) > 0.5) == bool(linkage.damping)
-
-
-@linkages
-def test_yardstick_motion_keeps_clear_of_dead_centres_and_its_pin_forces_are_consistent(linkage: FourBar) -> None:
-    # expected: nine equations of Newton and Euler in eight unknown forces have a solution, or `pin_forces` raises
-    for phi, rate, _ in linkage.solve(START, 0.0, TIMES):
-        assert linkage.transmission(phi) > 0.3
-        assert np.isfinite(linkage.pin_forces(phi, rate)).all()
-
-
 METHODS: dict[str, tuple[dict[str, Any], float]] = {
     "rk4": ({"name": "rk4"}, 0.00025),
     "rk-gill": ({"name": "rk-gill"}, 0.00025),
@@ -127,9 +43,7 @@ METHODS: dict[str, tuple[dict[str, Any], float]] = {
 
 
 @linkages
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in ("rk-gill", "gauss4") else []) for name in METHODS]
-)
+@pytest.mark.parametrize("name", slow_but(METHODS, *(name for name in METHODS if name not in ("rk-gill", "gauss4"))))
 def test_a_four_bar_linkage_moves_as_in_its_minimal_coordinate_to_1e_9(linkage: FourBar, name: str) -> None:
     # expected: Eksergian's equation in the crank's angle by DOP853 at rtol 1e-13
     integrator, step = METHODS[name]

@@ -132,20 +132,6 @@ def test_methods_keep_their_order(integrator: dict[str, Any], order: int) -> Non
     assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
 
 
-def test_a_symmetric_method_rolls_back_to_the_start() -> None:
-    there = run(wheel(), gauss(2), 1.0, 0.02)
-    model = wheel()
-    end = there["wheel"]
-    model["bodies"]["wheel"] |= {
-        "position": end.position[-1].tolist(), "angle": float(end.angle[-1]),
-        "velocity": (-end.velocity[-1]).tolist(), "angular_velocity": float(-end.angular_velocity[-1]),
-    }  # fmt: skip
-    model["assembly"] = {"tolerance": 1e-6}  # keep the drift of the joint
-    back = run(model, gauss(2), 1.0, 0.02)["wheel"]
-    np.testing.assert_allclose(back.position[-1], there["wheel"].position[0], rtol=0, atol=1e-12)
-    assert back.angle[-1] == pytest.approx(START, abs=1e-12)
-
-
 def test_kinematics_and_equilibrium_roll_as_well() -> None:
     moved = mbdkit.kinematics(mbdkit.Mechanism.from_spec(bowl(driven=True)), time={"end": 2.0, "step": 0.05})
     phi = 0.4 * (B - R) / R + 2 * np.sin(moved.time)
@@ -188,15 +174,6 @@ def test_a_run_that_leaves_the_table_says_so() -> None:
     (warning,) = found.warnings
     assert "joint 'rolls' turned to" in warning
     assert "model.joints.rolls.center.x, which covers 0 rad to 1.2 rad" in warning
-
-
-def test_parameters_may_be_used_in_the_center() -> None:
-    model = wheel()
-    model["joints"]["rolls"]["center"] = {"x": "-radius*angle", "y": "0*radius"}
-    spec = {"mbdkit": 1, "parameters": {"radius": R}, "model": model, "integrator": gauss(2)}
-    found = mbdkit.run(spec | {"time": {"end": 0.5, "step": 0.01}}).check()
-    plain = run(wheel(), gauss(2), 0.5, 0.01)
-    np.testing.assert_array_equal(found["wheel"].position, plain["wheel"].position)
 
 
 @pytest.mark.parametrize(

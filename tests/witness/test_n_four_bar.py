@@ -90,7 +90,8 @@ def test_fixed_point_stages_fail_in_the_singular_position_and_say_so(method):
         assert np.isfinite(result["crank2"].acceleration).all()
 
 
-@pytest.mark.parametrize("name", [pytest.param("scipy-dop853", marks=pytest.mark.slow), "scipy-radau"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["scipy-dop853", "scipy-radau"])
 def test_adaptive_solvers_that_stop_at_a_singular_position_name_a_joint_of_it(name):
     with run(end=10.0, integrator={"name": name, "rtol": 1e-9, "atol": 1e-9}) as result:
         if result.status == "complete":

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from . import ode
-from .absolute import rk4, rk_gill
-from .problems import DRIVEN, DRIVEN_PENDULUM, FORCED, FORCED_PENDULUM, Problem
+from .problems import DRIVEN_PENDULUM, FORCED_PENDULUM, Problem
 from .running import gauss, run
 
 END = 1.0
@@ -35,31 +33,6 @@ def observed_order(
         v = np.array([[*body.velocity[-1], body.angular_velocity[-1]] for body in bodies])
         errors.append(max(np.abs(q - reference[0]).max(), np.abs(v - reference[1]).max()))
     return [float(slope) for slope in np.diff(np.log(errors)) / -np.diff(np.log(numbers))]
-
-
-def test_yardstick_references_agree_with_extended_precision_to_2e_13() -> None:
-    # expected: Gragg-Bulirsch-Stoer extrapolation in long double of the same minimal equations
-    start = np.array([*FORCED_PENDULUM.angles, *FORCED_PENDULUM.rates, 0.0, 0.0], dtype=np.longdouble)
-    expected = ode.extrapolate(FORCED.right_side, start, END, 100).astype(float)
-    np.testing.assert_allclose(FORCED_PENDULUM.solve(np.array([END]))[0], expected, rtol=0, atol=2e-13)
-    start = np.array([DRIVEN_PENDULUM.angles[1], DRIVEN_PENDULUM.rates[1], 0.0, 0.0], dtype=np.longdouble)
-    expected = ode.extrapolate(DRIVEN.right_side, start, END, 100).astype(float)
-    actual = DRIVEN_PENDULUM.solve(np.array([END]))[0, [1, 3, 4, 5]]
-    np.testing.assert_allclose(actual, expected, rtol=0, atol=2e-13)
-
-
-@pytest.mark.parametrize("problem", [FORCED_PENDULUM, DRIVEN_PENDULUM], ids=["forced", "driven"])
-@pytest.mark.parametrize("method", [rk4, rk_gill])
-def test_yardstick_dense_equations_converge_to_the_minimal_ones_with_order_four(problem: Problem, method: Any) -> None:
-    # expected: order 4 (Kutta, Gill), towards the minimal coordinates' solution by DOP853
-    expected = problem.solve(np.array([END]))[0]
-    reference = problem.state(expected[:2], expected[2:4])
-    start = problem.state(np.array(problem.angles), np.array(problem.rates))
-    errors = [
-        np.abs(method(problem.absolute.right_side, start, END / number, number)[-1] - reference).max()
-        for number in (200, 400)
-    ]
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1)
 
 
 def radau(stages: int) -> dict[str, Any]:

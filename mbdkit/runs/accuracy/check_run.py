@@ -28,6 +28,7 @@ from mbdkit.runs.accuracy.pilot_run import RecordedPilot
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.accuracy.resolved_loads import resolved_until
 from mbdkit.runs.recorded_states import ObservedRows
+from mbdkit.runs.run_seams import Progress
 from mbdkit.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def check_run(
     rows: ObservedRows,
     steps: int,
     interrupted: Callable[[], bool],
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress | None = None,
     memory: ReactingMemory | None = None,
 ) -> Accuracy:
     """Estimate the errors of a run by comparison runs (companions).
@@ -155,7 +156,7 @@ def _guard(
     workspace: Workspace,
     times: np.ndarray,
     budget: Budget,
-    progress: Callable[[float, float], None] | None,
+    progress: Progress | None,
     watch: Callable[[Workspace, Stepper], Watch] | None,
 ) -> tuple[Companion, CompanionRows]:
     best: tuple[Companion, CompanionRows] | None = None

@@ -15,7 +15,7 @@ All decisions use counts instead of times, so that equal specs lead to equal cho
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,6 +38,7 @@ from mbdkit.runs.accuracy.pilot_run import (
     run_pilot,
 )
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.run_seams import Progress
 from mbdkit.spec import RunSpec
 from mbdkit.spec.run_spec import FIRST_EXPLICIT, FIRST_IMPLICIT
 
@@ -198,9 +199,7 @@ class Choice:
         return replace(self, setting=min(setting, self.setting), limited=limited, why=why, pilots=pilots, final=None)
 
 
-def choose_method(
-    spec: RunSpec, workspace: Workspace, progress: Callable[[float, float], None] | None = None
-) -> Choice:
+def choose_method(spec: RunSpec, workspace: Workspace, progress: Progress | None = None) -> Choice:
     """Choose method and step for the accuracy of a spec.
 
     `spec`: the spec, with `RunSpec.is_to_be_chosen`. `workspace`: its mechanism and start. `progress`: called with
@@ -244,7 +243,7 @@ class _Search:
         spec: RunSpec,
         workspace: Workspace,
         measure: PositionMeasure,
-        progress: Callable[[float, float], None] | None,
+        progress: Progress | None,
     ):
         self.spec, self.workspace, self.measure, self.progress = spec, workspace, measure, progress
         assert spec.accuracy is not None

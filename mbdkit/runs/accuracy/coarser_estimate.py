@@ -24,6 +24,7 @@ from mbdkit.runs.accuracy.error_estimate import (
     LARGEST_ERROR,
     MINOR,
     ErrorEstimate,
+    Estimated,
     Units,
     assemble,
     running_norms,
@@ -106,8 +107,8 @@ def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> t
     return np.where(differs, SAFETY * ratio / np.where(differs, 1.0 - ratio, 1.0), math.inf), falls & differs
 
 
-class _Quantity:
-    """One quantity of all bodies or joints in all runs; implements `Estimated`.
+class _Quantity(Estimated):
+    """One quantity of all bodies or joints in all runs.
 
     `values` contains an array (T, B or J, K) for each coarser run, and then that of the run itself.
     """
@@ -132,30 +133,23 @@ class _Quantity:
         tiny, minor = largest <= agreed, (largest <= MINOR * self._all[-1]) & common
         small = norms[-1] <= LARGEST_ERROR * size + agreed
         finite = np.isfinite(np.add.reduce(norms))
-        self._seen = np.minimum.accumulate(finite & (falls | tiny | minor) & small, axis=0)
+        self.seen = np.minimum.accumulate(finite & (falls | tiny | minor) & small, axis=0)
         # one factor for all times, because the factor of the small differences in the first steps is random
-        last = np.maximum(np.sum(self._seen, axis=0) - 1, 0)[None]
+        last = np.maximum(np.sum(self.seen, axis=0) - 1, 0)[None]
         self._factor = np.broadcast_to(np.take_along_axis(factor, last, axis=0), factor.shape)
         self._equal_until = equal_until
 
-    @property
-    def known(self) -> np.ndarray:
-        """See `Estimated.known`."""
-        return np.asarray(np.all(self._seen, axis=1))
-
     def errors(self) -> np.ndarray:
-        """See `Estimated.errors`."""
         return self._estimates(np.abs(self._values[-1] - self._values[-2]), np.s_[:, :, None])
 
     def norm_errors(self, part: slice) -> np.ndarray:
-        """See `Estimated.norm_errors`."""
         difference = (self._values[-1] - self._values[-2])[..., part]
         return self._estimates(np.linalg.norm(difference, axis=-1), np.s_[:, :])
 
     def _estimates(self, difference: np.ndarray, axes: tuple[slice | None, ...]) -> np.ndarray:
         estimate = self._factor[axes] * np.maximum.accumulate(difference, axis=0)
         estimate[1 : self._equal_until] = np.fmax(estimate[1 : self._equal_until], estimate[self._equal_until])
-        return np.where(self._seen[axes], np.maximum.accumulate(np.nan_to_num(estimate), axis=0), np.nan)
+        return np.where(self.seen[axes], np.maximum.accumulate(np.nan_to_num(estimate), axis=0), np.nan)
 
     def order(self, count: int) -> float:
         """Return the exponent of the error in the tolerance at the last of `count` known rows; nan if not observed."""

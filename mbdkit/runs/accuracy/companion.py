@@ -21,6 +21,7 @@ from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.recorded_states import ObservedRows
+from mbdkit.runs.run_seams import Progress
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
@@ -73,7 +74,7 @@ def run_companion(
     workspace: Workspace,
     times: np.ndarray,
     stopped: Callable[[], str],
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress | None = None,
     watch: Callable[[Workspace, Stepper], Watch] | None = None,
 ) -> CompanionRows:
     """Run a companion.
@@ -165,7 +166,7 @@ def _advance(
     companion: Companion,
     states: _States,
     stopped: Callable[[], str],
-    progress: Callable[[float, float], None] | None,
+    progress: Progress | None,
 ) -> str:
     """Advance to the last of the times; return the reason if this fails, otherwise an empty string."""
     while states.done < len(states.times):

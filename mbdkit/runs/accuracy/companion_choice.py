@@ -93,10 +93,14 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
     the run.
     """
     within = _steps_within(spec, times)
-    if not spec.claims.adaptive:
-        plan = timetable(spec, Guards())
-        factors = step_factors(spec)
-        tables = [finer(plan, times, factor) for factor in factors]
+    plan, interval = within, None
+    if spec.claims.adaptive:
+        what, (first, second) = "tolerance", _tighter(spec, method, workspace, within)
+        rough, fine = TENTHS if _has_tolerances(spec, method) else OTHER_TENTHS
+    else:
+        what, plan = "step", timetable(spec, Guards())
+        interval = row_interval(plan)
+        rough, fine = step_factors(spec)
         first, second = (
             Companion(
                 f"step {table.step:.4g} s",
@@ -106,20 +110,12 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
                 spec.stabilized,
                 within_steps=False,
             )
-            for table in tables
+            for table in (finer(plan, times, factor) for factor in step_factors(spec))
         )
-        interval = row_interval(plan)
-        guards = _guards_of_treatment(spec, method, plan, times)
-        if guards is None:
-            guards = _guards(spec, method, workspace, within, steps, interval)
-        return Chosen((first, second), guards, factors[1] / factors[0], "step")
-    first, second = _tighter(spec, method, workspace, within)
-    own = _has_tolerances(spec, method)
-    rough, fine = TENTHS if own else OTHER_TENTHS
-    guards = _guards_of_treatment(spec, method, within, times)
+    guards = _guards_of_treatment(spec, method, plan, times)
     if guards is None:
-        guards = _guards(spec, method, workspace, within, steps, None)
-    return Chosen((first, second), guards, fine / rough, "tolerance")
+        guards = _guards(spec, method, workspace, within, steps, interval)
+    return Chosen((first, second), guards, fine / rough, what)
 
 
 def step_factors(spec: RunSpec) -> tuple[int, int]:

@@ -19,9 +19,10 @@ All differences are replaced by their running maxima, because a difference that 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -114,25 +115,28 @@ def estimate_errors(
     return assemble(runs[0], (*runs, guard), units, estimated)
 
 
-class Estimated(Protocol):
+class Estimated(ABC):
     """Estimates for one quantity of U bodies or joints with K components each."""
+
+    seen: np.ndarray
+    """(T, U) whether the error of each body or joint is known."""
 
     @property
     def known(self) -> np.ndarray:
         """(T,) whether the errors of all bodies or joints are known."""
-        ...
+        return np.asarray(np.all(self.seen, axis=1))
 
+    @abstractmethod
     def errors(self) -> np.ndarray:
         """Return the errors of the components, (T, U, K)."""
-        ...
 
+    @abstractmethod
     def norm_errors(self, part: slice) -> np.ndarray:
         """Return the errors of the norm of the components in a slice, (T, U)."""
-        ...
 
+    @abstractmethod
     def order(self, count: int) -> float:
         """Return the observed order at the last of `count` known rows; nan if only rounding errors were observed."""
-        ...
 
 
 def assemble(
@@ -188,8 +192,8 @@ def size_of_motion(position: np.ndarray, length: float) -> float:
     return max(across, length * min(float(np.max(moved[..., 2], initial=0.0)), 1.0))
 
 
-class _Quantity:
-    """One quantity in three runs and the guard; implements `Estimated`.
+class _Quantity(Estimated):
+    """One quantity in three runs and the guard.
 
     `values`: four arrays (T, B or J, K) in one unit of measurement. `unit`: natural unit of the quantity. `size`: size
     of the quantity. `refinement`: see `estimate_errors`.
@@ -219,20 +223,13 @@ class _Quantity:
         finite = np.isfinite(d02) & np.isfinite(d2g)
         small = np.where(self._widened, np.fmax(estimate, d0g), estimate) <= max(LARGEST_ERROR * size, floor)
         seen = finite & (falls | confirmed | tiny | minor) & agrees & small
-        self._seen = np.minimum.accumulate(seen, axis=0)
+        self.seen = np.minimum.accumulate(seen, axis=0)
         self._all = (all01, all12, floor)
 
-    @property
-    def known(self) -> np.ndarray:
-        """See `Estimated.known`."""
-        return np.asarray(np.all(self._seen, axis=1))
-
     def errors(self) -> np.ndarray:
-        """See `Estimated.errors`."""
         return self._estimates(np.abs, np.s_[:, :, None])
 
     def norm_errors(self, part: slice) -> np.ndarray:
-        """See `Estimated.norm_errors`."""
         return self._estimates(lambda difference: np.linalg.norm(difference[..., part], axis=-1), np.s_[:, :])
 
     def _estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: Any) -> np.ndarray:
@@ -241,7 +238,7 @@ class _Quantity:
             np.maximum.accumulate(size(difference), axis=0)
             for difference in (first - second, second - third, first - third, first - guard)
         )
-        known = (self._falls, self._confirmed, self._factor, self._widened, self._seen)
+        known = (self._falls, self._confirmed, self._factor, self._widened, self.seen)
         falls, confirmed, factor, widened, seen = (x[axes] for x in known)
         spread = np.where(confirmed, np.fmax(d02, d0g), _largest(d01, d12, d02, d0g))
         estimate = np.where(falls, factor * d02, spread)

@@ -7,7 +7,7 @@ compared with other pilots at any time; the last recorded pilot is used as the r
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,6 +22,7 @@ from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import guards, make_method, plugin_failure, size_at_start, timetable
 from mbdkit.runs.recorded_states import ObservedRows
+from mbdkit.runs.run_seams import Progress
 from mbdkit.runs.step_interpolation import StepStates
 from mbdkit.spec import RunSpec
 
@@ -146,7 +147,7 @@ class RecordedPilot:
         setting: float,
         workspace: Workspace,
         most_steps: int,
-        progress: Callable[[float, float], None] | None = None,
+        progress: Progress | None = None,
     ):
         self.setting = setting
         self.workspace = workspace.for_another_run(spec.formulated.name, spec.stabilized)

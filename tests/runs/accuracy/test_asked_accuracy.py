@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,15 +11,12 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.compare import compare
 from mbdkit.base.errors import SpecError
-from mbdkit.integrators.interface import Failure
-from mbdkit.runs.accuracy.check_run import missed_because
-from mbdkit.runs.accuracy.chosen_method import Candidate, Choice
 from mbdkit.runs.accuracy.coarser_estimate import error_share
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import build
-from mbdkit.runs.step_interpolation import StepStates
 from mbdkit.spec import load_spec
 from tests.benchmarks.asked_accuracy import TEN, counted
+from tests.slow_cases import slow
 from tests.witness.known_motions import Known, forced_oscillator, known_motions, pendulum
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
@@ -45,11 +40,13 @@ def true_error(run: mbdkit.Run, known: Known) -> float:
     [
         {},
         {"integrator": {"name": "gauss", "stages": 3}},
-        {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 10.0, "step": 0.05}},
-        {"integrator": {"name": "radau-iia", "adaptive": True}},
         {"integrator": {"name": "scipy-dop853"}},
-        pytest.param({"formulation": "ggl"}, marks=pytest.mark.slow),
         {"stabilization": {"name": "projection", "symmetric": True}},
+        *slow(
+            {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 10.0, "step": 0.05}},
+            {"integrator": {"name": "radau-iia", "adaptive": True}},
+            {"formulation": "ggl"},
+        ),
     ],
     ids=str,
 )
@@ -77,7 +74,7 @@ def test_the_accuracy_is_reached_on_ten_problems(name, asked):
     assert true_error(made, known) <= asked
 
 
-@pytest.mark.parametrize("name", ["double pendulum, small", "four-bar", "driven double pendulum"])
+@pytest.mark.parametrize("name", ["double pendulum, small", *slow("four-bar", "driven double pendulum")])
 def test_the_last_pilot_is_the_run_and_the_others_check_it(name, monkeypatch):
     # expected: no companion, and as many evaluations as three runs of this tolerance take at most
     known = PROBLEMS[name]
@@ -101,18 +98,6 @@ def test_a_run_with_an_interval_of_rows_is_made_again_with_them():
     assert "coarser run" in made.accuracy.method
 
 
-def test_a_pulse_between_the_evaluations_of_all_runs_is_seen_in_the_load():
-    # expected: a body at rest that a smooth force of 5 N s pushes around 5 s
-    push = {"type": "force", "body": "a", "value": ["5/(0.002*sqrt(pi))*exp(-((t-5.03)/0.002)**2)", 0.0]}
-    bodies = {"a": {"mass": 1.0, "inertia": 1.0}}
-    model = {"name": "mechanism", "gravity": [0, 0], "bodies": bodies, "forces": {"f": push}}
-    made = run(1e-6, model=model, time={"end": 10.0})
-    if abs(made["a"].position[-1, 0] - 5.0 * 4.97) > 0.01:
-        assert made.verdict == "doubtful"
-        assert made.accuracy is not None
-        assert made.accuracy.known_until < 5.04
-
-
 @pytest.mark.slow
 def test_where_rounding_errors_limit_adaptive_steps_another_method_is_tried():
     # expected: the closed form; its phase multiplies an error of the energy of 1e-15 by 1e3, so that no method is sure
@@ -126,15 +111,6 @@ def test_where_rounding_errors_limit_adaptive_steps_another_method_is_tried():
         assert made.verdict == "doubtful"
         assert "their estimated error is" in made.verdict_reasons[0]
         assert "dop853 and gauss" in made.verdict_reasons[0]
-
-
-def test_rounding_errors_are_told_where_the_spec_gives_the_method():
-    known = PROBLEMS["triple pendulum"]
-    given = {"name": "dop853", "adaptive": True}
-    made = run(1e-12, model=known.model, time={"end": known.end}, integrator=given)
-    assert made.accuracy is not None
-    if not made.accuracy.is_reached:
-        assert "rounding errors dominate at tolerances below 1e-13" in made.verdict_reasons[0]
 
 
 def test_a_stiff_mechanism_is_given_an_implicit_method():
@@ -196,18 +172,6 @@ def test_limits_of_steps_are_told_where_they_prevent_the_accuracy():
     assert "limits.max_steps allows 500 steps" in made.verdict_reasons[0]
 
 
-def test_a_run_that_ends_early_misses_its_accuracy_for_this_reason():
-    choice = Choice(Candidate({"name": "dop853"}, adaptive=True, order=0.93), 1e-8, 1.0, "", 0.0)
-    accuracy = run(1e-3, time={"end": 0.5}).accuracy
-    assert accuracy is not None
-    missed = replace(accuracy, reached=np.nan, known_until=0.0)
-    failure = Failure("wall-time", "stopped at t = 1 s after limits.wall_time = 1 s.")
-    told = "the run ended early: stopped at t = 1 s after limits.wall_time = 1 s"
-    assert missed_because(missed, [choice], failure) == told
-    assert missed_because(missed, [choice]).endswith("which amplify errors; one attempt did not suffice")
-    assert missed_because(missed, [choice] * 2).endswith("2 attempts with smaller steps did not suffice")
-
-
 def test_the_errors_of_a_run_before_time_zero_are_known_to_its_end():
     # expected: the same pendulum does not know when it swings
     model = {"name": "single-pendulum", "angle": 0.3}
@@ -221,31 +185,6 @@ def test_runs_of_equal_tolerance_tell_nothing_about_their_error():
     assert error_share([0.0], [1e-13, 1e-13]) == np.inf
     assert error_share([1e-3, 0.0], [1e-11, 1e-13, 1e-13]) == np.inf
     assert error_share([0.0], [1e-11, 1e-13]) == 0.0
-
-
-def test_a_run_without_steps_has_no_states():
-    workspace = build(load_spec({"mbdkit": 1, "model": DOUBLE, "time": {"end": 2.0}, "accuracy": 1e-6}))[0]
-    states = StepStates(workspace, np.zeros(1), workspace.q0[None], workspace.v0[None])
-    q, v = states.at(np.array([0.0, 1.0]))
-    assert q.shape == v.shape == (2, len(workspace.q0))
-    assert np.all(np.isnan(q))
-
-
-def test_a_disc_that_turns_about_its_centre_has_errors_of_its_angle():
-    # expected: the closed form of two discs on one axle; their centres do not move at all
-    known = PROBLEMS["spinning discs"]
-    made = run(1e-6, model=known.model, time={"end": 1.0})
-    assert made.accuracy is not None
-    assert 0 < made.accuracy.reached <= 1e-6
-    assert true_error(made, known) <= 1e-6
-
-
-def test_a_spec_without_accuracy_is_what_it_was_before():
-    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
-    assert not {"accuracy", "choose"} & json.loads(load_spec(spec).canonical_json()).keys()
-    asked = load_spec(spec, accuracy=1e-6)
-    assert (asked.choose, asked.estimates_errors, asked.accuracy) == ("step", True, 1e-6)
-    assert load_spec(load_spec(spec), accuracy=1e-6).sha256() == asked.sha256()
 
 
 def test_without_accuracy_an_integrator_is_still_needed():

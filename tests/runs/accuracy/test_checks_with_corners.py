@@ -18,6 +18,7 @@ from mbdkit.runs.accuracy.companion_choice import choose_companions
 from mbdkit.runs.preparation import guards, make_method, timetable
 from mbdkit.spec import load_spec
 from tests.linkages import driven_crank
+from tests.slow_cases import slow
 
 SIX = {"name": "gauss", "stages": 6}
 DOP853 = {"name": "dop853", "adaptive": True, "rtol": 1e-7}
@@ -42,7 +43,7 @@ CASES: list[tuple[dict[str, Any], float | None, dict[str, Any]]] = [
 ]
 
 
-@pytest.mark.parametrize("corner", [0.5, 0.5037])
+@pytest.mark.parametrize("corner", [0.5037, *slow(0.5)])
 @pytest.mark.parametrize(("integrator", "step", "rest"), CASES)
 def test_errors_are_known_through_an_impact(
     integrator: dict[str, Any], step: float | None, rest: dict[str, Any], corner: float
@@ -155,13 +156,3 @@ def test_companions_of_a_run_that_ended_early_have_no_stops_beyond_its_end() -> 
         assert early.stops == early.impacts == ()
         chosen = choose_companions(spec, make_method(spec), workspace, np.array([0.0, end]), 50)
         assert all(companion.timetable.stops == () for companion in (*chosen.finer, *chosen.guards))
-
-
-def test_guards_take_steps_below_a_share_of_the_run() -> None:
-    # a limit of the method, not of the loop over its steps
-    spec = load_spec(spec_of({"name": "rk4"}))
-    workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
-    for companion in choose_companions(spec, make_method(spec), workspace, np.linspace(0, 1, 101), 100).guards:
-        tolerances = getattr(companion.create(), "tolerances", None)
-        assert tolerances is not None
-        assert tolerances.max_step == pytest.approx(1.0 / 2000)

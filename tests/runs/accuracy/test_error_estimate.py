@@ -120,14 +120,6 @@ def test_a_joint_may_be_known_longer_than_another():
     assert np.all(np.isfinite(found.position))
 
 
-def test_a_mechanism_without_joints_is_known():
-    full = [rows(1e-6 * TIME * 16.0**-k) for k in range(4)]
-    free = [ObservedRows(x.time, x.position, x.velocity, x.force[:, :0], x.torque[:, :0]) for x in full]
-    found = estimate_errors((free[0], free[1], free[2]), free[3], UNITS)
-    assert found.known_until == TIME[-1]
-    assert found.reaction.shape == (len(TIME), 0)
-
-
 def test_the_reason_is_a_comparison_run_that_ended_early_or_quantities_that_do_not_converge():
     first, second, third = (rows(1e-6 * TIME * 16.0**-k) for k in range(3))
     ended = CompanionRows(rows(0.0, until=6.0), "it needs more than 9 steps")

@@ -18,6 +18,7 @@ from mbdkit.runs.preparation import build, make_method
 from mbdkit.spec import load_spec
 from mbdkit.trust.measure_error import measure_error
 from tests.runs.oscillator import EXACT, TEXTS, oscillator
+from tests.slow_cases import slow
 
 STOP = {"stop": {"when": "slider.x + 0.5", "action": "stop"}}
 
@@ -26,9 +27,8 @@ STOP = {"stop": {"when": "slider.x + 0.5", "action": "stop"}}
     ("integrator", "step"),
     [
         ({"name": "rk4"}, 0.1),
-        ({"name": "gauss", "stages": 2}, 0.1),
-        ({"name": "radau-iia", "stages": 3}, 0.2),
         ({"name": "dop853", "adaptive": True, "rtol": 1e-5}, None),
+        *slow(({"name": "gauss", "stages": 2}, 0.1), ({"name": "radau-iia", "stages": 3}, 0.2)),
         ({"name": "scipy-dop853", "rtol": 1e-5, "atol": 1e-5}, None),
     ],
 )
@@ -72,7 +72,7 @@ def test_errors_are_stored_and_shown(tmp_path: Path) -> None:
     assert np.isnan(mbdkit.run(oscillator({"name": "rk4"}, 0.1, measures=units)).measure_errors["peak"])
 
 
-@pytest.mark.parametrize("store", ["files", "all", "summary"])
+@pytest.mark.parametrize("store", ["files", *slow("all", "summary")])
 def test_tables_of_studies_have_the_errors(store: str, tmp_path: Path) -> None:
     base = oscillator({"name": "rk4"}, 0.1, check=True)
     axes = [{"time.step": [0.1, 0.05]}]

@@ -14,7 +14,7 @@ from mbdkit.plugin.equations import Workspace
 from mbdkit.plugin.methods import Stepper, Timetable, start_method
 from mbdkit.plugin.runs import build
 from mbdkit.plugin.specs import Registered, Registry, choice_of
-from mbdkit.runs.simulated_run import Progress
+from mbdkit.runs.run_seams import Progress
 from mbdkit.spec.run_spec import spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip
 from mbdkit_testing.options_under_test import validated

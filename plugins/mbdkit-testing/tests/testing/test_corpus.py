@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection, Iterable
+from typing import Any
 
 import pytest
 from tests.testing.corpus_of_wrong_plugins import RIGHT, RK4, WRONG, outcome
@@ -52,11 +54,16 @@ WRONG |= {name: found[:3] for name, found in further_faults.WRONG.items()}
 CAUSES = {name: cause for name, (_, _, cause) in WITH_CAUSES.items()}
 CAUSES |= {name: found[3] for name, found in further_faults.WRONG.items()}
 RIGHT |= {name: ("integrator", installed) for name, installed in further_faults.RIGHT.items()}
+FIRST = {(kind, check): name for name, (kind, _, check) in reversed(WRONG.items())}.values()
+"""The first wrong plugin of each check; the others are slow tests."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (kind == "integrator")) for name, (kind, _) in RIGHT.items()]
-)
+def others_slow(names: Iterable[str], chosen: Collection[str]) -> list[Any]:
+    """Return parameters of which those that are not chosen are slow tests."""
+    return [pytest.param(name, marks=[] if name in chosen else [pytest.mark.slow]) for name in names]
+
+
+@pytest.mark.parametrize("name", others_slow(RIGHT, ("driven", "dry friction", "a root")))
 def test_what_is_right_is_accused_by_no_check_that_catches_what_is_wrong(name: str) -> None:
     kind, installed = RIGHT[name]
     assert not installed.failures
@@ -66,7 +73,7 @@ def test_what_is_right_is_accused_by_no_check_that_catches_what_is_wrong(name: s
     assert {check for other, _, check in WRONG.values() if other == kind} <= {result.name for result in report.results}
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", others_slow(WRONG, FIRST))
 def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
     kind, installed, expected = WRONG[name]
     found = outcome(kind, installed, expected)
@@ -75,24 +82,20 @@ def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
     assert CAUSES.get(name, "") in found.cause
 
 
-@pytest.mark.parametrize(
-    "check", [pytest.param(x, marks=[pytest.mark.slow] * (x == "geometry.conserved-energy")) for x in overclaims.RIGHT]
-)
+@pytest.mark.parametrize("check", others_slow(overclaims.RIGHT, [x for x in overclaims.RIGHT if "energy" not in x]))
 def test_a_claim_that_holds_is_not_refused(check: str) -> None:
     found = outcome("integrator", overclaims.RIGHT[check], check)
     assert found.outcome == ("skip" if check == "restart.state" else "pass"), found
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(x, marks=[pytest.mark.slow] * ("Euler" not in x or "3" in x)) for x in further_faults.RIGHT]
-)
+@pytest.mark.parametrize("name", others_slow(further_faults.RIGHT, ("half-explicit Euler", "explicit Euler")))
 def test_a_right_method_of_order_1_or_2_is_accused_by_no_check_that_its_coarse_steps_might_deceive(name: str) -> None:
     for check in ("state.resting-starts", "state.joint-friction", "restart.discontinuities", "drift.formulations"):
         found = outcome("integrator", further_faults.RIGHT[name], check)
         assert found.outcome in ("pass", "skip"), found
 
 
-@pytest.mark.parametrize("name", wrong_steps.RIGHT)
+@pytest.mark.parametrize("name", others_slow(wrong_steps.RIGHT, ("a pair with fixed steps", "a library")))
 def test_a_right_step_is_accused_by_no_check_of_what_it_contains(name: str) -> None:
     for check in {check for _, check, _ in wrong_steps.WRONG.values()}:
         found = outcome("integrator", wrong_steps.RIGHT[name], check)
