@@ -301,7 +301,7 @@ class GradientProblem(ABC, Generic[S]):
         measures: Measures,
         names: Names | None,
         parameters: Names | Mapping[str, object] | None,
-        sections: dict[str, Any],
+        sections: dict[str, object],
     ) -> tuple[Self, tuple[Parameter, ...]]:
         """Return the problem of a source that `load` reads, and its parameters; see `mbdkit.gradient`."""
         source, wanted = read_names(source, names, parameters, sections)

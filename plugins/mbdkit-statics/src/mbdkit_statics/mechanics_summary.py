@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -113,7 +112,7 @@ def sharing(rest: Equilibrium) -> str:
     return f"not unique, because joints are redundant: the reactions of {listed(rest.shared, 'and')}"
 
 
-def equilibrium_data(rest: Equilibrium) -> dict[str, Any]:
+def equilibrium_data(rest: Equilibrium) -> dict[str, object]:
     """Return an equilibrium as plain data."""
     return {
         "time": rest.time,
@@ -173,7 +172,7 @@ def modes_facts(shown: Modes) -> list[tuple[str, str]]:
     ]
 
 
-def modes_data(modes: Modes) -> dict[str, Any]:
+def modes_data(modes: Modes) -> dict[str, object]:
     """Return modes as plain data; complex numbers become [real, imaginary]."""
     return {
         "time": modes.time,
@@ -217,7 +216,7 @@ def kinematics_text(motions: Kinematics) -> str:
     )
 
 
-def kinematics_data(motions: Kinematics) -> dict[str, Any]:
+def kinematics_data(motions: Kinematics) -> dict[str, object]:
     """Return a motion as plain data."""
     return {
         "time": motions.time.tolist(),

@@ -89,7 +89,7 @@ class ForceLawUnderTest(ItemUnderTest):
         return validated(law_element(self.item), {"law": self.item.id, "pathway": pathway, **self.options})
 
     @cached_property
-    def compiled(self) -> tuple[Any, np.ndarray]:
+    def compiled(self) -> tuple[object, np.ndarray]:
         """The machine code of the law and its numeric options."""
         bound, numbers = bind_law(self.law, self.element, self.item.id)
         return bound, np.array(numbers)

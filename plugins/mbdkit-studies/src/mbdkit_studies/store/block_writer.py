@@ -387,7 +387,7 @@ class _Writer:
 
     def array(self, under: str, one: Array, found: Sequence[FinishedRun], shape: tuple[int, ...]) -> None:
         """Write one array of all runs of a structure; rows that a run does not have are nan, 0 or empty."""
-        empty: Any = {FLOAT: np.nan, INTEGER: 0}.get(one.dtype, "")
+        empty: object = {FLOAT: np.nan, INTEGER: 0}.get(one.dtype, "")
         values = np.full(shape, empty, object if one.dtype == TEXT else one.dtype)
         for index, result in enumerate(found):
             mine = result.arrays[one.key]

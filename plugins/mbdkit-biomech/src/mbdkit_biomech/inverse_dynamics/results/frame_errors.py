@@ -111,7 +111,7 @@ def exact_loads(run: Run) -> str:
     return f"loads count as exact where columns have no `deviation`: {listed(names, 'and')}" if names else ""
 
 
-def _measured(load: Mapping[str, Any]) -> list[Any]:
+def _measured(load: Mapping[str, Any]) -> list[object]:
     """Return the columns of data that a measured load refers to, without components that are constant numbers."""
     every = [*(load.get("force") or ()), *(load.get("point") or ()), load.get("torque")]
     return [one for one in every if one is not None and not isinstance(one, int | float)]
