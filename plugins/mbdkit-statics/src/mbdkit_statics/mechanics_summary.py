@@ -119,7 +119,7 @@ def equilibrium_data(rest: Equilibrium) -> dict[str, object]:
         "stability": rest.stability,
         "growth": [rest.growth.real, rest.growth.imag],
         "flutters": rest.flutters,
-        "stiffness": _number(rest.stiffness),
+        "stiffness": rest.stiffness,
         "imbalance": rest.imbalance,
         "residual": rest.residual,
         "iterations": rest.iterations,
@@ -187,7 +187,7 @@ def modes_data(modes: Modes) -> dict[str, object]:
                 "eigenvalue": [value.real, value.imag],
                 "natural_frequency": abs(value),
                 "frequency_hz": abs(value) / (2 * math.pi),
-                "damping_ratio": _number(float(ratio)),
+                "damping_ratio": float(ratio),
                 "shape": {
                     name: np.column_stack([u.real, u.imag]).tolist()
                     for name, u in zip(modes.bodies, shape, strict=True)
@@ -259,7 +259,3 @@ def _some(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 def clean(values: np.ndarray) -> list[float]:
     """Return the numbers as a list, with zero in place of magnitudes below 1e-12, which are rounding errors."""
     return [0.0 if abs(x) < 1e-12 else x for x in values.tolist()]
-
-
-def _number(x: float) -> float | None:
-    return None if math.isnan(x) else x
