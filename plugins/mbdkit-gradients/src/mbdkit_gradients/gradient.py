@@ -385,7 +385,7 @@ class _RunProblem(GradientProblem[RunSpec]):
             other = plain_run(spec) if is_plain else differentiated_run(spec, NO_SEEDS, self._needs, sizes=run.sizes)
         except RunError:
             return [np.nan] * len(expressions)
-        return [one.value for one in derived_measures(other, expressions, NO_SEEDS).values()]
+        return [measure.value for measure in derived_measures(other, expressions, NO_SEEDS).values()]
 
     def reference(self, run: DifferentiatedRun, prepared: PreparedDerivatives) -> Reference:
         step = self.spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))

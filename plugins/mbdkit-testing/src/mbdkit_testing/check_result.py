@@ -236,11 +236,11 @@ def _root(cause: str) -> str:
 def _paragraph(cause: str, results: Sequence[Result]) -> str:
     """Return the cause of several results, with their number and names."""
     found = _RAISED.search(cause)
-    failed, skips = ([one.name for one in results if one.outcome == what] for what in ("fail", "skip"))
+    failed, skips = ([result.name for result in results if result.outcome == what] for what in ("fail", "skip"))
     skipped = f", {len(skips)} skipped" if skips else ""
     told = shown(cause if found is None else f"the plugin {found[0]}")
     lines = [f"{what}: {listed(names)}" for what, names in (("failed", failed), ("skipped", skips)) if names]
-    wrapped = [fill(one, 118, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False) for one in lines]
+    wrapped = [fill(line, 118, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False) for line in lines]
     return "\n".join([f"{counted(len(failed), 'check')} failed{skipped}: {told}", *wrapped])
 
 

@@ -361,7 +361,7 @@ def states(law: ForceLawUnderTest) -> Result:
         with simulate(_mass_on(law, step)) as run:
             if run.status != "complete":
                 return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
-            finals.append([float(run.states[f"law.{one.name}"].value[-1]) for one in law.law.states])
+            finals.append([float(run.states[f"law.{state.name}"].value[-1]) for state in law.law.states])
     changes = np.abs(np.diff(np.array(finals), axis=0))
     size = np.maximum(np.max(np.abs(finals), axis=0), 1e-300)
     worst = int(np.argmax(changes[-1] / size))

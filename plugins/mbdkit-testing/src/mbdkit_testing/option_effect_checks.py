@@ -122,7 +122,7 @@ def _symbols(law: ForceLawUnderTest) -> set[str] | None:
     if not isinstance(given, ExpressionLaw) or given.parameters is not None or callable(given.valid_range):
         return None
     expressions = [given.force, given.potential, *(rate for rate, _ in given.rates.values())]
-    made = [one() if callable(one) else one for one in expressions]
+    made = [expression() if callable(expression) else expression for expression in expressions]
     return {str(symbol) for one in made for symbol in getattr(one, "free_symbols", ())}
 
 

@@ -355,7 +355,7 @@ class _Writer:
         growing = {
             dim: next((one.key for one in first.layout if one.grows and one.dims[0] == dim), "") for dim in _AXIS
         }
-        lengths = {dim: [len(one.arrays[key]) if key else 0 for one in results] for dim, key in growing.items()}
+        lengths = {dim: [len(result.arrays[key]) if key else 0 for result in results] for dim, key in growing.items()}
         for group in groups:
             self.scale(under, group, "run", numbers, "number of the run in the study, from 1")
             for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):

@@ -126,7 +126,7 @@ def known_rows(run: Run) -> np.ndarray:
     errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
     errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
     known = np.ones(len(run.time), dtype=bool)
-    return np.asarray(np.all([known, *(~np.any(np.isnan(one), axis=1) for one in errors)], axis=0))
+    return np.asarray(np.all([known, *(~np.any(np.isnan(error), axis=1) for error in errors)], axis=0))
 
 
 @run_attribute
