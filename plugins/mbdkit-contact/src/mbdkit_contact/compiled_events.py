@@ -95,7 +95,7 @@ class CompiledEventDriven(CompiledMethod):
         """See `CompiledMethod.describe_divergence`."""
         return self.between.describe_divergence(report)
 
-    def stored_systems(self) -> Any:
+    def stored_systems(self) -> object:
         """See `CompiledMethod.stored_systems`: those of the method between events, and the impacts so far."""
         state = self.reacting.stored()
         return {"between": self.between.stored_systems(), **{name: state[name] for name in ("impacts", "reactions")}}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
@@ -95,7 +95,7 @@ class PolylineFile(StrictModel):
     """Unit of both columns."""
 
 
-def _polyline(value: object) -> Any:
+def _polyline(value: object) -> object:
     if isinstance(value, Mapping):
         raise SpecError("files of points are read from spec files only; in Python, give the points [[x, y], ...]")
     return sequence(value)
@@ -104,7 +104,7 @@ def _polyline(value: object) -> Any:
 class _OrFile:
     """Annotation of points that spec files may give by a `PolylineFile`."""
 
-    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, object]:
         return {"anyOf": [handler(core), PolylineFile.model_json_schema()]}
 
 

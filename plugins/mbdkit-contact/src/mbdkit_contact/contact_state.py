@@ -86,7 +86,7 @@ class ContactState:
             known |= {"determined": np.zeros(2, dtype=np.int64), "event": np.zeros(2, dtype=np.int64)}
         return replace(self, modes=np.zeros(0, dtype=int), known=known, between=None)
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, object]:
         """Return the state as plain data; the impacts are stored as joined arrays."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         return values | {

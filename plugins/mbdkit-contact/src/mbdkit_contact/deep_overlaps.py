@@ -73,7 +73,7 @@ class DeepOverlaps:
                 )
         return tuple(sentences)
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, object]:
         """Return the state as plain values, for a checkpoint."""
         return {"depth": self._depth, "time": self._time}
 

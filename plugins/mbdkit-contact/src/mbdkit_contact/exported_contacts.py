@@ -32,18 +32,18 @@ class SymbolicContacts:
                 why = "is rigid, so that its force is not a function of the state; give it a `compliance`"
                 raise SpecError(f"contact '{contact.pair.name}' {why}", key=contact.pair.key)
 
-    def forms(self, tools: Any) -> Mapping[Callable[..., Any], Callable[..., Any]]:
+    def forms(self, tools: Any) -> Mapping[Callable[..., object], Callable[..., object]]:
         """Return the functions that search segments of uneven ground in their form for symbols: not by bisection, and
         among all segments if the first search was not enough.
         """
 
-        def segment_at(x: np.ndarray, ground: int, count: int, px: Any) -> Any:
+        def segment_at(x: np.ndarray, ground: int, count: int, px: Any) -> object:
             last: Any = 0
             for j in range(1, count):
                 last = tools.select(x[ground + uneven_ground.SEGMENT * j] <= px, j, last)
             return last
 
-        def bounded(window: Callable[..., Any]) -> Callable[..., Any]:
+        def bounded(window: Callable[..., Any]) -> Callable[..., object]:
             run = tools.run(window)
 
             def segments(x: np.ndarray, at: int, sizes: tuple[int, int], *others: Any) -> Any:
@@ -57,7 +57,7 @@ class SymbolicContacts:
 
     def values(self, call_law: Callable[..., None], top: Topology, law_values: np.ndarray) -> dict[str, Sequence[Any]]:
         """Return the quantities `attributes` of each contact by its name."""
-        by_name: dict[str, Sequence[Any]] = {}
+        by_name: dict[str, Sequence[object]] = {}
         for k, rows in enumerate(pairs_of_shapes(self._contacts)):
             law, begin = contact_law(rows, contact_laws.VALUES), top.laws[top.interactions[k, 2], 1]
             out = np.full((len(rows), contact_laws.VALUE), 0.0, dtype=object)

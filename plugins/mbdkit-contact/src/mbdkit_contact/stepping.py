@@ -184,7 +184,7 @@ class CompiledTimeStepping(CompiledMethod):
         self.bundle = self.bundle._replace(pattern=pattern, scatter=scatter, factors=factors)
         self.pinned.replace(self.bundle)
 
-    def stored_systems(self) -> Any:
+    def stored_systems(self) -> object:
         """See `CompiledMethod.stored_systems`."""
         bundle = self.bundle
         return {"pattern": stored(bundle.pattern), "scatter": bundle.scatter, "reference": bundle.factors.reference}

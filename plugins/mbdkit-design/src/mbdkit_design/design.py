@@ -300,7 +300,7 @@ def _knee(evaluator: Evaluator, front: list[Search]) -> Search:
     return front[int(np.argmin(away))]
 
 
-def _plain(data: object) -> Any:
+def _plain(data: object) -> object:
     """Return plain data with None in place of nan."""
     if is_dataclass(data):
         data = {field.name: getattr(data, field.name) for field in fields(data)}

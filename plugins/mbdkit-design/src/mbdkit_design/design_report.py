@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -159,7 +159,7 @@ def _value(design: Design, point: DesignPoint, name: str) -> str:
     return with_unit(point.variables[name], variable_unit(design.spec, name))
 
 
-def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, Any]]:
+def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, object]]:
     """Yield the animations of the runs at the best point and at the start."""
     for scenario, pair in pairs.items():
         for which in reversed(WHICH):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mbdkit.plugin.seams import spec_schema
 from mbdkit.plugin.specs import DRAFT, Registry, allow_units, described, run_schema
 from mbdkit_biomech.inverse_dynamics.spec.inverse_schema import inverse_schema
@@ -11,7 +9,7 @@ from mbdkit_design.design_spec import DesignSpec
 
 
 @spec_schema
-def design_schema(installed: Registry | None = None) -> dict[str, Any]:
+def design_schema(installed: Registry | None = None) -> dict[str, object]:
     """Return the JSON schema (draft 2020-12) of the design spec; its bases are run specs and specs of inverse dynamics.
 
     Parameters

@@ -240,7 +240,7 @@ class EvolutionStrategy(Section):
 Optimizer = LocalOptimizer | GlobalOptimizer | EvolutionStrategy
 
 
-def _check_goals(given: object) -> Any:
+def _check_goals(given: object) -> object:
     if not isinstance(given, str | Mapping):
         raise SpecError(f"should be an expression, or a mapping of names and expressions, not {value_text(given)}")
     if isinstance(given, Mapping) and not given:
@@ -248,7 +248,7 @@ def _check_goals(given: object) -> Any:
     return given
 
 
-def _check_comparison(settings: dict[str, Any]) -> dict[str, Any]:
+def _check_comparison(settings: dict[str, object]) -> dict[str, object]:
     if not settings:
         raise SpecError("needs dotted keys of the base and their values, such as {time.step: 0.1}")
     return settings

@@ -49,9 +49,8 @@ class Deviation:
     exceeds: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; None where a run fails."""
-        goals = [[value if np.isfinite(value) else None for value in side] for side in self.goals.tolist()]
-        return {"number": self.words, "off_by": self.size, "goals": goals, "exceeds": self.exceeds}
+        """Return the data that are printed as JSON."""
+        return {"number": self.words, "off_by": self.size, "goals": self.goals, "exceeds": self.exceeds}
 
 
 def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:

@@ -58,7 +58,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         """See `OwnedFolder.is_same`."""
         return canonical_text(written_out(load_design_spec(self.spec))) == canonical_text(written_out(spec))
 
-    def plain_spec(self, spec: DesignSpec) -> dict[str, Any]:
+    def plain_spec(self, spec: DesignSpec) -> dict[str, object]:
         """See `OwnedFolder.plain_spec`."""
         return written_out(spec)
 
@@ -130,7 +130,7 @@ def runs_of(design: Design, folder: Path) -> Iterator[dict[str, dict[str, Run]]]
         }
 
 
-def written_out(spec: DesignSpec) -> dict[str, Any]:
+def written_out(spec: DesignSpec) -> dict[str, object]:
     """Return a design as plain data that refer to no other spec: each scenario contains its base with all overrides."""
     data: dict[str, Any] = spec.model_dump(mode="json", exclude_unset=True)
     data.pop("overrides", None)
@@ -144,7 +144,7 @@ def written_out(spec: DesignSpec) -> dict[str, Any]:
     return data
 
 
-def _base(spec: RunSpec | InverseSpec) -> dict[str, Any]:
+def _base(spec: RunSpec | InverseSpec) -> dict[str, object]:
     """Return the spec of a scenario as plain data, without the measures, which the design defines."""
     assert spec._document is not None
     data = {key: value for key, value in spec._document.data.items() if key != "measures"}
@@ -155,7 +155,7 @@ def _base(spec: RunSpec | InverseSpec) -> dict[str, Any]:
     return data
 
 
-def _with_absolute_file(section: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _with_absolute_file(section: dict[str, Any], folder: Path) -> dict[str, object]:
     """Return a section in which the file name does not depend on the folder of the spec."""
     file = section.get("file")
     return section if file is None else section | {"file": os.path.abspath(folder / file)}

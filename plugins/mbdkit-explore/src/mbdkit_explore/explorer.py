@@ -49,7 +49,7 @@ class Explorer:
         self._prepared = PreparedRun(spec) if isinstance(spec, RunSpec) else None
         self.title = str(spec.title or self._data["model"]["name"])
 
-    def answer(self, values: Mapping[str, float]) -> dict[str, Any]:
+    def answer(self, values: Mapping[str, float]) -> dict[str, object]:
         """Return the contents of the page for the given values of sliders, as JSON values; only the ``error`` and the
         ``spec`` if the spec refuses a value or the run cannot be made.
 
@@ -74,7 +74,7 @@ class Explorer:
         document.data = copied(data)
         return inverse(cast("InverseSpec", spec_loader.of(kind_of(document.data).load)(document, ())))
 
-    def _shown(self, made: Run, data: Mapping[str, object]) -> dict[str, Any]:
+    def _shown(self, made: Run, data: Mapping[str, object]) -> dict[str, object]:
         every = headline_texts(made, "\u00b1", max(MOST, len(made.measures)))  # all measures
         return {
             "film": film_of(made, NUMBERS),
@@ -87,7 +87,7 @@ class Explorer:
         }
 
 
-def _curves(made: Run) -> dict[str, Any]:
+def _curves(made: Run) -> dict[str, object]:
     """Return the curves of a run over time: forces of joints or, in inverse dynamics, values of actuators. At most
     `CURVES` are included, those with the largest values.
     """

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbdkit.plugin import MbdkitError
 from mbdkit_explore.explorer import Explorer, explorer_of
@@ -139,7 +139,7 @@ def application(explorer: Explorer, token: str) -> Starlette:
     def is_known(given: str | None) -> bool:
         return secrets.compare_digest((given or "").encode(), token.encode())
 
-    async def computed(request: Request, values: Mapping[str, float]) -> dict[str, Any] | None:
+    async def computed(request: Request, values: Mapping[str, float]) -> dict[str, object] | None:
         try:
             async with turn:
                 # A page sends one request at a time. Its connection is closed if it was left or loaded again.
@@ -195,9 +195,9 @@ def values_in(body: bytes) -> dict[str, float] | None:
     return values if are_numbers else None
 
 
-def _in_thread(explorer: Explorer, values: Mapping[str, float]) -> asyncio.Future[dict[str, Any]]:
+def _in_thread(explorer: Explorer, values: Mapping[str, float]) -> asyncio.Future[dict[str, object]]:
     """Compute an answer in a thread of its own, for which the end of the process does not wait."""
-    future: Future[dict[str, Any]] = Future()
+    future: Future[dict[str, object]] = Future()
     future.set_running_or_notify_cancel()
 
     def compute() -> None:

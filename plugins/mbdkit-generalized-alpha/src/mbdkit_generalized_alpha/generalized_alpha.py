@@ -26,21 +26,21 @@ if TYPE_CHECKING:
     import numpy as np
 
 REFERENCES = (
-    """@article{arnold2007,
-  author = {Arnold, Martin and Br{\\"u}ls, Olivier},
-  title = {Convergence of the generalized-$\\alpha$ scheme for constrained mechanical systems},
+    r"""@article{arnold2007,
+  author = {Arnold, Martin and Br{\"u}ls, Olivier},
+  title = {Convergence of the generalized-$\alpha$ scheme for constrained mechanical systems},
   journal = {Multibody System Dynamics}, volume = {18}, pages = {185--202}, year = {2007},
   doi = {10.1007/s11044-007-9084-0}}""",
-    """@article{arnold2015,
+    r"""@article{arnold2015,
   author = {Arnold, Martin and Br{\"u}ls, Olivier and Cardona, Alberto},
   title = {Error analysis of generalized-$\alpha$ {L}ie group time integration methods for constrained mechanical
     systems},
   journal = {Numerische Mathematik}, volume = {129}, pages = {149--179}, year = {2015},
   doi = {10.1007/s00211-014-0633-1}}""",
-    """@article{chung1993,
+    r"""@article{chung1993,
   author = {Chung, Jintai and Hulbert, Gregory M.},
   title = {A time integration algorithm for structural dynamics with improved numerical dissipation:
-    the generalized-$\\alpha$ method},
+    the generalized-$\alpha$ method},
   journal = {Journal of Applied Mechanics}, volume = {60}, pages = {371--375}, year = {1993},
   doi = {10.1115/1.2900803}}""",
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -249,7 +248,7 @@ def _stepper(
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
     require_derivatives(method, FORMULATIONS[workspace.formulation], workspace.stabilization)
-    compiled: Any  # a method whose steps can be differentiated
+    compiled: object  # a method whose steps can be differentiated
     sided = with_sides(workspace.mechanism)
     try:
         if sided is None or method.traits.tolerances is not None:

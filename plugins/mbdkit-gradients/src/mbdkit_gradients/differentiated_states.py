@@ -181,7 +181,7 @@ def _together(
     return replace(first, observe=observe, handles=handles, **arrays)
 
 
-def _joined(handles: Sequence[Any], join: Callable[[Sequence[np.ndarray]], np.ndarray]) -> Any:
+def _joined(handles: Sequence[Any], join: Callable[[Sequence[np.ndarray]], np.ndarray]) -> object:
     """Return joined arrays, or an object with joined arrays in its fields; other fields are those of the first."""
     first = handles[0]
     if isinstance(first, np.ndarray):

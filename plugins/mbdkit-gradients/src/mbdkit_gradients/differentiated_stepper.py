@@ -318,7 +318,7 @@ class DifferentiatedStepper(CompiledStepper):
         return status, count
 
 
-def _enlarged(x: Any, rows: int) -> Any:
+def _enlarged(x: Any, rows: int) -> object:
     """Return a copy of an array with room for at least `rows` rows."""
     larger = np.zeros((max(rows, 2 * len(x)), *x.shape[1:])).view(type(x))
     larger[: len(x)] = x

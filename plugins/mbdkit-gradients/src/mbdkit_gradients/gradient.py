@@ -301,7 +301,7 @@ class GradientProblem(ABC, Generic[S]):
         measures: Measures,
         names: Names | None,
         parameters: Names | Mapping[str, object] | None,
-        sections: dict[str, Any],
+        sections: dict[str, object],
     ) -> tuple[Self, tuple[Parameter, ...]]:
         """Return the problem of a source that `load` reads, and its parameters; see `mbdkit.gradient`."""
         source, wanted = read_names(source, names, parameters, sections)
@@ -385,7 +385,7 @@ class _RunProblem(GradientProblem[RunSpec]):
             other = plain_run(spec) if is_plain else differentiated_run(spec, NO_SEEDS, self._needs, sizes=run.sizes)
         except RunError:
             return [np.nan] * len(expressions)
-        return [one.value for one in derived_measures(other, expressions, NO_SEEDS).values()]
+        return [measure.value for measure in derived_measures(other, expressions, NO_SEEDS).values()]
 
     def reference(self, run: DifferentiatedRun, prepared: PreparedDerivatives) -> Reference:
         step = self.spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))

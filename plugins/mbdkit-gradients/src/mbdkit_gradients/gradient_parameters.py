@@ -38,7 +38,9 @@ class Parameter:
     value: float
 
 
-def read_names(source: object, names: object, parameters: object, sections: dict[str, Any]) -> tuple[Any, list[str]]:
+def read_names(
+    source: object, names: object, parameters: object, sections: dict[str, object]
+) -> tuple[object, list[str]]:
     """Return the source of a spec, with the values of parameters if `names` is a mapping, and the names as a list.
 
     If there are no names, `parameters` are the names; else they are added to the `sections`, and values of `names`

@@ -227,7 +227,7 @@ def _sided(law: object, names: tuple[str, ...]) -> SidedLaw | None:
     force, potential = smooth_pieces(law, names)
     variables = [sp.Symbol(name, real=True) for name in (*ARGUMENTS[:2], *names)]
     found: list[sympy.Expr] = []
-    replaced: dict[Any, Any] = {}
+    replaced: dict[object, object] = {}
     for relation in sorted(force.atoms(sp.core.relational.Relational), key=str):
         if not isinstance(relation, sp.Gt | sp.Ge | sp.Lt | sp.Le) or not relation.free_symbols & set(variables[:2]):
             continue  # only conditions on length or rate get sides

@@ -86,7 +86,7 @@ def _keep_shared_states(run: DifferentiatedRun, states: MotionStates, expression
     functionals = [functional for expression in expressions for functional in expression.functionals]
     span = float(run.rows.time[0]), float(run.rows.time[-1])
     values = [one.time({}, span, lambda _: np.nan) for one in functionals if one.is_value and not one.is_nested]
-    split = sum(one.reduction == "integral" and not one.is_of_stages for one in functionals)
+    split = sum(functional.reduction == "integral" and not functional.is_of_stages for functional in functionals)
     if not run.motions or max(len(values), split) < 2:
         return
     for number, part in enumerate(run.motions[0].parts):
@@ -303,7 +303,7 @@ class _MeasureEvaluation(DoubtedMeasure):
             if np.isnan(samples.values).any():
                 return DerivedValue.number(np.nan, np.full(self.count, np.nan))
             lowest, highest = min(lowest, np.min(samples.values)), max(highest, np.max(samples.values))
-            found += [(number, one) for one in samples.peaks()]
+            found += [(number, peak) for peak in samples.peaks()]
         best = max(sign * one.value for _, one in found)
         near = [(number, one) for number, one in found if sign * one.value >= best - EQUAL * (highest - lowest)]
         near.sort(key=lambda item: -sign * item[1].value)

@@ -63,7 +63,7 @@ class Reference:
 
     def values(self, settings: Settings) -> Sequence[float]:
         """Return the measures (M,) of a run with other values of parameters; nan if no method reaches its end."""
-        spec, texts = self._specs.spec(settings), [one.text for one in self.expressions.values()]
+        spec, texts = self._specs.spec(settings), [expression.text for expression in self.expressions.values()]
         factors = [expression.unit.factor for expression in self.expressions.values()]
         others = self._others(spec, _recorded_interval(spec))  # `at` may interpolate between recorded states
         for place in range(len(others)) if self._chosen is None else [self._chosen]:

@@ -101,7 +101,7 @@ class MuscleReader:
             },
         }
 
-    def _point(self, element: Element) -> list[dict[str, Any]]:
+    def _point(self, element: Element) -> list[dict[str, object]]:
         """Return a point of a path, in a list; an empty list if the point is active only in a range that its coordinate
         never reaches.
         """
@@ -120,11 +120,11 @@ class MuscleReader:
                 return []
         return [item]
 
-    def _item(self, body: str, place: np.ndarray) -> dict[str, Any]:
+    def _item(self, body: str, place: np.ndarray) -> dict[str, object]:
         x, y = (place[:2] - self.centres[body]).tolist()
         return {"body": body, "point": [x, y, float(place[2] + self.heights[body])]}
 
-    def _moving(self, element: Element) -> dict[str, Any]:
+    def _moving(self, element: Element) -> dict[str, object]:
         body, place, axes = self.frames.of_point(element)
         if np.any(place != 0) or not np.allclose(axes, np.eye(3), rtol=0, atol=1e-12):
             raise UnreadError("it has a moving point in a frame that is offset from its body")
@@ -192,7 +192,7 @@ def read_muscle(reader: MuscleReader, element: Element) -> dict[str, Any]:
         raise UnreadError(error.message) from None
 
 
-def _of_coordinate(function: Function, coordinate: str, centre: float) -> Any:
+def _of_coordinate(function: Function, coordinate: str, centre: float) -> object:
     """Return a function of a coordinate minus the number `centre`, as a table or an expression."""
     if function.spline is None:
         if not coordinate.isidentifier():

@@ -127,7 +127,7 @@ def planar_joint(joint: Element, coordinates: list[OsimCoordinate]) -> PlanarJoi
         case "PlanarJoint":
             return PlanarJoint(label, free[0], ((x, free[1]), (y, free[2])))
         case "CustomJoint":
-            return _custom(joint, {one.name: one for one in coordinates})
+            return _custom(joint, {coordinate.name: coordinate for coordinate in coordinates})
     raise refused(f"{label} is not planar, or its class is not known here")
 
 

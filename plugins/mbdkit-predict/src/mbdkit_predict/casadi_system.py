@@ -204,7 +204,7 @@ class CasadiSystem:
     def _own_values(self) -> dict[str, tuple[tuple[str, ...], Mapping[str, Sequence[Any]]]]:
         """By kind of quantities that elements compute themselves: names, and their values by name of the element."""
         w, top, call = self._equations.w, self._equations.top, self._run.call_law
-        every = [(one, one.values(call, top, w.law_values)) for one in self._elements]
+        every = [(element, element.values(call, top, w.law_values)) for element in self._elements]
         return {kind: (one.attributes, values) for one, values in every for kind in one.kinds}
 
     @cached_property

@@ -93,7 +93,7 @@ class ChosenNumbers:
             raise SpecError("a parameter should be the key of a number of the mechanism", key=f"model.{key}")
         return float(value)
 
-    def _value(self, key: str) -> Any:
+    def _value(self, key: str) -> object:
         """Return the value of the mechanism at a key path; raise SpecError if there is none."""
         value: Any = self._original
         path: Path = parse_path(key)

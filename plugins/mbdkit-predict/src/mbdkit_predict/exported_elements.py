@@ -128,7 +128,7 @@ class SymbolicElements(Protocol):
     def check(self) -> None:
         """Raise SpecError for an element that cannot be exported."""
 
-    def forms(self, tools: SymbolTools) -> Mapping[Callable[..., Any], Callable[..., Any]]:
+    def forms(self, tools: SymbolTools) -> Mapping[Callable[..., object], Callable[..., object]]:
         """Return functions that need a form for symbols, with this form."""
 
     def values(self, call_law: Callable[..., None], top: object, law_values: np.ndarray) -> Mapping[str, Sequence[Any]]:

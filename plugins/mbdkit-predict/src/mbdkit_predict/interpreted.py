@@ -84,7 +84,7 @@ class Interpreter:
         self._functions |= {law.address: law.law.function for _, law in laws if isinstance(law.law, FunctionLaw)}
         self.known_forces: dict[tuple[int, int, int], Symbol] = {}
         self._known: dict[Any, Any] = {**_REPLACED, calls.call_law: self.call_law}
-        self._searching = frozenset(module for one in elements for module in one.searching)
+        self._searching = frozenset(module for element in elements for module in element.searching)
         execute, is_true = self(law_programs._execute), self(law_programs._is_true)
 
         def instruction(op: int, a: int, b: int, c: int, to: int, x: np.ndarray) -> None:

@@ -212,14 +212,14 @@ class _Rewriter(ast.NodeTransformer):
         rewrite = getattr(self, f"visit_{type(node).__name__}", None)
         return node if rewrite is None else rewrite(node)
 
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> Any:
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
         node.body, node.decorator_list = (
             _block("with _merged.MergedExecution() as _run:", node.body, "return _run.result"),
             [],
         )
         return node
 
-    def visit_Assign(self, node: ast.Assign) -> Any:
+    def visit_Assign(self, node: ast.Assign) -> list[ast.stmt]:
         (target,) = node.targets
         parts = target.elts if isinstance(target, ast.Tuple) else [target]
         value = ast.unparse(node.value) if isinstance(target, ast.Tuple) else f"({ast.unparse(node.value)},)"
@@ -228,10 +228,10 @@ class _Rewriter(ast.NodeTransformer):
         old = ", ".join(f"lambda: {name}" for name in names)
         return ast.parse(f"{', '.join(names)}, = _run.new({value}, {old}, is_item={is_item})").body
 
-    def visit_AugAssign(self, node: ast.AugAssign) -> Any:
+    def visit_AugAssign(self, node: ast.AugAssign) -> list[ast.stmt]:
         return self.visit_Assign(ast.Assign([node.target], ast.BinOp(node.target, node.op, node.value)))
 
-    def visit_If(self, node: ast.If) -> Any:
+    def visit_If(self, node: ast.If) -> list[ast.stmt]:
         condition = f"_condition_{node.lineno}"
         statements = ast.parse(f"{condition} = {ast.unparse(node.test)}").body
         for body, test in ((node.body, condition), (node.orelse, f"_merged.negated({condition})")):
@@ -239,33 +239,33 @@ class _Rewriter(ast.NodeTransformer):
                 statements += _block(f"if _run.begins({test}):", [*body, *ast.parse("_run.ends()").body])
         return statements
 
-    def visit_For(self, node: ast.For) -> Any:
+    def visit_For(self, node: ast.For) -> list[ast.stmt]:
         limits = ast.unparse(node.iter).removeprefix("range")
         return _block(f"for {ast.unparse(node.target)} in _run.passes{limits}:", node.body, "_run.end_loop()")
 
-    def visit_While(self, node: ast.While) -> Any:
+    def visit_While(self, node: ast.While) -> list[ast.stmt]:
         return _block(f"for _ in _run.passes({MOST_REPEATS}):", node.body, "_run.end_loop()")
 
-    def visit_Return(self, node: ast.Return) -> Any:
+    def visit_Return(self, node: ast.Return) -> list[ast.stmt]:
         value = ast.unparse(node.value or ast.Constant(None))
         return ast.parse(f"if _run.returns({value}):\n    return _run.result").body
 
-    def visit_Break(self, node: ast.Break) -> Any:
+    def visit_Break(self, node: ast.Break) -> list[ast.stmt]:
         return _block("if _run.leaves():", [node])
 
-    def visit_Continue(self, node: ast.Continue) -> Any:
+    def visit_Continue(self, node: ast.Continue) -> list[ast.stmt]:
         return _block("if _run.skips():", [node])
 
-    def visit_BoolOp(self, node: ast.BoolOp) -> Any:
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
         return _call("every" if isinstance(node.op, ast.And) else "some", node.values)
 
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> Any:
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
         return _call("negated", [], node.operand) if isinstance(node.op, ast.Not) else node
 
-    def visit_IfExp(self, node: ast.IfExp) -> Any:
+    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
         return _call("if_else", [node.body, node.orelse], node.test)
 
-    def visit_Compare(self, node: ast.Compare) -> Any:
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:
         if isinstance(node.ops[0], ast.In):
             return _call("some", [ast.Compare(node.left, [ast.Eq()], [x]) for x in node.comparators[0].elts])  # type: ignore[attr-defined]
         sides = [node.left, *node.comparators]

@@ -47,7 +47,7 @@ _OPTIONS: dict[str, Any] = {
 is wrong on meshes of 100 intervals or more, and the problem is regularized without need.
 """
 _PUSHES = "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
-_WARM: dict[str, Any] = {
+_WARM: dict[str, object] = {
     "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": BARRIER,
     **{f"ipopt.warm_start_{push}": NEAR for push in _PUSHES},
 }  # fmt: skip

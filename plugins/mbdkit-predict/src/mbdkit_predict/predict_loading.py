@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from mbdkit.plugin import SpecError, copied, did_you_mean, listed, loaded, parse_path, path_text, value_text
 from mbdkit.plugin.seams import spec_loader, spec_schema
@@ -44,7 +44,7 @@ def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections:
 spec_loader(load_predict_spec)
 
 
-def _with_base(data: Mapping[str, object], folder: Path) -> dict[str, Any]:
+def _with_base(data: Mapping[str, object], folder: Path) -> dict[str, object]:
     sections = dict(data)
     for key in sections:
         if key not in PredictSpec.model_fields and key not in OF_BASE:
@@ -103,7 +103,7 @@ def simpler_spec(spec: PredictSpec) -> PredictSpec | None:
 
 
 @spec_schema
-def predict_schema(installed: Registry | None = None) -> dict[str, Any]:
+def predict_schema(installed: Registry | None = None) -> dict[str, object]:
     """Return the JSON schema (draft 2020-12) of the spec of a prediction, with a `base` or with its model, for the
     models and force laws of a registry; by default, for all that are installed.
     """

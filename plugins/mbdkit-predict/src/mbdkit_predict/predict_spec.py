@@ -36,7 +36,7 @@ STAGES = {"radau": (2, 3, 5), "gauss": (1, 2, 3, 4, 5, 6)}
 """Numbers of collocation points of each method."""
 
 
-def _ordered(bounds: object) -> Any:
+def _ordered(bounds: object) -> object:
     if isinstance(bounds, tuple) and bounds[0] > bounds[1]:
         raise SpecError(f"the lower bound {bounds[0]:g} is above the upper bound {bounds[1]:g}")
     return bounds

@@ -55,7 +55,7 @@ def parameters(run: Run) -> dict[str, float]:
     return {name: float(value) for name, value in _recorded(run, "optimized").items()}
 
 
-def controls(run: Run) -> dict[str, Any]:
+def controls(run: Run) -> dict[str, object]:
     """Return the controls by their key path; `value` (T,) of each is its history."""
     _recorded(run, "objective")
     paths = {name: parse_path(name) for name in run.spec["controls"]}

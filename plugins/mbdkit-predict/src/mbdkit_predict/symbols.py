@@ -41,12 +41,12 @@ class Symbol(NDArrayOperatorsMixin):
     def __repr__(self) -> str:
         return f"Symbol({self.sx})"
 
-    def __array_ufunc__(self, function: Any, method: str, *operands: Any, **options: object) -> Any:
+    def __array_ufunc__(self, function: Any, method: str, *operands: Any, **options: object) -> object:
         if any(isinstance(x, np.ndarray) and x.ndim for x in operands):  # NumPy goes through the elements of arrays
             return getattr(function, method)(*(np.array(x, dtype=object) for x in operands), **options)
         return apply(function, *operands)
 
-    def __array_function__(self, function: object, types: object, operands: Any, options: object) -> Any:
+    def __array_function__(self, function: object, types: object, operands: Any, options: object) -> object:
         if function is np.where:
             return where(*operands)
         return NotImplemented
@@ -104,7 +104,7 @@ def _expression(x: Any) -> ca.SX:
     return x.sx if isinstance(x, Symbol) else ca.SX(float(x))
 
 
-def apply(function: np.ufunc, *operands: object) -> Any:
+def apply(function: np.ufunc, *operands: object) -> object:
     """Return the value of a function of NumPy at numbers and symbols."""
     if not any(isinstance(x, Symbol) for x in operands):
         with np.errstate(all="ignore"):

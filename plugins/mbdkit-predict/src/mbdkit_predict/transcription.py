@@ -444,7 +444,7 @@ class Transcription:
         at_rest = [x for x, k in zip(self.balanced.at_rest, self.balanced.states, strict=True) if not self._is_free[k]]
         rows: Any = system.constraints(*system.symbols.values())[:2]
         for name, zeros in (("the joints at the start", rows), ("the equilibrium of fibres at the start", at_rest)):
-            if any(one.numel() for one in zeros):
+            if any(zero.numel() for zero in zeros):
                 conditions.append(ProgramCondition(name, self._at_node(ca.vertcat(*zeros))(start, x["p"], 0.0)))
         at: list[Any] = [ca.sum1(x["duration"][: k + 1]) for k in range(len(self._ends))]
         nodes = [(start, 0.0), *((ends[:, k], t) for k, t in zip(grid.ends_of_phases(), at, strict=True))]

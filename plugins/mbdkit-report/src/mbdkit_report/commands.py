@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -29,7 +29,7 @@ def _check_kind(kind: str) -> str:
 _Names = list[str] | None
 
 
-def _several(flag: str, metavar: str, what: str) -> Any:
+def _several(flag: str, metavar: str, what: str) -> object:
     return typer.Option(flag, metavar=metavar, help=f"{what}; may be repeated.")
 
 

@@ -9,7 +9,7 @@ import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -122,7 +122,7 @@ def write_mat(table: ExportedTable, path: Path) -> None:
     variables = _matlab_names([name for name, _ in pairs])
     blocks = [[first, *others] for first, others in table.blocks()]
     columns = zip(*blocks, strict=True) if blocks else [[np.zeros(0)]] * len(variables)
-    named: dict[str, Any] = dict(zip(variables, [np.concatenate(parts) for parts in columns], strict=True))
+    named: dict[str, object] = dict(zip(variables, [np.concatenate(parts) for parts in columns], strict=True))
     named["units"] = {variable: units for variable, (_, units) in zip(variables, pairs, strict=True)}
     named["names"] = {variable: name for variable, (name, _) in zip(variables, pairs, strict=True)}
     with path.open("wb") as file:
@@ -171,7 +171,7 @@ def _heading(name: str, units: str) -> str:
     return name if units == "1" else f"{name} [{units}]"
 
 
-def _rows(table: ExportedTable) -> Iterator[list[Any]]:
+def _rows(table: ExportedTable) -> Iterator[list[object]]:
     for time, values in table.blocks():
         yield from map(list, zip(time.tolist(), *(column.tolist() for column in values), strict=True))
 

@@ -49,7 +49,7 @@ def _unit(node: ast.expr, name: str, wanted: Unit | None, units: Mapping[str, Un
     if isinstance(node, ast.UnaryOp):
         return _unit(node.operand, name, wanted, units)
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        part = next((one for one in node.args if _contains(one, name)), None)
+        part = next((arg for arg in node.args if _contains(arg, name)), None)
         return None if part is None else _of_call(node.func.id, part, name, wanted, units)
     if not isinstance(node, ast.BinOp):
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
 
@@ -53,7 +53,7 @@ def to_datatree(file: h5py.File, rows: Mapping[str, int]) -> xarray.DataTree:
     return xarray.DataTree.from_dict(nodes)
 
 
-def _attributes(item: h5py.Group | h5py.Dataset) -> dict[str, Any]:
+def _attributes(item: h5py.Group | h5py.Dataset) -> dict[str, object]:
     # netCDF does not distinguish an array of one value from a scalar.
     return {
         name: value[0] if getattr(value, "shape", None) == (1,) else value

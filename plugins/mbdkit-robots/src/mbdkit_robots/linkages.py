@@ -74,7 +74,7 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
     return m
 
 
-def _crank_rate(name: str, link: dict[str, Any], places: dict[str, tuple[float, float]]) -> float:
+def _crank_rate(name: str, link: dict[str, object], places: dict[str, tuple[float, float]]) -> float:
     """Return the rate of a crank [rad/step]; raise SpecError if its motor, rate or initial angle is wrong."""
     motor, rate, angle = link.get("motor_joint"), link.get("angular_velocity"), link.get("initial_angle", 0.0)
     if motor not in places or not isinstance(rate, int | float) or not isinstance(angle, int | float):
@@ -145,9 +145,9 @@ def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> di
         )
         members[marker.body].append(name)
     places = {one["id"]: one for one in joints}
-    links: list[dict[str, Any]] = [{"id": GROUND, "type": "ground", "joints": members.pop(GROUND)}]
+    links: list[dict[str, object]] = [{"id": GROUND, "type": "ground", "joints": members.pop(GROUND)}]
     for body, ids in members.items():
-        link: dict[str, Any] = {"id": body, "type": "link", "joints": ids}
+        link: dict[str, object] = {"id": body, "type": "link", "joints": ids}
         pins = [one for one in ids if places[one]["type"] == "ground"]
         if body in rates and pins:
             other = next(places[one]["position"] for one in ids if one != pins[0])

@@ -294,10 +294,10 @@ class _MjcfReader:
             center = here + turned @ numbers(inertial, "pos", "0 0 0", 3)
             return Part(name, number(inertial, "mass", 0.0), center, own @ tensor @ own.T)
         solids = [found for one in self.geoms[name] if (found := self._solid(one, name, here, turned)).mass > 0]
-        mass = sum(one.mass for one in solids)
+        mass = sum(solid.mass for solid in solids)
         if not mass:
             return Part(name, 0.0, here, np.zeros((3, 3)))
-        center = np.sum([one.mass * one.center for one in solids], axis=0) / mass
+        center = np.sum([solid.mass * solid.center for solid in solids], axis=0) / mass
         tensor = np.zeros((3, 3))
         for one in solids:
             arm = one.center - center

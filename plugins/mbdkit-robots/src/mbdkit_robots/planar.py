@@ -181,7 +181,7 @@ class PlanarMechanism:
             raise refused(f"joint '{link.name}' slides along ({_text(link.axis)}), out of the plane {self.across}")
         return np.array(self._flat(link.axis))
 
-    def _moved(self, initial: Mapping[str, float], speeds: Mapping[str, float]) -> dict[str, tuple[Any, ...]]:
+    def _moved(self, initial: Mapping[str, float], speeds: Mapping[str, float]) -> dict[str, tuple[object, ...]]:
         """Return angle, displacement (2,), angular velocity, and velocity (2,) at the origin, of every part, relative
         to the zero position.
         """
@@ -224,7 +224,7 @@ class PlanarMechanism:
 
     def _body(
         self, part: Part, rotor: float, angle: float, shift: np.ndarray, rate: float, velocity: np.ndarray
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         inertia = float(self.normal @ part.inertia @ self.normal) + rotor
         position = _turned(angle, np.array(self._flat(part.center))) + shift
         moving = velocity + rate * np.array([-position[1], position[0]])
@@ -258,7 +258,7 @@ class PlanarMechanism:
         data["forces"] |= self._forces(link, pathway, sign, zero)
         data["coordinates"][link.name] = {"of": f"{link.name}.angle", "scale": sign if link.kind == "turn" else 1.0}
 
-    def _forces(self, link: Link, pathway: Mapping[str, object], sign: float, zero: float) -> dict[str, Any]:
+    def _forces(self, link: Link, pathway: Mapping[str, object], sign: float, zero: float) -> dict[str, object]:
         """Return the spring, the friction and the limits of a joint as forces by name.
 
         The length of the pathway is ``zero + sign * coordinate``. The pathway is empty if the joint slides along a line

@@ -146,7 +146,7 @@ def _show(text: str, prepared: PreparedMechanism, result: Sequence[str] = (), no
 def _warnings(prepared: PreparedMechanism) -> list[str]:
     from mbdkit.plugin import findings
 
-    return [str(one) for one in findings("spec", prepared.spec, (), kind="mechanism")]
+    return [str(finding) for finding in findings("spec", prepared.spec, (), kind="mechanism")]
 
 
 def _check_picture(output: Path, spec: str, *, overwrite: bool) -> None:

@@ -197,7 +197,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         stability=stability.verdict,
         growth=stability.growth,
         iterations=found.iterations,
-        states=tuple(one.name for one in compiled.states),
+        states=tuple(state.name for state in compiled.states),
         state=found.z,
         beams=forces,
         displacement=(found.q - p.q0).reshape(-1, 3),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -113,14 +112,14 @@ def sharing(rest: Equilibrium) -> str:
     return f"not unique, because joints are redundant: the reactions of {listed(rest.shared, 'and')}"
 
 
-def equilibrium_data(rest: Equilibrium) -> dict[str, Any]:
+def equilibrium_data(rest: Equilibrium) -> dict[str, object]:
     """Return an equilibrium as plain data."""
     return {
         "time": rest.time,
         "stability": rest.stability,
         "growth": [rest.growth.real, rest.growth.imag],
         "flutters": rest.flutters,
-        "stiffness": _number(rest.stiffness),
+        "stiffness": rest.stiffness,
         "imbalance": rest.imbalance,
         "residual": rest.residual,
         "iterations": rest.iterations,
@@ -173,7 +172,7 @@ def modes_facts(shown: Modes) -> list[tuple[str, str]]:
     ]
 
 
-def modes_data(modes: Modes) -> dict[str, Any]:
+def modes_data(modes: Modes) -> dict[str, object]:
     """Return modes as plain data; complex numbers become [real, imaginary]."""
     return {
         "time": modes.time,
@@ -188,7 +187,7 @@ def modes_data(modes: Modes) -> dict[str, Any]:
                 "eigenvalue": [value.real, value.imag],
                 "natural_frequency": abs(value),
                 "frequency_hz": abs(value) / (2 * math.pi),
-                "damping_ratio": _number(float(ratio)),
+                "damping_ratio": float(ratio),
                 "shape": {
                     name: np.column_stack([u.real, u.imag]).tolist()
                     for name, u in zip(modes.bodies, shape, strict=True)
@@ -217,7 +216,7 @@ def kinematics_text(motions: Kinematics) -> str:
     )
 
 
-def kinematics_data(motions: Kinematics) -> dict[str, Any]:
+def kinematics_data(motions: Kinematics) -> dict[str, object]:
     """Return a motion as plain data."""
     return {
         "time": motions.time.tolist(),
@@ -260,7 +259,3 @@ def _some(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 def clean(values: np.ndarray) -> list[float]:
     """Return the numbers as a list, with zero in place of magnitudes below 1e-12, which are rounding errors."""
     return [0.0 if abs(x) < 1e-12 else x for x in values.tolist()]
-
-
-def _number(x: float) -> float | None:
-    return None if math.isnan(x) else x

@@ -62,7 +62,7 @@ class StatesAtRest:
     def __init__(self, workspace: Workspace, equations: EquationsOfMotion):
         mechanism = workspace.mechanism
         if mechanism.controllers:
-            names = ", ".join(one.name for one in mechanism.controllers)
+            names = ", ".join(controller.name for controller in mechanism.controllers)
             raise SpecError(
                 f"an equilibrium does not include sampled controllers ({names}); write their outputs as loads",
                 key="model.controllers",

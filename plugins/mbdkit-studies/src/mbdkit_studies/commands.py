@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class StudyCommand(TyperCommand):
     """The command `study`, whose help is followed by the names of the installed studies."""
 
-    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+    def format_epilog(self, ctx: object, formatter: Any) -> None:
         """Write the names of the packaged studies."""
         from mbdkit_studies.spec.study_loading import study_names
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -339,7 +339,7 @@ class Study(StudyRuns, HtmlView):
         axes = grid.axes
         dims = [axis[0][0] for axis in axes]
         shape = [len(axis[0][1]) for axis in axes]
-        coordinates: dict[str, tuple[str, Any]] = {
+        coordinates: dict[str, tuple[str, object]] = {
             key: (dim, [value.label for value in values])
             for dim, axis in zip(dims, axes, strict=True)
             for key, values in axis

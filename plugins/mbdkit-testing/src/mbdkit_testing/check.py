@@ -94,7 +94,7 @@ def _supported_mechanisms(under_test: object) -> str:
 def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Result]], Check[Any]]:
     """Return a decorator that turns a function into a check with this name."""
 
-    def named(function: Callable[[Any], Result]) -> Check[Any]:
+    def named(function: Callable[[Any], Result]) -> Check[object]:
         return Check(name, function, slow)
 
     return named

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -9,6 +10,7 @@ from textwrap import fill
 from typing import Any, Literal
 
 from mbdkit.plugin import counted, listed, shown, table
+from mbdkit.plugin.files import json_text
 from mbdkit.registry.catalogue import Kind
 
 Outcome = Literal["pass", "fail", "warn", "not claimed", "skip"]
@@ -204,9 +206,6 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON values; measured values that are not finite become None."""
-        results = [asdict(result) for result in self.results]
-        for result in results:
-            result["figures"] = {key: _plain(value) for key, value in result["figures"].items()}
         return {
             "id": self.id,
             "kind": self.kind,
@@ -221,7 +220,7 @@ class Report:
             "not_claimed": len(self.of("not claimed")),
             "skipped": len(self.of("skip")),
             "seconds": self.seconds,
-            "checks": results,
+            "checks": json.loads(json_text([asdict(result) for result in self.results])),
         }
 
 
@@ -238,11 +237,11 @@ def _root(cause: str) -> str:
 def _paragraph(cause: str, results: Sequence[Result]) -> str:
     """Return the cause of several results, with their number and names."""
     found = _RAISED.search(cause)
-    failed, skips = ([one.name for one in results if one.outcome == what] for what in ("fail", "skip"))
+    failed, skips = ([result.name for result in results if result.outcome == what] for what in ("fail", "skip"))
     skipped = f", {len(skips)} skipped" if skips else ""
     told = shown(cause if found is None else f"the plugin {found[0]}")
     lines = [f"{what}: {listed(names)}" for what, names in (("failed", failed), ("skipped", skips)) if names]
-    wrapped = [fill(one, 118, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False) for one in lines]
+    wrapped = [fill(line, 118, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False) for line in lines]
     return "\n".join([f"{counted(len(failed), 'check')} failed{skipped}: {told}", *wrapped])
 
 
@@ -270,7 +269,3 @@ def _limit(result: Result, name: str) -> str:
 
 def _shown(value: Figure) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-def _plain(value: Figure) -> Figure | None:
-    return None if isinstance(value, float) and not abs(value) < float("inf") else value

@@ -100,14 +100,14 @@ def _of_solver(integrator: IntegratorUnderTest, made: Any) -> Result:
     seen: Counter[str] = Counter()
 
     def instrumented(fun: Any, t0: float, y0: np.ndarray, end: float, **options: Any) -> Any:
-        def counted(t: float, y: np.ndarray) -> Any:
+        def counted(t: float, y: np.ndarray) -> object:
             seen["rhs_evaluations"] += 1
             return fun(t, y)
 
         if "jac" in options:
             jacobian = options["jac"]
 
-            def counted_jacobian(t: float, y: np.ndarray) -> Any:
+            def counted_jacobian(t: float, y: np.ndarray) -> object:
                 seen["jacobian_evaluations"] += 1
                 return jacobian(t, y)
 

@@ -20,7 +20,7 @@ WIDTH = 80
 DEEPEST = 6  # largest number of levels of nested options, because the options of a plugin may be recursive
 
 
-def listing(installed: Registry) -> dict[str, Any]:
+def listing(installed: Registry) -> dict[str, object]:
     """Return ``{"plugins": [...]}`` with id, kind, distribution, version, status and error of each report."""
     return {"plugins": [_entry(report) for report in _shown(installed)]}
 
@@ -59,7 +59,7 @@ def _has_options(item: Registered) -> bool:
     return issubclass(KINDS[item.kind], Plugin)
 
 
-def details(item: Registered) -> dict[str, Any]:
+def details(item: Registered) -> dict[str, object]:
     """Return origin of an item and, if it has options, these (a JSON schema), its claims and its references."""
     shown: dict[str, Any] = {
         "id": item.id,
@@ -98,7 +98,7 @@ def page(item: Registered) -> str:
     return "\n".join(lines)
 
 
-def diagnosis(installed: Registry) -> dict[str, Any]:
+def diagnosis(installed: Registry) -> dict[str, object]:
     """Return the listing with the entry point of each item and its loading time [s]."""
     reports = _shown(installed)
     return {
@@ -138,7 +138,7 @@ def _shown(installed: Registry) -> list[Report]:
     ]
 
 
-def _entry(report: Report) -> dict[str, Any]:
+def _entry(report: Report) -> dict[str, object]:
     return {
         "id": report.id,
         "kind": report.kind,
@@ -233,7 +233,7 @@ def _without(schema: Schema, key: str) -> Schema:
     return schema | {"properties": {name: info for name, info in schema["properties"].items() if name != key}}
 
 
-def _kind(info: Schema) -> Any:
+def _kind(info: Schema) -> object:
     """Return the type in a schema; for a number that may also be a text with a unit, the type of the number."""
     kind = info.get("type")
     return kind[0] if isinstance(kind, list) else kind

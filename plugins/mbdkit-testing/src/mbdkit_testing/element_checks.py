@@ -142,7 +142,7 @@ def columns(kind: ElementUnderTest) -> Result:
     observed = observer.arrays(len(times))
     observer.observe(times, q, v, observed, z=z)
     places = {one.name: one.place for one in kind.workspace.mechanism.acting if one.kind == kind.kind.name}
-    for array in (one for group in kind.groups for one in group.columns if isinstance(one, Recorded)):
+    for array in (column for group in kind.groups for column in group.columns if isinstance(column, Recorded)):
         found = kind.run.array(array.path)
         for index, (name, one) in enumerate(kind.elements.items()):
             if array.name in one.state_names:
@@ -160,7 +160,7 @@ def columns(kind: ElementUnderTest) -> Result:
 @check("order.states")
 def order(kind: ElementUnderTest) -> Result:
     """States at the end of the example converge with the order of the method."""
-    if not any(one.state_names for one in kind.elements.values()):
+    if not any(element.state_names for element in kind.elements.values()):
         raise Skip("its elements have no states")
     ends = []
     for stages, factor in ((2, 1.0), (2, 0.5), (4, 0.5)):

@@ -89,7 +89,7 @@ class ForceLawUnderTest(ItemUnderTest):
         return validated(law_element(self.item), {"law": self.item.id, "pathway": pathway, **self.options})
 
     @cached_property
-    def compiled(self) -> tuple[Any, np.ndarray]:
+    def compiled(self) -> tuple[object, np.ndarray]:
         """The machine code of the law and its numeric options."""
         bound, numbers = bind_law(self.law, self.element, self.item.id)
         return bound, np.array(numbers)
@@ -361,7 +361,7 @@ def states(law: ForceLawUnderTest) -> Result:
         with simulate(_mass_on(law, step)) as run:
             if run.status != "complete":
                 return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
-            finals.append([float(run.states[f"law.{one.name}"].value[-1]) for one in law.law.states])
+            finals.append([float(run.states[f"law.{state.name}"].value[-1]) for state in law.law.states])
     changes = np.abs(np.diff(np.array(finals), axis=0))
     size = np.maximum(np.max(np.abs(finals), axis=0), 1e-300)
     worst = int(np.argmax(changes[-1] / size))

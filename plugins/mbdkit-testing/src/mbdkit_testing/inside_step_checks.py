@@ -227,7 +227,7 @@ def error_estimate(integrator: IntegratorUnderTest) -> Result:
 
 
 def _estimate_of_steps(integrator: IntegratorUnderTest, method: StepMethod) -> Result:
-    steps = [one for one in single_steps(integrator) if one.made.error is not None and one.made.next_order is None]
+    steps = [step for step in single_steps(integrator) if step.made.error is not None and step.made.next_order is None]
     if not steps:
         raise Skip("its first step has no error estimate of a known order")
     n, results = 2 * len(steps[0].begin.q), list[Result]()
@@ -237,7 +237,7 @@ def _estimate_of_steps(integrator: IntegratorUnderTest, method: StepMethod) -> R
             state, exact = one.made.state, np.concatenate(one.exact[-1])
             estimates[i] = np.max(np.abs(np.asarray(one.made.error)[part]))
             errors[i] = np.max(np.abs(np.concatenate([state.q, state.v, state.z]) - exact)[part])
-        sizes = np.array([one.size for one in steps])
+        sizes = np.array([step.size for step in steps])
         results.append(_compare_estimates(sizes, estimates, errors, method.error_order + 1, most=TOO_SMALL))
     if len(results) == 2 and results[1].outcome == "fail" and results[0].outcome != "fail":
         return failed(f"for first-order states, {results[1].cause}", **results[1].figures)
@@ -282,7 +282,7 @@ def quadrature_nodes(integrator: IntegratorUnderTest) -> Result:
     """The nodes that a step returns for integrals over time lie in the step, their weights add up to its size, and the
     integral of the velocity converges to the change of position.
     """
-    steps, errors = [one for one in single_steps(integrator) if one.made.stages is not None], list[float]()
+    steps, errors = [step for step in single_steps(integrator) if step.made.stages is not None], list[float]()
     if not steps:
         raise Skip("its steps return no nodes")
     start = equations_for(integrator, model_for(integrator))[0].t0

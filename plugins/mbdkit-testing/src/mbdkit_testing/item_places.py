@@ -21,7 +21,7 @@ PAGES = 3
 """Largest number of pages of the guide that are named for an item."""
 
 
-def whereabouts(name: str, installed: Registry | None = None) -> dict[str, Any]:
+def whereabouts(name: str, installed: Registry | None = None) -> dict[str, object]:
     """Return the items of any kind with a name, and for each the files and lines of its code and of its description.
 
     Raises

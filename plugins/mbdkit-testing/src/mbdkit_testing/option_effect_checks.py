@@ -54,7 +54,7 @@ def _idle(
     given: dict[str, Any],
     names: list[str],
     effective: set[str],
-    differ: Callable[[dict[str, Any], dict[str, Any]], bool],
+    differ: Callable[[dict[str, object], dict[str, object]], bool],
 ) -> list[str]:
     """Return the options of these names without an effect in random sets of values, from those that were tried.
 
@@ -90,7 +90,7 @@ def _pronoun(names: list[str]) -> str:
     return "it" if len(names) == 1 else "them"
 
 
-def _choices(item: Registered, chosen: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _choices(item: Registered, chosen: dict[str, object]) -> Iterator[dict[str, object]]:
     """Yield the options under test, and sets of options on a random walk through their variants."""
     generator = np.random.default_rng(5)
     yield chosen
@@ -122,7 +122,7 @@ def _symbols(law: ForceLawUnderTest) -> set[str] | None:
     if not isinstance(given, ExpressionLaw) or given.parameters is not None or callable(given.valid_range):
         return None
     expressions = [given.force, given.potential, *(rate for rate, _ in given.rates.values())]
-    made = [one() if callable(one) else one for one in expressions]
+    made = [expression() if callable(expression) else expression for expression in expressions]
     return {str(symbol) for one in made for symbol in getattr(one, "free_symbols", ())}
 
 
@@ -144,7 +144,7 @@ def method_option_effects(integrator: IntegratorUnderTest) -> Result:
                 ends[key] = final_state(run).tobytes() + counts.encode()
         return ends[key]
 
-    def differ(chosen: dict[str, Any], other: dict[str, Any]) -> bool:
+    def differ(chosen: dict[str, object], other: dict[str, Any]) -> bool:
         return end(chosen) != end(other)
 
     if idle := _idle(integrator.item, integrator.options, names, set(), differ):

@@ -42,7 +42,7 @@ def options_result(options_type: type[BaseModel], given: Mapping[str, object], w
     return passed(**{words: len(described)})
 
 
-def plain_options(item: Registered, given: Mapping[str, object]) -> dict[str, Any]:
+def plain_options(item: Registered, given: Mapping[str, object]) -> dict[str, object]:
     """Return valid options of an item: `given`, and an example value for each other option without default.
 
     An example is the first of ``examples`` in the option's JSON schema, the first of its choices, or a number within
@@ -80,7 +80,7 @@ def plain_options(item: Registered, given: Mapping[str, object]) -> dict[str, An
     return chosen
 
 
-def variants(item: Registered, chosen: Mapping[str, object]) -> Iterator[tuple[str, dict[str, Any]]]:
+def variants(item: Registered, chosen: Mapping[str, object]) -> Iterator[tuple[str, dict[str, object]]]:
     """Yield valid options of an item in which one option has another value, with a name such as ``damping = -1``.
 
     The values depend only on the type, the bounds and the present value of the option. They are smaller and larger
@@ -102,7 +102,7 @@ def variants(item: Registered, chosen: Mapping[str, object]) -> Iterator[tuple[s
             yield f"{name} = {value}", options
 
 
-def _others(schema: Mapping[str, Any], now: Any) -> list[Any]:
+def _others(schema: Mapping[str, Any], now: Any) -> list[object]:
     """Return values of an option other than its present one."""
     if "enum" in schema:
         return [value for value in schema["enum"] if value != now][:MOST_CHOICES]

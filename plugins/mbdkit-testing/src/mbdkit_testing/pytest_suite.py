@@ -53,7 +53,7 @@ class Case:
 
 
 @cache
-def _under_test(kind: Kind, name: str, options: tuple[tuple[str, Any], ...]) -> Any:
+def _under_test(kind: Kind, name: str, options: tuple[tuple[str, Any], ...]) -> object:
     return plugin_under_test(kind, name, dict(options))
 
 
@@ -73,7 +73,7 @@ def conformance(
     joint: str | None = None,
     options: dict[str, Any] | None = None,
     quick: bool = False,
-) -> Callable[[Callable[[Case], Any]], Callable[[Case], Any]]:
+) -> Callable[[Callable[[Case], object]], Callable[[Case], object]]:
     """Return a decorator that runs a test once for each check of a plugin, with the check as its argument ``case``.
 
     Parameters

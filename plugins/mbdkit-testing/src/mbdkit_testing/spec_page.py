@@ -132,7 +132,7 @@ def page(installed: Registry) -> str:
     return "\n\n".join("\n".join(_wrapped(part.splitlines())) for part in filter(None, parts)) + "\n"
 
 
-def _without(schema: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+def _without(schema: dict[str, Any], keys: Sequence[str]) -> dict[str, object]:
     """Return a schema without some of its keys."""
     properties = {key: info for key, info in schema["properties"].items() if key not in keys}
     required = [key for key in schema["required"] if key not in keys]
@@ -177,7 +177,7 @@ def _described(model: type[BaseModel]) -> str:
     return "\n\n".join(_flat(block) for block in text.split("\n\n"))
 
 
-def _keys(schema: dict[str, Any], deepest: int = 6) -> str:
+def _keys(schema: dict[str, object], deepest: int = 6) -> str:
     """Return the keys of a mapping as a list."""
     return "\n".join(
         f"- `{name}` ({kind}{default}): {_flat(description)}".rstrip(": ").rstrip()

@@ -221,7 +221,7 @@ class _Names:
 
 
 def _on_second(item: PathItem, names: _Names) -> PathItem:
-    change: dict[str, Any] = {"body": names.of(item.body)}
+    change: dict[str, object] = {"body": names.of(item.body)}
     if item.wrap is not None:
         change["wrap"] = item.wrap.model_copy(update={"body": names.of(item.wrap.body)})
     if item.when is not None:

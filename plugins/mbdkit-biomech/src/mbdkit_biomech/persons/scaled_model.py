@@ -74,7 +74,7 @@ def _points_of_segments(generic: BodySegments, person: BodySegments) -> dict[str
     return found
 
 
-def moved_muscle(muscle: Mapping[str, Any], points: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:
+def moved_muscle(muscle: Mapping[str, Any], points: Mapping[str, tuple[float, float, float]]) -> dict[str, object]:
     """Return a muscle with scaled points and circles.
 
     Parameters
@@ -96,7 +96,7 @@ def moved_muscle(muscle: Mapping[str, Any], points: Mapping[str, tuple[float, fl
     return {**muscle, "path": path}
 
 
-def _stretched(value: Any, factor: float, move: float) -> Any:
+def _stretched(value: Any, factor: float, move: float) -> object:
     """Return ``factor * value + move`` of a number, an expression, or a table of a coordinate."""
     if isinstance(value, str):
         return f"{factor!r}*({value}) + {move!r}"

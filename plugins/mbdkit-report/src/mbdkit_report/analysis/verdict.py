@@ -6,14 +6,14 @@ is open, so that it does not depend on the last digits, which differ between mac
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, ClassVar, TypeVar
 
-import numpy as np
-
+from mbdkit.plugin.files import json_text
 from mbdkit_report.figures.page_model import Figure, Table
 
 
@@ -149,7 +149,8 @@ class Verdict:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict as values for JSON: arrays become lists, numbers that are not finite become None."""
-        return {key: _plain(value) for key, value in asdict(self).items()}
+        plain: dict[str, Any] = json.loads(json_text(asdict(self)))
+        return plain
 
 
 def _named(items: Sequence[Named], name: str) -> Named:
@@ -157,15 +158,3 @@ def _named(items: Sequence[Named], name: str) -> Named:
         if item.name == name:
             return item
     raise KeyError(f"there is no {name!r}; there are {', '.join(item.name for item in items) or 'none'}")
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return str(value) if isinstance(value, StrEnum) else value

@@ -133,7 +133,7 @@ def names_shown(shown: NamedPose) -> bool:
     return count <= NAMES and not shown.drawing.is_crowd
 
 
-def own_forces(mechanism: Mechanism) -> dict[str, Any]:
+def own_forces(mechanism: Mechanism) -> dict[str, object]:
     """Return the force elements of a mechanism except those that represent the distributed loads of beams."""
     parts = parts_of(mechanism.beams)
     return {name: force for name, force in mechanism.forces.items() if name not in parts}

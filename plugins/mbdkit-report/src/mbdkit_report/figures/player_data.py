@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,7 +25,7 @@ _POINTS = ("pins", "grounds", "centres", "springs", "muscles", "shapes", "bars",
 _SAME = 1e-9  # m; closer points of a body are drawn as one point
 
 
-def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
+def film_data(run: Run, numbers: int, label: str = "") -> dict[str, object]:
     """Return the data of an animation of a run, with about `numbers` pose values of six bytes each; `label` is the name
     of the run on a page with several runs.
     """
@@ -34,7 +34,7 @@ def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
     return {"label": label} | _scene_data(shown) | {"gaps": _gap_data(run, shown)}
 
 
-def _scene_data(shown: Scene) -> dict[str, Any]:
+def _scene_data(shown: Scene) -> dict[str, object]:
     """Return the drawing, and the poses as integers: positions in units of `_GRAIN` times the size of the view, angles
     in units of `_ANGLE`.
     """
@@ -68,7 +68,7 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
     }
 
 
-def _beam_data(shown: Scene) -> dict[str, Any]:
+def _beam_data(shown: Scene) -> dict[str, object]:
     beams = [
         {"name": beam.name, "corners": list(beam.corners), "element": beam.elements_of_intervals,
          "elements": beam.elements, "body": beam.nodes[0]}
@@ -81,7 +81,7 @@ def _beam_data(shown: Scene) -> dict[str, Any]:
     return {"beams": beams, "bending": {"largest": most, "percent": percent.reshape(-1).tolist()}}
 
 
-def _gap_data(run: Run, shown: Scene) -> dict[str, Any]:
+def _gap_data(run: Run, shown: Scene) -> dict[str, object]:
     """Return the gaps of the joints with the largest gaps [m], and the largest gap in any frame."""
     found: JointGaps = gaps(run, shown.drawing, shown.poses).largest(_JOINTS)
     size = np.hypot(found.vectors[..., 0], found.vectors[..., 1])

@@ -29,7 +29,7 @@ _GROUND_MARK = Path(
     + [point for x in (-0.9, -0.45, 0.0, 0.45, 0.9) for point in ((x, -1), (x - 0.35, -1.45))],
     [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY] + [Path.MOVETO, Path.LINETO] * 6,
 )
-_MARKS: dict[str, dict[str, Any]] = {
+_MARKS: dict[str, dict[str, object]] = {
     "ground": {"marker": _GROUND_MARK, "markersize": 14, "color": FAINT, "fillstyle": "none", "zorder": 2},
     "centre": {"marker": r"$\oplus$", "markersize": 7, "color": INK, "markeredgewidth": 0, "zorder": 6},
     "pin": {"marker": "o", "markersize": 5.5, "color": INK, "markerfacecolor": PAPER, "zorder": 7},

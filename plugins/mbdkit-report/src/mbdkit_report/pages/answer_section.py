@@ -63,7 +63,7 @@ def gradient_section(run: Run) -> Section | None:
     ]
     if not rows:
         return None
-    doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
+    doubts = dict.fromkeys(doubt for gradient in run.gradients.values() for doubt in gradient.get("doubts", ()))
     sentences = tuple(f"{doubt[:1].upper()}{doubt[1:].rstrip('.')}." for doubt in doubts)
     note = "In the unit of the measure for each SI unit of the parameter."
     columns = columns_of("measure; unit; with respect to; derivative")

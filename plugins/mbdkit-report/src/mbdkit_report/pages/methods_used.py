@@ -84,7 +84,7 @@ def _find(kind: Kind, name: str) -> Registered | None:
         return None
 
 
-def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
+def _paragraph(item: Registered, used: list[dict[str, object]]) -> str:
     values: dict[str, dict[str, None]] = {}
     for options in used:
         for key, value in options.items():

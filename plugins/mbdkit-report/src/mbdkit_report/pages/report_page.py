@@ -84,7 +84,7 @@ class ReportPage:
     @property
     def contents(self) -> list[tuple[str, str]]:
         """Anchor and title of each section, in order."""
-        parts = [(one.anchor, one.title, one.is_input) for one in self.sections]
+        parts = [(section.anchor, section.title, section.is_input) for section in self.sections]
         results = [
             ("motion", "Motion", bool(self.films)),
             *((anchor, title, not given) for anchor, title, given in parts),

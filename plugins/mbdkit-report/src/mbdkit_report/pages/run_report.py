@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbdkit.plugin import headline_texts
 from mbdkit.plugin.specs import write_yaml
@@ -64,7 +64,7 @@ def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
     )
 
 
-def film_of(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
+def film_of(run: Run, numbers: int, label: str = "") -> dict[str, object]:
     """Return the data of the player, with what plugins add to them; see `film_data` for the arguments."""
     return with_additions(run, film_data(run, numbers, label))
 

@@ -48,8 +48,8 @@ def run_verdict(run: Run) -> Verdict:
         title="Verdict",
         sentence=" ".join(claim.sentence for claim in claims),
         claims=tuple(claims),
-        tables=tuple(one for one in run_tables(run) if one.name not in noise),
-        figures=tuple(one for one in run_charts(run) if one.name not in noise),
+        tables=tuple(table for table in run_tables(run) if table.name not in noise),
+        figures=tuple(chart for chart in run_charts(run) if chart.name not in noise),
         notes=_notes(run),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from mbdkit.plugin import ReportSection, use
 from mbdkit.plugin.specs import Registered, registry
@@ -38,7 +38,7 @@ def added_charts(run: Run) -> list[Figure]:
     ]
 
 
-def with_additions(run: Run, film: dict[str, Any]) -> dict[str, Any]:
+def with_additions(run: Run, film: dict[str, object]) -> dict[str, object]:
     """Return the data of the player with what plugins add to them."""
     for item, own in _items():
         if own.film is not None:

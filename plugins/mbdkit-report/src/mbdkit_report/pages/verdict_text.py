@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from mbdkit.base.text import markdown
 from mbdkit.plugin import table as aligned
@@ -29,7 +28,7 @@ def terminal_text(verdict: Verdict) -> str:
     return "\n".join(filter(None, parts))
 
 
-def json_values(verdict: Verdict) -> dict[str, Any]:
+def json_values(verdict: Verdict) -> dict[str, object]:
     """Return the sentence, the claims and the headline tables of a verdict as JSON values; {} if it has no headline
     table.
     """

@@ -23,8 +23,8 @@ from mbdkit_report.figures.palette import FAINT, GRID, INK, PAPER, color_number,
 from mbdkit_report.plot.caption import Caption
 from mbdkit_report.plot.style import dress, legend, new_figure, powers_of_ten, save
 
-_DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)))
-_DASHES_OF_GROUPS: tuple[Any, ...] = (*_DASHES, (0, (1.0, 3.0)))
+_DASHES: tuple[object, ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)))
+_DASHES_OF_GROUPS: tuple[object, ...] = (*_DASHES, (0, (1.0, 3.0)))
 _MARKERS = ("o", "s", "D", "^", "P", "X")
 _FORMATS = (".png", ".svg")
 
@@ -213,7 +213,7 @@ def _draw(axes: Axes, chart: Figure, looks: Sequence[Look], labels: Look, notes:
 def _draw_lines(axes: Axes, chart: Figure, looks: Sequence[Look]) -> list[Line2D]:
     """Draw the lines of a chart with their bands; a line without its own colour has that of its group."""
     found: list[Line2D] = []
-    colors: dict[str, Any] = {}
+    colors: dict[str, object] = {}
     for line, look in zip(chart.lines, looks, strict=True):
         group, seen = line.group or line.label, chart.visible(line)
         if int(np.sum(seen)) == 1 and not look.get("marker"):

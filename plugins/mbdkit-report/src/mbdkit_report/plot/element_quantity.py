@@ -130,7 +130,7 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     """
     time, acting = np.asarray(run.time), list(run.actuators.values())
     forces = [] if acting and not run.records("forces/value") else list(run.forces.values())
-    units = [one.units for one in forces] + [one.units for one in acting]
+    units = [force.units for force in forces] + [one.units for one in acting]
     loads = distributed_loads(run) if forces else ()
     columns = [column for column, given in enumerate(units) if given == unit]
     columns = [column for column in columns if column >= len(forces) or forces[column].name not in loads]

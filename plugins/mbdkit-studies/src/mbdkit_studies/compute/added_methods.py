@@ -100,7 +100,7 @@ class AddedMethod:
         return [choice_of(name) for name in self.claims.formulations]
 
     @property
-    def stabilizations(self) -> list[Any]:
+    def stabilizations(self) -> list[object]:
         """The stabilization that the user has chosen, or those of the claims, of which `none` comes first."""
         if "stabilization" in self.settings:
             return [self.settings["stabilization"]]
@@ -328,7 +328,7 @@ def _words(spec: RunSpec) -> str:
     return json.dumps([data.get(key) for key in (METHOD, *_HOW)])
 
 
-def _without_step(base: Mapping[str, Any], span: tuple[float, float], others: set[str]) -> dict[str, Any]:
+def _without_step(base: Mapping[str, Any], span: tuple[float, float], others: set[str]) -> dict[str, object]:
     """Return settings that leave the first step to an adaptive method, and keep the time span."""
     if any(key.partition(".")[0] == "time" for key in others):
         return {"time.step": None}

@@ -339,7 +339,7 @@ def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, ke
 def _complete(base: dict[str, Any], whole: Mapping[str, object], key: str) -> None:
     """Make sure that a spec has the mapping or list in which a key is set; add it with its default values if not."""
     there: Any = base
-    default: Any = whole
+    default: object = whole
     for part in parse_key(key)[:-1]:
         if not isinstance(there, dict) or not isinstance(default, Mapping) or part not in default:
             return  # setting the value will raise the error

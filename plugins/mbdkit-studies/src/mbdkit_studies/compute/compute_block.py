@@ -174,7 +174,7 @@ def compute_block(
             unfinished.add(new)
             runs.update({run.number: run for run in new})
 
-        for some in _results(plan, [one for one in members if one.point.number not in runs], mark, notify):
+        for some in _results(plan, [member for member in members if member.point.number not in runs], mark, notify):
             pending += some
             if len(pending) >= CHUNK or unfinished.is_due:
                 add()

@@ -9,7 +9,7 @@ import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 from mbdkit.plugin import SpecError, file_error
 from mbdkit.plugin.files import check_folder, check_writable, rename_new
@@ -51,7 +51,7 @@ class OwnedFolder(ABC, Generic[Spec]):
         """Return whether the spec in the folder is equal to `spec`."""
 
     @abstractmethod
-    def plain_spec(self, spec: Spec) -> dict[str, Any]:
+    def plain_spec(self, spec: Spec) -> dict[str, object]:
         """Return the plain data that are written as the spec in the folder."""
 
     @abstractmethod

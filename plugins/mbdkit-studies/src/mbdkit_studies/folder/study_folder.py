@@ -56,7 +56,7 @@ class StudyFolder(OwnedFolder[StudySpec]):
         """See `OwnedFolder.is_same`."""
         return load_study_spec(self.spec).sha256() == spec.sha256()
 
-    def plain_spec(self, spec: StudySpec) -> dict[str, Any]:
+    def plain_spec(self, spec: StudySpec) -> dict[str, object]:
         """See `OwnedFolder.plain_spec`."""
         plain: dict[str, Any] = spec.model_dump(mode="json", exclude_unset=True)
         return plain

@@ -50,7 +50,7 @@ def _of_masses(grid: Grid) -> Iterator[str]:
     base = json.loads(grid.base_json)
     parameters: dict[str, Any] = base.get("parameters") or {}
     names = {str(path[1]) for path in varied if path[:1] == ("parameters",) and len(path) == 2}
-    through: dict[tuple[str, ...], list[tuple[str, Any]]] = {}  # bodies with their inertias, by varied parameters
+    through: dict[tuple[str, ...], list[tuple[str, object]]] = {}  # bodies with their inertias, by varied parameters
     for name, body in (base["model"].get("bodies") or {}).items():
         place = ("model", "bodies", name)
         if body.get("inertia") is None or (*place, "inertia") in varied:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbdkit.plugin import SpecError, listed
 from mbdkit.plugin.doubts import MISALIGNMENT
@@ -223,7 +223,7 @@ def _failures(study: Study) -> Table:
     return Table("failures", "Runs that failed", columns_of("run; member; reason"), tuple(rows), text)
 
 
-def _films(study: Study) -> Iterable[dict[str, Any]]:
+def _films(study: Study) -> Iterable[dict[str, object]]:
     """Yield one animation for each of the first families: of the run with the largest misalignment that is not rated
     bad or, if all are rated bad, of the run with the smallest. Studies with a sample have no animations.
     """
@@ -243,11 +243,11 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
                     break
 
 
-def _specs(study: Study) -> list[dict[str, Any]]:
+def _specs(study: Study) -> list[dict[str, object]]:
     return [_spec_of(study, point) for point in (*_read(study), *study.references) if point.status != "left-out"]
 
 
-def _spec_of(study: Study, point: StudyPoint) -> dict[str, Any]:
+def _spec_of(study: Study, point: StudyPoint) -> dict[str, object]:
     """Return the canonical spec of a run. If a plugin is not installed, or the spec names a file, which is not read,
     the spec is read from the archive or the block.
     """

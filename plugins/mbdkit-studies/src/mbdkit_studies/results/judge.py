@@ -74,7 +74,7 @@ def _checked(verdict: object, item: Registered) -> Verdict:
     return verdict
 
 
-def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Any], Any]]:
+def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[object], object]]:
     """Return the packaged study that a spec names as its verdict, and the verdict function of that study.
 
     Raises

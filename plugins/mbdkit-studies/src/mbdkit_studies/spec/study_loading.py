@@ -98,7 +98,7 @@ def _override(document: Document, assignment: str) -> None:
         set_value(document, assignment)
         return
     key = path_text(path)
-    holders: dict[Path, dict[str, Any]] = {(): document.data}
+    holders: dict[Path, dict[str, object]] = {(): document.data}
     _check_sample(document.data.get("sample"), path, assignment)
     families = document.data.get("families")
     for name, family in families.items() if isinstance(families, Mapping) else ():
@@ -214,7 +214,7 @@ def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Docum
     path.
     """
     documents: dict[Path, Document] = {}
-    holders: dict[Path, dict[str, Any]] = {(): data}
+    holders: dict[Path, dict[str, object]] = {(): data}
     families = data.get("families")
     if isinstance(families, Mapping):
         data["families"] = families = dict(families)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mbdkit.plugin.seams import spec_schema
 from mbdkit.plugin.specs import DRAFT, Registry, described, run_schema
 from mbdkit_studies.spec.study_spec import StudySpec
 
 
 @spec_schema
-def study_schema(installed: Registry | None = None) -> dict[str, Any]:
+def study_schema(installed: Registry | None = None) -> dict[str, object]:
     """Return the JSON schema (draft 2020-12) of the study spec; its bases include the schema of the run spec.
 
     Parameters

@@ -20,14 +20,14 @@ from mbdkit_studies.spec.sample_section import Sample, comparable
 from mbdkit_studies.spec.value_sets import ValueSet, sets_together, size
 
 
-def _check_keys(keys: dict[str, Any]) -> dict[str, Any]:
+def _check_keys(keys: dict[str, object]) -> dict[str, object]:
     for key in keys:
         if not parse_key(key):
             raise SpecError("should be a dotted key of a run spec, such as time.step", key=quoted(key))
     return keys
 
 
-def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
+def _check_axis(axis: dict[str, Any]) -> dict[str, object]:
     _check_keys(axis)
     sizes = {}
     for key, values in axis.items():
@@ -51,7 +51,7 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
     return axis
 
 
-def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, object], ...]:
     taken: dict[Path, tuple[str, int]] = {}  # key and axis by the path of the key, and by that of each section above it
     names: dict[str, int] = {}
     for number, axis in enumerate(axes):
@@ -336,7 +336,7 @@ class StudySpec(StrictSpec):
         for name, family in families.items():
             base: Base | None = self.base
             place: Path = ("base",)
-            keys: dict[Path, Any] = {("overrides", key): value for key, value in self.overrides.items()}
+            keys: dict[Path, object] = {("overrides", key): value for key, value in self.overrides.items()}
             if family is not None:
                 if family.base is not None:
                     base, place = family.base, ("families", name, "base")

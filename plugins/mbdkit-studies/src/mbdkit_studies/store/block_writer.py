@@ -355,7 +355,7 @@ class _Writer:
         growing = {
             dim: next((one.key for one in first.layout if one.grows and one.dims[0] == dim), "") for dim in _AXIS
         }
-        lengths = {dim: [len(one.arrays[key]) if key else 0 for one in results] for dim, key in growing.items()}
+        lengths = {dim: [len(result.arrays[key]) if key else 0 for result in results] for dim, key in growing.items()}
         for group in groups:
             self.scale(under, group, "run", numbers, "number of the run in the study, from 1")
             for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
@@ -387,7 +387,7 @@ class _Writer:
 
     def array(self, under: str, one: Array, found: Sequence[FinishedRun], shape: tuple[int, ...]) -> None:
         """Write one array of all runs of a structure; rows that a run does not have are nan, 0 or empty."""
-        empty: Any = {FLOAT: np.nan, INTEGER: 0}.get(one.dtype, "")
+        empty: object = {FLOAT: np.nan, INTEGER: 0}.get(one.dtype, "")
         values = np.full(shape, empty, object if one.dtype == TEXT else one.dtype)
         for index, result in enumerate(found):
             mine = result.arrays[one.key]

@@ -71,14 +71,14 @@ def record_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
         rows = (time > start) & (time < end)
         open_peaks = [peak for peak in peaks if np.any(peak.reached[rows] > peak.value)]
         if open_peaks:
-            told = listed((one.told(time) for one in open_peaks), "and", NAMED)
+            told = listed((peak.told(time) for peak in open_peaks), "and", NAMED)
             yield doubt(
                 "gaps",
                 f"the data do not determine the largest values of {told}, because of {gap}: its values are "
                 "interpolated, and larger ones are possible. Fill it with measured values, or cut the motion with "
                 "`time.start` or `time.end`.",
             )
-        elif wrong := [one for one in peaks if np.any(one.hidden[rows] > OF_GAPS * one.value)]:
+        elif wrong := [peak for peak in peaks if np.any(peak.hidden[rows] > OF_GAPS * peak.value)]:
             told = listed((one.wrong_by(rows) for one in wrong), "and", NAMED)
             yield doubt(
                 "gaps",

@@ -215,7 +215,7 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
             moved = [part.copy() for part in series]
             moved[order][:, column] += sign * step
             sides.append(response(Smoothed(*moved)))
-        found.append([one / (2 * step) for one in sides[0].minus(sides[1]).parts])
+        found.append([part / (2 * step) for part in sides[0].minus(sides[1]).parts])
     return [np.array(one) for one in zip(*found, strict=True)]
 
 
@@ -391,7 +391,7 @@ def _method(
         f"; the {zero} at the ends of the record, which the smoothing takes for zero, are assumed to be {most} the "
         "record"
     )  # fmt: skip
-    unknown = "".join(f" Unknown (nan) in {one}." for one in told_gaps(result, gaps).values())
+    unknown = "".join(f" Unknown (nan) in {gap}." for gap in told_gaps(result, gaps).values())
     return (
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
         f"to sample, with the standard deviations {listed(told, 'and', NAMED)}, passed through the linearised fit, "

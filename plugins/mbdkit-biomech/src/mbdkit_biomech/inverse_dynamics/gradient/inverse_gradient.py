@@ -59,7 +59,7 @@ def inverse_gradient(
     *,
     parameters: Names | None = None,
     check: bool = True,
-    **sections: Any,
+    **sections: object,
 ) -> Gradient:
     """Compute inverse dynamics, and return the derivatives of measures of the result with respect to parameters of the
     model.

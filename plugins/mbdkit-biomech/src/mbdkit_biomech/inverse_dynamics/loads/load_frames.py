@@ -63,12 +63,12 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
 
 
 @film_data
-def film_with_arrows(run: Run, film: dict[str, Any]) -> dict[str, Any]:
+def film_with_arrows(run: Run, film: dict[str, object]) -> dict[str, object]:
     """Return the data of the player of a run, with arrows of forces if it is one of inverse dynamics."""
     return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film
 
 
-def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> dict[str, Any]:
+def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> dict[str, object]:
     """Return the data of the player with the arrows of forces in each of its frames.
 
     Returns

@@ -90,16 +90,16 @@ class ElasticMuscles:
     def __init__(self, muscles: dict[str, Muscle], *, with_passive: bool):
         self.names, self._muscles, self._with_passive = tuple(muscles), tuple(muscles.values()), with_passive
         self.max_force = np.array([muscle.max_force for muscle in self._muscles])
-        self._optimal = np.array([one.optimal_length for one in self._muscles])
-        self._tendon = np.array([one.tendon_length for one in self._muscles])
-        self._thickness = np.array([one.thickness for one in self._muscles])
-        self._speed = self._optimal * np.array([one.max_velocity for one in self._muscles])
+        self._optimal = np.array([muscle.optimal_length for muscle in self._muscles])
+        self._tendon = np.array([muscle.tendon_length for muscle in self._muscles])
+        self._thickness = np.array([muscle.thickness for muscle in self._muscles])
+        self._speed = self._optimal * np.array([muscle.max_velocity for muscle in self._muscles])
 
     def _curve(self, name: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the values and slopes (M,) of a curve, of each muscle at its component of the arguments x (M,)."""
         value, slope = np.empty_like(x), np.empty_like(x)
         for kind in dict.fromkeys(muscle.curves for muscle in self._muscles):
-            own = np.array([one.curves == kind for one in self._muscles])
+            own = np.array([muscle.curves == kind for muscle in self._muscles])
             value[own], slope[own] = getattr(CURVES[kind], name)(x[own])
         return value, slope
 

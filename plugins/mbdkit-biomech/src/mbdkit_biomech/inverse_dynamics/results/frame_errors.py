@@ -111,7 +111,7 @@ def exact_loads(run: Run) -> str:
     return f"loads count as exact where columns have no `deviation`: {listed(names, 'and')}" if names else ""
 
 
-def _measured(load: Mapping[str, Any]) -> list[Any]:
+def _measured(load: Mapping[str, Any]) -> list[object]:
     """Return the columns of data that a measured load refers to, without components that are constant numbers."""
     every = [*(load.get("force") or ()), *(load.get("point") or ()), load.get("torque")]
     return [one for one in every if one is not None and not isinstance(one, int | float)]
@@ -126,7 +126,7 @@ def known_rows(run: Run) -> np.ndarray:
     errors = [] if run.accuracy is None else [run.accuracy.reaction_error]
     errors += [run.array("actuators/value_error")] if errors and run.records("actuators/value_error") else []
     known = np.ones(len(run.time), dtype=bool)
-    return np.asarray(np.all([known, *(~np.any(np.isnan(one), axis=1) for one in errors)], axis=0))
+    return np.asarray(np.all([known, *(~np.any(np.isnan(error), axis=1) for error in errors)], axis=0))
 
 
 @run_attribute

@@ -198,13 +198,13 @@ class Workload(HtmlView):
         return found[-1]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all numbers as plain values; cycles are given as mean and standard deviation at 0, 1, ... 100 %."""
+        """Return all numbers for JSON; cycles are given as mean and standard deviation at 0, 1, ... 100 %."""
         return {
             "start": self.start,
             "end": self.end,
             "elements": [asdict(element) for element in self.elements],
             "phases": [asdict(phase) for phase in self.phases],
-            "cycles": {name: _cycle_data(cycle) for name, cycle in self.cycles.items()},
+            "cycles": {name: {"mean": x.mean, "deviation": x.deviation} for name, x in self.cycles.items()},
             "note": self.note,
         }
 
@@ -404,11 +404,6 @@ def _load(time: np.ndarray, values: np.ndarray, units: str, error: np.ndarray | 
 def _work(time: np.ndarray, power: np.ndarray) -> ElementWork:
     positive, negative = (float(np.trapezoid(part, time)) for part in (np.maximum(power, 0), np.minimum(power, 0)))
     return ElementWork(float(np.max(power)), float(np.min(power)), positive, negative)
-
-
-def _cycle_data(one: Normalized) -> dict[str, list[float] | list[float | None]]:
-    deviation = [None if math.isnan(x) else x for x in one.deviation.tolist()]
-    return {"mean": one.mean.tolist(), "deviation": deviation}
 
 
 _HEADS = ("", "PEAK", "AT [s]", "RMS", "IMPULSE", "LOADING RATE", "PEAK POWER", "WORK DONE", "WORK ABSORBED")

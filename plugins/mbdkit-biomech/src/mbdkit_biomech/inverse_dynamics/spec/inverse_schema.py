@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mbdkit.plugin.seams import spec_schema
 from mbdkit.plugin.specs import DRAFT, Registry, described, model_schema, registry
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import inverse_spec_type
 
 
 @spec_schema
-def inverse_schema(installed: Registry | None = None) -> dict[str, Any]:
+def inverse_schema(installed: Registry | None = None) -> dict[str, object]:
     """Return the JSON schema (draft 2020-12) of the spec of inverse dynamics.
 
     Parameters
