@@ -30,7 +30,7 @@ UNDERSTOOD = {
     "joint": "type axis pos ref stiffness damping springref springdamper frictionloss armature range limited "
     "actuatorfrcrange actuatorfrclimited",
     "geom": f"type size fromto {_POSE} mass density shellinertia mesh contype conaffinity",
-    "equality": "active body1 body2 site1 site2 anchor relpose torquescale",
+    "equality": "active body1 body2 site1 site2 anchor relpose torquescale joint1 joint2 polycoef",
     "actuator": f"{_ROTOR} actlimited actrange dyntype gaintype biastype",
     "exclude": "body1 body2",
 }
