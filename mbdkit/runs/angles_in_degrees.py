@@ -69,7 +69,7 @@ def angles_in_degrees(spec: ModelSpec) -> Iterator[str]:
             continue
         if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
             continue  # functions of time and expressions of numbers are assumed to be in radians
-        if isinstance(angle, str) and names_in(angle) - {"pi"}:
+        if isinstance(angle, str) and names_in(angle) - {"pi", "degrees", *OPERATIONS}:
             continue  # a function of variables, such as the profile of a cam
         value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
         is_number = written is None or isinstance(spec.parameters.get(written), int | float)

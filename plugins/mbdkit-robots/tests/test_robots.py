@@ -175,7 +175,9 @@ def test_initial_angles_that_look_like_degrees_cause_a_warning() -> None:
         ("arm.urdf", '<child link="tip"/>', '<child link="tap"/>', "has no <child> among the links: 'tap'"),
         ("arm.urdf", 'value="2"', 'value="two"', "should have 1 finite number"),
         ("arm.urdf", "<robot", "<!DOCTYPE a><robot", "document type definition"),
-        ("four_bar.xml", "<connect", "<joint", "equality <joint> 'C' is not read"),
+        ("four_bar.xml", "<connect", "<tendon", "equality <tendon> 'C' is not read"),
+        ("four_bar.xml", "<equality>", '<equality><joint joint1="B" joint2="D"/>', "'B' follows 'D', which is not"),
+        ("four_bar.xml", "<equality>", '<equality><joint joint1="B" joint2="E"/>', "refers to 'E', which is no joint"),
         ("four_bar.xml", '<joint name="B"/>', '<joint name="B" type="ball"/>', "has the type 'ball'"),
         ("four_bar.xml", '<joint name="B"/>', '<joint name="B"/><joint name="E" type="slide"/>', "has 2 joints"),
         ("four_bar.xml", "<mujoco", "<robot", "is not XML"),
@@ -253,3 +255,48 @@ def test_a_slide_has_spring_and_travel_of_the_file(tmp_path: Path) -> None:
     run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 1.0, "step": 0.01})
     np.testing.assert_allclose(coordinates(run, model)[:, 0], np.cos(2 * run.time), atol=1e-9)
     np.testing.assert_allclose(run["cart"].position[:, 0], 3 - np.cos(2 * run.time), atol=1e-9)
+
+
+def test_a_joint_that_follows_another_one_is_coupled_to_it(tmp_path: Path) -> None:
+    """An elbow at 0.5 q - 0.2 q^2 of the shoulder, and wheels on the ground; the equations are those of the files."""
+    path = tmp_path / "follow.xml"
+    ends = '<equality><joint joint1="elbow" joint2="shoulder" polycoef="0.1 0.5 -0.2"/></equality></mujoco>'
+    path.write_text(DYNAMICS_FILE.replace("</mujoco>", ends))
+    model = {"name": "mjcf", "file": str(path), "initial": {"shoulder": 0.4, "elbow": 0.268}, "transition_speed": 0.05}
+    run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.3, "step": 0.002})
+    shoulder, elbow, _ = coordinates(run, model).T
+    assert np.ptp(shoulder) > 0.1
+    np.testing.assert_allclose(elbow, 0.1 + 0.5 * shoulder - 0.2 * shoulder**2, atol=1e-9)
+    assert run.joints["elbow to shoulder"].bodies == ("upper", "lower")
+
+
+def test_a_mimic_joint_of_urdf_follows_the_other_one(tmp_path: Path) -> None:
+    text = (FILES / "arm.urdf").read_text()
+    path = tmp_path / "mimic.urdf"
+    path.write_text(
+        text.replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 -1 0"/><mimic joint="shoulder" multiplier="2"/>')
+    )
+    model = {"name": "urdf", "file": str(path), "initial": {"shoulder": 0.3, "elbow": 0.6}}
+    run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.3, "step": 0.005})
+    shoulder, elbow = coordinates(run, model).T
+    assert np.ptp(shoulder) > 0.1
+    np.testing.assert_allclose(elbow, 2 * shoulder, atol=1e-9)
+    assert run.warnings == ["limits of joints left out: elbow"]
+
+
+def test_a_slide_follows_the_turn_of_the_body_that_carries_it_and_a_joint_may_be_held(tmp_path: Path) -> None:
+    inertial = '<inertial mass="1" pos="0 0 -0.1" diaginertia="0.1 0.1 0.1"/>'
+    path = tmp_path / "slide.xml"
+    path.write_text(
+        f'<mujoco><compiler angle="radian"/><worldbody><body name="arm"><joint name="turn" axis="0 1 0"/>{inertial}'
+        f'<body name="cart" pos="0 0 -0.3"><joint name="way" type="slide" axis="0.6 0 0.8"/>{inertial}</body></body>'
+        f'<body name="wheel"><joint name="spin" axis="0 1 0"/>{inertial}</body></worldbody><equality>'
+        '<joint name="screw" joint1="way" joint2="turn" polycoef="0 0.2"/><joint joint1="spin" polycoef="0.3"/>'
+        "</equality></mujoco>"
+    )
+    model = {"name": "mjcf", "file": str(path), "initial": {"turn": 0.5, "way": 0.1, "spin": 0.3}}
+    run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.3, "step": 0.005})
+    turn, way, spin = coordinates(run, model).T
+    assert np.ptp(turn) > 0.1
+    np.testing.assert_allclose(way, 0.2 * turn, atol=1e-9)
+    np.testing.assert_allclose(spin, 0.3, atol=1e-12)

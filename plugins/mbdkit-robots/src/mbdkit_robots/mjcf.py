@@ -23,7 +23,7 @@ from mbdkit_robots.mjcf_schema import (
     WITHOUT_FORCE,
     leave_out_attributes,
 )
-from mbdkit_robots.planar import GROUND, Closure, Link, Part, SpatialModel, refused
+from mbdkit_robots.planar import GROUND, Closure, Follower, Link, Part, SpatialModel, refused
 from mbdkit_robots.shapes import SIZES, volume_and_inertia
 from mbdkit_robots.trees import leave_out_contacts
 
@@ -334,24 +334,38 @@ class _MjcfReader:
 
     def _add_closure(self, element: Element) -> None:
         """Add an equality constraint. MuJoCo satisfies such constraints approximately, mbdkit exactly."""
-        equality = self._with_defaults(element, "main")
+        equality = self._with_defaults(Element("equality", element.attrib), "main")
         if keyword(equality, "active", "true", BOOLEAN) == "false":
+            return
+        if element.tag == "joint":
+            self._add_follower(equality)
             return
         first, second = _body(equality, "body1"), _body(equality, "body2")
         name = equality.get("name", f"{first} to {second}")
         if (
-            equality.tag not in ("connect", "weld")
+            element.tag not in ("connect", "weld")
             or not equality.get("body1")
             or first not in self.places
             or second not in self.places
         ):
-            raise refused(f"the equality <{equality.tag}> '{name}' is not read; connect and weld of two bodies are")
-        if equality.tag == "weld" and (equality.get("relpose") or not number(equality, "torquescale", 1.0)):
+            raise refused(
+                f"the equality <{element.tag}> '{name}' is not read; connect and weld of two bodies, and joint are"
+            )
+        if element.tag == "weld" and (equality.get("relpose") or not number(equality, "torquescale", 1.0)):
             raise refused(f"the weld '{name}' has a relpose or a torquescale of 0, which are not read")
         leave_out_attributes(self.model, equality, name, "equality")
-        turned, here = self.places[second if equality.tag == "weld" else first]
+        turned, here = self.places[second if element.tag == "weld" else first]
         anchor = here + turned @ numbers(equality, "anchor", "0 0 0", 3)
-        self.model.closures.append(Closure(name, equality.tag, (first, second), anchor))  # type: ignore[arg-type]
+        self.model.closures.append(Closure(name, element.tag, (first, second), anchor))  # type: ignore[arg-type]
+
+    def _add_follower(self, equality: Element) -> None:
+        """Add a joint whose coordinate is a polynomial of that of another one, or constant."""
+        joint, leader = equality.get("joint1", ""), equality.get("joint2")
+        name = equality.get("name", f"{joint} to {leader}" if leader else f"{joint} held")
+        leave_out_attributes(self.model, equality, name, "equality")
+        given = numbers(equality, "polycoef", "").tolist()
+        coefficients = (*given, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(given) :])
+        self.model.followers.append(Follower(name, joint, leader, coefficients))
 
 
 def _key(element: Element) -> str:

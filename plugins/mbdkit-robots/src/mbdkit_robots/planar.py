@@ -73,6 +73,19 @@ class Closure:
     point: np.ndarray
 
 
+@dataclass(frozen=True)
+class Follower:
+    """A joint that follows another one: its coordinate is a polynomial of that of `leader`, or constant without one.
+
+    `coefficients` are in ascending powers.
+    """
+
+    name: str
+    joint: str
+    leader: str | None
+    coefficients: tuple[float, ...]
+
+
 @dataclass
 class SpatialModel:
     """A model that was read from a file, before it is projected onto a plane."""
@@ -81,6 +94,7 @@ class SpatialModel:
     parts: list[Part] = field(default_factory=list)
     links: list[Link] = field(default_factory=list)
     closures: list[Closure] = field(default_factory=list)
+    followers: list[Follower] = field(default_factory=list)
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     left_out: dict[str, list[str]] = field(default_factory=dict)
     """Names of the ignored components, by a phrase for their kind."""
@@ -127,12 +141,12 @@ class PlanarMechanism:
             self._add(link, data)
         for closure in self.model.closures:
             first, second = (self.owner[name] for name in closure.parts)
-            name = closure.name
-            while name in data["joints"]:  # names of joints and of constraints may agree in the file
-                name += "'"
             kind = {"connect": "revolute", "weld": "weld"}[closure.kind]
             points = [self._local(first, closure.point), self._local(second, closure.point)]
-            data["joints"][name] = {"type": kind, "bodies": [first, second], "points": points}
+            joint = {"type": kind, "bodies": [first, second], "points": points}
+            data["joints"][_free_name(closure.name, data["joints"])] = joint
+        for follower in self.model.followers:
+            data["joints"][_free_name(follower.name, data["joints"])] = self._coupling(follower)
         found = Mechanism.from_spec(data)
         found.name = self.model.name
         turns = {link.name for link in self.model.links if link.kind == "turn"}
@@ -258,6 +272,48 @@ class PlanarMechanism:
         data["forces"] |= self._forces(link, pathway, sign, zero)
         data["coordinates"][link.name] = {"of": f"{link.name}.angle", "scale": sign if link.kind == "turn" else 1.0}
 
+    def _coupling(self, follower: Follower) -> dict[str, object]:
+        """Return the coupling of two bodies that makes a joint follow another one.
+
+        Raises
+        ------
+        SpecError
+            If the coordinates of both joints do not follow from the relative pose of two bodies and the angle of one.
+        """
+        links = {link.name: link for link in self.model.links if link.kind in ("turn", "slide")}
+        for name in (follower.joint, follower.leader):
+            if name is not None and name not in links:
+                raise refused(f"'{follower.name}' refers to '{name}', which is no joint that turns or slides")
+        joint, leader = links[follower.joint], links.get(follower.leader or "")
+        ends = [(self.owner[link.parent], self.owner[link.child]) for link in (joint, leader or joint)]
+        for pair in (*ends, (ends[1][1], ends[0][1])):
+            own, other = (self._coordinate(link, *pair) for link in (joint, leader or joint))
+            if pair[0] == pair[1] or own is None or (leader and other is None):
+                continue
+            terms = follower.coefficients if leader else follower.coefficients[:1]
+            powers = (f"({c!r})*({other})**{power}" if power else repr(c) for power, c in enumerate(terms) if c)
+            slide = next((link for link in (joint, leader) if link is not None and link.kind == "slide"), None)
+            points = [self._local(body, slide.point) if slide else [0.0, 0.0] for body in pair]
+            return {
+                "type": "coupling", "bodies": [*pair], "points": points, "unit": "rad" if joint.kind == "turn" else "m",
+                "equation": f"{own} - ({' + '.join(powers) or '0'})",
+            }  # fmt: skip
+        raise refused(
+            f"joint '{follower.joint}' follows '{follower.leader}', which is not read: a coupling knows the relative "
+            "position of two bodies and the angle of the first, from which the coordinates of both joints do not follow"
+        )
+
+    def _coordinate(self, link: Link, first: str, second: str) -> str | None:
+        """Return the coordinate of a joint as an expression for a coupling of two bodies; None if there is none."""
+        parent, child = self.owner[link.parent], self.owner[link.child]
+        if link.kind == "slide":
+            x, y = self._direction(link).tolist()
+            return f"(({x!r})*x + ({y!r})*y)" if (parent, child) == (first, second) else None
+        if (parent, child) == (first, second):
+            return f"({self._sign(link)!r})*angle"
+        own = {first: "first", second: "second"}.get(child)
+        return f"({self._sign(link)!r})*{own}" if parent == GROUND and own else None
+
     def _forces(self, link: Link, pathway: Mapping[str, object], sign: float, zero: float) -> dict[str, object]:
         """Return the spring, the friction and the limits of a joint as forces by name.
 
@@ -285,6 +341,13 @@ class PlanarMechanism:
             ends = sorted(zero + sign * value for value in link.limits)
             found["limits"] = {"law": "table", "table": [ends, [0.0, 0.0]]}
         return {f"{link.name} {name}": {"type": "law", "pathway": pathway, **one} for name, one in found.items()}
+
+
+def _free_name(name: str, taken: Mapping[str, Any]) -> str:
+    """Return a name that is not taken; names of joints and of constraints may agree in a file."""
+    while name in taken:
+        name += "'"
+    return name
 
 
 def _sentences(what: str, components: Mapping[str, Sequence[str]]) -> tuple[str, ...]:

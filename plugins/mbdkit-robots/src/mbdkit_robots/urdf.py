@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from mbdkit_robots.documents import about, number, numbers, read_xml, unit
-from mbdkit_robots.planar import GROUND, Link, Part, SpatialModel, refused
+from mbdkit_robots.planar import GROUND, Follower, Link, Part, SpatialModel, refused
 from mbdkit_robots.trees import leave_out_contacts
 
 KINDS = {"revolute": "turn", "continuous": "turn", "prismatic": "slide", "fixed": "fixed", "floating": "free"}
@@ -21,7 +21,8 @@ UNDERSTOOD = {
     "origin": ("xyz rpy", ""),
     "mass": ("value", ""),
     "inertia": ("ixx ixy ixz iyy iyz izz", ""),
-    "joint": ("name type", "origin parent child axis dynamics limit"),
+    "joint": ("name type", "origin parent child axis dynamics limit mimic"),
+    "mimic": ("joint multiplier offset", ""),
     "parent": ("link", ""),
     "child": ("link", ""),
     "axis": ("xyz", ""),
@@ -124,8 +125,9 @@ def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: n
     name, kind = _name(joint), joint.get("type", "")
     if kind not in KINDS:
         raise refused(f"joint '{name}' has the type '{kind}', which is not read")
-    if joint.find("mimic") is not None:
-        raise refused(f"joint '{name}' follows another one (<mimic>), which is not read")
+    if (mimic := joint.find("mimic")) is not None:
+        coefficients = number(mimic, "offset", 0.0), number(mimic, "multiplier", 1.0)
+        model.followers.append(Follower(f"{name} mimic", name, mimic.get("joint", ""), coefficients))
     limits = None
     if (limit := joint.find("limit")) is not None and kind in ("revolute", "prismatic"):
         model.leave_out("limits of joints", name)
