@@ -216,7 +216,7 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
             sketch.guide(sliding, _travel(mechanism, sliding))
         if isinstance(joint, FunctionJoint):
             for line in joint.lines(mechanism.relative_pose(joint)):
-                sketch.line([(joint.bodies[side], place) for side, place in line])
+                sketch.parts["shapes"].append(sketch.points([(joint.bodies[side], place) for side, place in line]))
     for force in mechanism.forces.values():
         ends = sketch.attach(force)
         pathway = getattr(force, "pathway", None)
@@ -312,12 +312,6 @@ class _Sketch:
                 self.parts[name].append(drawn)
         if owner != GROUND and shape.line is None:
             self.touched[owner] += [self.point(owner, local) for _, local in shape.points()]
-
-    def line(self, places: Sequence[Place]) -> None:
-        """Add a line, such as the pitch circle of a gear."""
-        drawn = self.points(places)
-        for name in ("shapes", "lines"):
-            self.parts[name].append(drawn)
 
     def joint(self, name: str, joint: Any) -> None:
         """Add a joint. A distance joint is drawn as a bar and a driver is not drawn; others are drawn as a symbol at
