@@ -14,7 +14,9 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit import Run
+from mbdkit.plugin import FunctionJoint
 from mbdkit.spec import load_spec
+from mbdkit_report import draw_mechanism
 
 NAMES = ("cam-follower", "geared-five-bar", "geared-knee-orthosis", "knee-slot", "planetary-gear")
 
@@ -180,3 +182,17 @@ def test_the_knee_moves_as_in_its_minimal_coordinate() -> None:
     assert -2.0944 < angle.min() < -1.7
     tibia = run["shank"].position.T - 0.1867 * np.stack([np.cos(angle), np.sin(angle)])
     assert tibia == pytest.approx(np.stack([travel(angle), across(travel(angle))]), abs=1e-8)
+
+
+@pytest.mark.parametrize("name", ["planetary-gear", "cam-follower", "knee-slot"])
+def test_joints_are_drawn_with_their_circles_and_curves(name: str) -> None:
+    mechanism = load_spec(name).mechanism()
+    lines = [
+        line
+        for joint in mechanism.joints.values()
+        if isinstance(joint, FunctionJoint)
+        for line in joint.lines(mechanism.relative_pose(joint))
+    ]
+    drawing = draw_mechanism(mechanism)
+    assert lines
+    assert sorted(len(shape) for shape in drawing.shapes) == sorted(len(line) for line in lines)
