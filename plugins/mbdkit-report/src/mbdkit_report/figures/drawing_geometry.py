@@ -68,7 +68,7 @@ class Drawing:
     muscles
         Points along the lines of elements of further kinds, such as muscles.
     shapes
-        Points along the outline of each shape of a contact.
+        Points along the outline of each shape of a contact, and along each line of a joint, such as a pitch circle.
     lines
         Pairs of points on lines of unlimited extent, which are the ends of their parts in `shapes`.
     guides
@@ -315,9 +315,7 @@ class _Sketch:
 
     def line(self, places: Sequence[Place]) -> None:
         """Add a line, such as the pitch circle of a gear."""
-        drawn = self.points(places)
-        for name in ("shapes", "lines"):
-            self.parts[name].append(drawn)
+        self.parts["shapes"].append(self.points(places))
 
     def joint(self, name: str, joint: Any) -> None:
         """Add a joint. A distance joint is drawn as a bar and a driver is not drawn; others are drawn as a symbol at
