@@ -181,7 +181,9 @@ def test_the_knee_moves_as_in_its_minimal_coordinate() -> None:
     assert angle == pytest.approx(one_coordinate(rate, angle[0], run.time), abs=1e-6)
     assert -2.0944 < angle.min() < -1.7
     tibia = run["shank"].position.T - 0.1867 * np.stack([np.cos(angle), np.sin(angle)])
-    assert tibia == pytest.approx(np.stack([travel(angle), across(travel(angle))]), abs=1e-8)
+    drift = max(np.max(run.joints[name].misalignment) for name in ("path", "roll"))  # 4e-8 m, without stabilization
+    assert drift < 1e-7
+    assert tibia == pytest.approx(np.stack([travel(angle), across(travel(angle))]), abs=3 * drift)
 
 
 @pytest.mark.parametrize("name", ["planetary-gear", "cam-follower", "knee-slot"])

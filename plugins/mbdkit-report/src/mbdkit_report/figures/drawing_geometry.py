@@ -68,7 +68,7 @@ class Drawing:
     muscles
         Points along the lines of elements of further kinds, such as muscles.
     shapes
-        Points along the outline of each shape of a contact.
+        Points along the outline of each shape of a contact, and along each line of a joint, such as a pitch circle.
     lines
         Pairs of points on lines of unlimited extent, which are the ends of their parts in `shapes`.
     guides
