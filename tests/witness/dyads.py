@@ -137,17 +137,6 @@ class Linkage:
         dda, ddb = solve(V[2] - U[2] + along * da**2 - across * db**2)
         return (alpha, da, dda), (beta, db, ddb)
 
-    def transmission(self, phi: float) -> float:
-        """Return the smallest |sin| of the angle between the two links of a dyad: zero at a dead centre."""
-        placed = self.poses(phi)
-        sines = []
-        for dyad in self.dyads:
-            at_u, at_v, at_w = dyad.pins
-            u = self._line(dyad.u, at_u, at_w) * np.exp(1j * placed[dyad.u].angle[0])
-            v = self._line(dyad.v, at_v, at_w) * np.exp(1j * placed[dyad.v].angle[0])
-            sines.append(abs(np.sin(np.angle(u / v))))
-        return float(min(sines))
-
     def equation(self, phi: float) -> tuple[float, float, float]:
         """Return I [kg m^2], dI/dphi and the generalized force of gravity [N m] at `phi`."""
         inertia = slope = force = 0.0
@@ -157,11 +146,6 @@ class Linkage:
             slope += 2 * (link.mass * (c[1].conjugate() * c[2]).real + link.inertia * a[1] * a[2])
             force -= link.mass * self.gravity * c[1].imag
         return inertia, slope, force
-
-    def energy(self, phi: float, rate: float) -> float:
-        """Return kinetic plus potential energy [J]; gravity's potential is zero at y = 0."""
-        height = sum(self.links[name].mass * pose.centre[0].imag for name, pose in self.poses(phi).items())
-        return self.equation(phi)[0] * rate**2 / 2 + self.gravity * float(height)
 
     def acceleration(self, time: Any, phi: float, rate: float) -> Any:
         """Return phi'' [rad/s^2]."""

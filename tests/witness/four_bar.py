@@ -189,18 +189,6 @@ class FourBar:
             force -= self._damping(phi) * rate
         return (force - slope * rate**2 / 2) / inertia
 
-    def energy(self, phi: float, rate: float) -> float:
-        """Return kinetic plus potential energy [J]; gravity's potential is zero at y = 0."""
-        lines, first, second = self._geometry(phi)
-        position, velocity, _ = self._centres(lines, first, second)
-        masses = np.array([link.mass for link in self.links])
-        total = self.equation(phi)[0] * rate**2 / 2 + self.gravity * float(masses @ position[:, 1])
-        for spring in self.springs:
-            end, _ = self._coupler_point(spring, lines, first, position, velocity)
-            length = float(np.hypot(*(end - np.array(spring.ground))))
-            total += spring.stiffness * (length - spring.free_length) ** 2 / 2
-        return total
-
     @ode.solved_once
     def solve(self, phi: float, rate: float, times: Array) -> Array:
         """Return (phi [rad], phi' [rad/s], dissipated energy [J]) at `times` [s], shape (T, 3)."""

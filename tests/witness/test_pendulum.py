@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import mpmath
 import numpy as np
 import pytest
 
@@ -21,23 +20,6 @@ STARTS = {
     "turning over backwards": (-1.5, -12.0),
 }
 starts = pytest.mark.parametrize(("angle", "rate"), STARTS.values(), ids=STARTS.keys())
-
-
-def taylor(angle: float, rate: float, time: float, steps: int, order: int = 24) -> tuple[float, float]:
-    """Return angle and rate of a rod of 1 m by Taylor series with 30 digits: phi'' = -(3 g / 2 L) sin(phi)."""
-    with mpmath.workdps(30):
-        squared = mpmath.mpf(1.5) * mpmath.mpf(9.81)
-        size = mpmath.mpf(time) / steps
-        phi, omega = mpmath.mpf(angle) + mpmath.pi / 2, mpmath.mpf(rate)
-        for _ in range(steps):
-            p, s, c = [phi, omega], [mpmath.sin(phi)], [mpmath.cos(phi)]
-            for k in range(order):
-                p.append(-squared * s[k] / ((k + 1) * (k + 2)))
-                s.append(sum((j + 1) * p[j + 1] * c[k - j] for j in range(k + 1)) / (k + 1))
-                c.append(-sum((j + 1) * p[j + 1] * s[k - j] for j in range(k + 1)) / (k + 1))
-            phi = mpmath.polyval(p[::-1], size)
-            omega = mpmath.polyval([j * p[j] for j in range(len(p) - 1, 0, -1)], size)
-        return float(phi - mpmath.pi / 2), float(omega)
 
 
 @starts

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.slow_cases import slow_but
 from tests.witness.six_bar import END, FOUR_BAR, PHI, RATE, SIX_BAR
 
 from .dyads import Linkage
@@ -26,7 +27,7 @@ METHODS: dict[str, tuple[dict[str, Any], float]] = {
 
 
 @linkages
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", slow_but(METHODS, "rk4", "gauss4", "gauss6"))
 def test_a_linkage_driven_by_a_motor_torque_moves_as_in_its_crank_angle_to_1e_9(linkage: Linkage, name: str) -> None:
     # expected: Eksergian's equation in the crank's angle by DOP853 at rtol 1e-13
     integrator, step = METHODS[name]
