@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Set
+from functools import partial
 from typing import Any, NamedTuple
 
 from mbdkit.plugin import Body, Joint, Number, Revolute, SpecError, StrictModel, quoted
@@ -162,21 +163,21 @@ def second_leg(first: LegParts, same: LegParts) -> LegParts:
     same
         A leg with the same names, in the pose of the second leg.
     """
-    of_second = _Names({name for kind in first for name in kind})
+    of_second = partial(_of_second, {name for kind in first for name in kind})
     return LegParts(
-        {of_second.of(name): body for name, body in same.bodies.items()},
+        {of_second(name): body for name, body in same.bodies.items()},
         {
-            of_second.of(name): joint.model_copy(update={"bodies": tuple(map(of_second.of, joint.bodies))})
+            of_second(name): joint.model_copy(update={"bodies": tuple(map(of_second, joint.bodies))})
             for name, joint in same.joints.items()
         },
         {
-            of_second.of(name): coordinate.model_copy(
-                update={"of": of_second.of(coordinate.of), "relative_to": of_second.of(coordinate.relative_to)}
+            of_second(name): coordinate.model_copy(
+                update={"of": of_second(coordinate.of), "relative_to": of_second(coordinate.relative_to)}
             )
             for name, coordinate in same.coordinates.items()
         },
         {
-            of_second.of(name): marker.model_copy(update={"body": of_second.of(marker.body)})
+            of_second(name): marker.model_copy(update={"body": of_second(marker.body)})
             for name, marker in same.markers.items()
         },
     )
@@ -192,7 +193,7 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
     """
     found: dict[str, Muscle] = {}
     leg = {name for kind in first for name in kind}
-    on_leg, with_muscles = _Names(leg), _Names(leg | set(muscles))
+    on_leg, with_muscles = (partial(_of_second, own) for own in (leg, leg | set(muscles)))
     for name, muscle in muscles.items():
         found[name] = muscle
         if not any(item.on in first.bodies for item in muscle.path):
@@ -203,32 +204,26 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
                 key=f"muscles.{quoted(name + SUFFIX)}",
             )
         change = {"path": [_on_second(item, on_leg) for item in muscle.path]}
-        found[name + SUFFIX] = muscle.model_copy(update=change | {"excitation": with_muscles.of(muscle.excitation)})
+        found[name + SUFFIX] = muscle.model_copy(update=change | {"excitation": with_muscles(muscle.excitation)})
     return found
 
 
-class _Names:
-    """Maps names of the first leg to names of the second leg."""
-
-    def __init__(self, own: set[str]):
-        self._own = own
-
-    def of(self, value: object) -> Any:
-        """Return a name or expression with the names of the second leg; other values are returned unchanged."""
-        if not isinstance(value, str) or value in self._own:
-            return value + SUFFIX if isinstance(value, str) else value
-        return re.sub(r"[^\W\d]\w*", lambda found: found[0] + SUFFIX * (found[0] in self._own), value)
+def _of_second(own: Set[str], value: object) -> Any:
+    """Return a name or expression with names of the second leg for those of the first, `own`; others are unchanged."""
+    if not isinstance(value, str) or value in own:
+        return value + SUFFIX if isinstance(value, str) else value
+    return re.sub(r"[^\W\d]\w*", lambda found: found[0] + SUFFIX * (found[0] in own), value)
 
 
-def _on_second(item: PathItem, names: _Names) -> PathItem:
-    change: dict[str, object] = {"body": names.of(item.body)}
+def _on_second(item: PathItem, names: Callable[[object], Any]) -> PathItem:
+    change: dict[str, object] = {"body": names(item.body)}
     if item.wrap is not None:
-        change["wrap"] = item.wrap.model_copy(update={"body": names.of(item.wrap.body)})
+        change["wrap"] = item.wrap.model_copy(update={"body": names(item.wrap.body)})
     if item.when is not None:
-        change["when"] = {names.of(name): bounds for name, bounds in item.when.items()}
+        change["when"] = {names(name): bounds for name, bounds in item.when.items()}
     if item.point is not None:
         change["point"] = tuple(
-            part.model_copy(update={"of": names.of(part.of)}) if isinstance(part, CoordinateTable) else names.of(part)
+            part.model_copy(update={"of": names(part.of)}) if isinstance(part, CoordinateTable) else names(part)
             for part in item.point
         )
     return item.model_copy(update=change)
