@@ -81,7 +81,9 @@ def page(installed: Registry) -> str:
         "### `joints`",
         "`type` selects the type of the joint. `bodies` are the first body a and the second body b.",
         *_types(get_args(get_args(Joint)[0])),
-        *_types(cast(JointKind, item.plugin).model() for item in installed.of_kind("joint-kind")),
+        *_types(
+            cast("type[BaseModel]", cast(JointKind, item.plugin).model()) for item in installed.of_kind("joint-kind")
+        ),
         "### `forces`",
         "`type` selects the type of the force element; with `type: law`, `law` selects the force law.",
         *_types((SpringDamper, TorsionSpring, Torque, PointForce)),
