@@ -242,7 +242,7 @@ def _errors_of_derivatives(pair: Pair, q: np.ndarray) -> dict[str, float]:
     jacobian = equations.constraint_jacobian(t, q).toarray()
 
     def force(x: np.ndarray) -> np.ndarray:
-        return np.asarray(equations.constraint_jacobian(t, x).T @ lam)
+        return equations.residual(t, x, v, a, lam)
 
     def acceleration(x: np.ndarray) -> np.ndarray:
         return np.asarray(equations.constraint_jacobian(t, x) @ a - equations.gamma(t, x, v))

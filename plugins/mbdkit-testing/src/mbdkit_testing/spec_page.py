@@ -7,12 +7,12 @@ import sys
 import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from pydantic import BaseModel
 
 from mbdkit.mechanism.pathways import Coordinate, RelativeAngle
-from mbdkit.plugin import Body, Joint, Table
+from mbdkit.plugin import Body, Joint, JointKind, Table
 from mbdkit.plugin.mechanisms import (
     AngleTable,
     Assembly,
@@ -81,6 +81,9 @@ def page(installed: Registry) -> str:
         "### `joints`",
         "`type` selects the type of the joint. `bodies` are the first body a and the second body b.",
         *_types(get_args(get_args(Joint)[0])),
+        *_types(
+            cast("type[BaseModel]", cast(JointKind, item.plugin).model()) for item in installed.of_kind("joint-kind")
+        ),
         "### `forces`",
         "`type` selects the type of the force element; with `type: law`, `law` selects the force law.",
         *_types((SpringDamper, TorsionSpring, Torque, PointForce)),
