@@ -51,6 +51,10 @@ READ: Mapping[str, frozenset[str]] = {
         "SimmSpline": "x y",
         "NaturalCubicSpline": "x y",
         "PiecewiseLinearFunction": "x y",
+        "CoordinateCouplerConstraint": "isEnforced coupled_coordinates_function independent_coordinate_names "
+        "dependent_coordinate_name scale_factor",
+        "PointOnLineConstraint": "isEnforced socket_line_body socket_follower_body line_body follower_body "
+        "line_direction_vec point_on_line point_on_follower",
         "PhysicalOffsetFrame": "socket_parent translation orientation",
         "Marker": _POINT,
         "GeometryPath": "PathPointSet PathWrapSet",
