@@ -284,6 +284,70 @@ PIN = osim.joint("PinJoint", "pin", "ground", "rod", "turn")
 LINES = osim.points("PiecewiseLinearFunction", [0, 1, 2], [0, 1, 0])
 
 
+CHAIN = [osim.body(name, 1.0, (0.2, 0.0, 0.0), 0.02) for name in ("upper", "lower", "tip")]
+CHAIN_PINS = [
+    osim.joint("PinJoint", "first", "ground", "upper", "a=0.3", turned=(0, 0, 0.2)),
+    osim.joint("PinJoint", "second", "upper", "lower", "b=0.5", at=(0.4, 0, 0), child_turned=(0, 0, 0.1)),
+]
+SLIDE = osim.joint("SliderJoint", "third", "upper", "lower", "c=0.1", at=(0.4, 0, 0), turned=(0, 0, 0.3))
+
+
+def coupler(dependent: str, independent: str, coefficients: str, scale: str = "1") -> str:
+    return (
+        '<ConstraintSet><objects><CoordinateCouplerConstraint name="coupler"><coupled_coordinates_function>'
+        f"<PolynomialFunction><coefficients>{coefficients}</coefficients></PolynomialFunction>"
+        f"</coupled_coordinates_function><independent_coordinate_names>{independent}</independent_coordinate_names>"
+        f"<dependent_coordinate_name>{dependent}</dependent_coordinate_name><scale_factor>{scale}</scale_factor>"
+        "</CoordinateCouplerConstraint></objects></ConstraintSet>"
+    )
+
+
+def on_line(direction: str) -> str:
+    return (
+        '<ConstraintSet><objects><PointOnLineConstraint name="line"><socket_line_body>/ground</socket_line_body>'
+        "<socket_follower_body>/bodyset/rod</socket_follower_body>"
+        f"<line_direction_vec>{direction}</line_direction_vec><point_on_line>0 0.1 0</point_on_line>"
+        "<point_on_follower>0.5 0 0</point_on_follower></PointOnLineConstraint></objects></ConstraintSet>"
+    )
+
+
+def moved(path: str) -> tuple[mbdkit.Run, dict[str, np.ndarray]]:
+    """Return a run of a model over 0.3 s, and its coordinates over time."""
+    spec = {"mbdkit": 1, "model": {"name": "opensim", "file": path}, "integrator": {"name": "gauss", "stages": 3}}
+    run = mbdkit.run(spec, time={"end": 0.3, "step": 0.005})
+    named = build_mechanism(path, {}, {}).coordinates
+    return run, {
+        name: one.scale * run.joints[one.of.partition(".")[0]].angle + one.offset for name, one in named.items()
+    }
+
+
+@pytest.mark.parametrize(("dependent", "independent"), [("b", "a"), ("a", "b"), ("c", "a")])
+def test_a_coordinate_that_follows_another_one_is_coupled_to_it(
+    tmp_path: Path, dependent: str, independent: str
+) -> None:
+    # expected: OpenSim's dependent = scale*f(independent), whose coefficients are in descending powers
+    pins = [CHAIN_PINS[0], SLIDE if dependent == "c" else CHAIN_PINS[1]]
+    text = osim.document(CHAIN[:2], pins, more=coupler(dependent, independent, "0.2 0.4 0.1", "1.5"))
+    run, values = moved(written(tmp_path, text))
+    assert np.ptp(values[independent]) > 0.1
+    wanted = 1.5 * (0.2 * values[independent] ** 2 + 0.4 * values[independent] + 0.1)
+    np.testing.assert_allclose(values[dependent], wanted, atol=1e-8)
+    assert run.joints["coupler"].bodies == ("upper", "lower")
+
+
+def test_a_point_on_a_line_stays_there(tmp_path: Path) -> None:
+    free = osim.joint("PlanarJoint", "free", "ground", "rod", "turn=0.4 x=0.2 y=-0.1")
+    path = written(tmp_path, osim.document(ROD, [free], more=on_line("1 0.5 0")))
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": {"name": "opensim", "file": path}, "integrator": {"name": "gauss", "stages": 3}},
+        time={"end": 0.3, "step": 0.005},
+    )
+    angle = run["rod"].angle
+    point = run["rod"].position.T + 0.2 * np.stack([np.cos(angle), np.sin(angle)])  # 0.5 m from the frame
+    np.testing.assert_allclose(point[1] - 0.1, 0.5 * point[0], atol=1e-8)
+    assert np.ptp(point[0]) > 0.01
+
+
 def custom(*axes: str, coordinates: str = "turn") -> str:
     return osim.joint("CustomJoint", "knee", "ground", "rod", coordinates, transform=osim.transform(*axes))
 
@@ -315,6 +379,11 @@ def custom(*axes: str, coordinates: str = "turn") -> str:
         (osim.document(ROD, [PIN, PIN.replace('"pin"', '"again"')]), "PinJoint 'again' closes a loop at 'rod'"),
         (osim.document(ROD, [PIN], more='<ConstraintSet><objects><WeldConstraint name="w"/></objects></ConstraintSet>'),
          "WeldConstraint 'w' is a constraint"),
+        (osim.document(ROD, [PIN], more=coupler("turn", "other", "1 0")), "couples 'other', which is no free"),
+        (osim.document(ROD, [PIN], more=coupler("turn", "turn other", "1 0")), "it depends on 2 coordinates"),
+        (osim.document(ROD, [PIN], more=on_line("0 0 1")), "PointOnLineConstraint 'line' is not planar"),
+        (osim.document(CHAIN, [*CHAIN_PINS, osim.joint("PinJoint", "third", "lower", "tip", "c")],
+                       more=coupler("c", "a", "1 0")), "from which its coordinates do not both follow"),
         (osim.document([osim.body("rod", math.nan, (0, 0, 0), 0.1)], [PIN]),
          "Body 'rod': <mass> should be a finite number"),
         (osim.document(ROD, [PIN.replace("ground_offset</socket", "nowhere</socket")]),

@@ -13,11 +13,12 @@ import numpy as np
 
 from mbdkit import Mechanism, SpecError
 from mbdkit.plugin import did_you_mean, listed, quoted
-from mbdkit_opensim.frames import OffsetFrame, OsimFrames
-from mbdkit_opensim.functions import center_of, constant
+from mbdkit_opensim.frames import FLAT, OffsetFrame, OsimFrames
+from mbdkit_opensim.functions import center_of, constant, function_named
 from mbdkit_opensim.osim_document import (
     flag_of,
     label_of,
+    last_part,
     name_of,
     number_of,
     numbers_of,
@@ -53,6 +54,29 @@ class _Pose:
         turned = _rotation(self.angle)
         arm = turned @ local
         return self.place + arm, self.velocity + self.spin * np.array([-arm[1], arm[0]]) + turned @ velocity
+
+
+@dataclass(frozen=True)
+class PairCoordinate:
+    """A coordinate that follows from the relative pose of two bodies: `quantity` is ``slope * coordinate + offset``.
+
+    `quantity` is an expression for the joint `coupling`, and `points` are the points of the pose, if it contains x or
+    y.
+    """
+
+    bodies: tuple[str, str]
+    quantity: str
+    slope: float
+    offset: float
+    points: tuple[list[float], list[float]] | None = None
+
+    def expression(self, first: str, second: str) -> str | None:
+        """Return the coordinate as an expression for a coupling of two bodies; None if there is none."""
+        own: str | None = self.quantity
+        if self.bodies != (first, second):
+            absolute = self.quantity == "angle" and self.bodies[0] == "ground"
+            own = {first: "first", second: "second"}.get(self.bodies[1]) if absolute else None
+        return own and f"({own} - ({float(self.offset)!r}))/({float(self.slope)!r})"
 
 
 def build_mechanism(
@@ -96,6 +120,7 @@ class _ModelBuilder:
         self.frames = OsimFrames(self.bodies, model)
         self.poses = {"ground": _Pose(np.zeros(2), 0.0, np.zeros(2), 0.0)}
         self.heights = {"ground": 0.0}
+        self.of_pairs: dict[str, PairCoordinate] = {}
 
     def mechanism(self) -> Mechanism:
         self.refuse_constraints()
@@ -111,6 +136,11 @@ class _ModelBuilder:
                 self.add(joint, parent, child)
         if loose := [name for name in self.bodies if name not in self.poses]:
             raise refused(f"body '{loose[0]}' has no joint, so it could move out of the plane")
+        for constraint in self.constraints():
+            if constraint.tag == "PointOnLineConstraint":
+                self.add_point_on_line(constraint)
+            else:
+                self.add_coupler(constraint)
         self.add_markers()
         of_muscles = self.add_muscles(joints) if self.with_muscles else []
         both, runs, idle = self.left_out()
@@ -159,11 +189,16 @@ class _ModelBuilder:
         """Return the parent and the child frame of a joint."""
         return self.frames.of_joint(joint, "socket_parent_frame"), self.frames.of_joint(joint, "socket_child_frame")
 
+    def constraints(self) -> list[Element]:
+        """Return the constraints that are enforced."""
+        found = objects_of(self.model, "ConstraintSet")
+        return [constraint for constraint in found if flag_of(constraint, "isEnforced", default=True)]
+
     def refuse_constraints(self) -> None:
         """Raise SpecError if the model contains components that influence the motion but cannot be read."""
-        for one in objects_of(self.model, "ConstraintSet"):
-            if flag_of(one, "isEnforced", default=True):
-                raise refused(f"{label_of(one)} is a constraint, which is not read; remove it or switch it off")
+        for constraint in self.constraints():
+            if constraint.tag not in ("CoordinateCouplerConstraint", "PointOnLineConstraint"):
+                raise refused(f"{label_of(constraint)} is a constraint, which is not read; remove it or switch it off")
         for one in self.model.iterfind("components/*"):
             if one.tag == "Body" or one.tag.endswith(("Joint", "Constraint")):
                 raise refused(f"{label_of(one)} stands outside of BodySet, JointSet and ConstraintSet")
@@ -183,7 +218,7 @@ class _ModelBuilder:
         """
         both, runs, idle = Names(list), Names(list), Names(list)
         read = {name_of(component) for component in self.muscles()} & {*self.result.muscles}
-        unread = [*unread_in(self.model)]
+        unread = [*unread_in(self.model), *(unread for one in self.constraints() for unread in unread_in(one))]
         for component in (*objects_of(self.model, "ForceSet"), *objects_of(self.model, "ControllerSet")):
             if component.tag in CURVES and name_of(component) in read:
                 unread += unread_in(component)
@@ -262,6 +297,10 @@ class _ModelBuilder:
             axis, points = (parent.axes @ direction).tolist(), self.points(parent, child, rest)
             self.result.prismatic(name, parent.body, child.body, points=points, axis=axis, angle=offset)
             self.name_coordinate(term.coordinate, f"{name}.angle", *_line(term))
+            assert term.coordinate is not None
+            self.of_pairs[term.coordinate.name] = PairCoordinate(
+                (parent.body, child.body), f"({axis[0]!r})*x + ({axis[1]!r})*y", *_line(term), points
+            )
         elif parent.body == "ground" and len(moved.coordinates) == 3 and all(_is_linear(t) for _, t in moved.moving):
             self.free(name, parent, child, moved, rest)
         else:
@@ -289,6 +328,8 @@ class _ModelBuilder:
         points = self.points(parent, child, rest)
         self.result.revolute(name, parent.body, child.body, points=points, center=center if parts else None)
         self.name_coordinate(moved.angle.coordinate, f"{name}.angle", slope, offset)
+        assert moved.angle.coordinate is not None
+        self.of_pairs[moved.angle.coordinate.name] = PairCoordinate((parent.body, child.body), "angle", slope, offset)
 
     def free(self, name: str, parent: OffsetFrame, child: OffsetFrame, moved: PlanarJoint, rest: np.ndarray) -> None:
         """Name the coordinates of a body that moves freely: those of a marker at the origin of its frame, and its
@@ -303,9 +344,76 @@ class _ModelBuilder:
                 raise refused(f"{moved.label} is not read: its displacements are not along the axes of the ground")
             slope, offset = _line(term)
             sign = float(np.sign(axis[along]))
-            self.name_coordinate(term.coordinate, f"{marker}.{'xy'[along]}", sign * slope, sign * offset + rest[along])
+            line = sign * slope, sign * offset + float(rest[along])
+            self.name_coordinate(term.coordinate, f"{marker}.{'xy'[along]}", *line)
+            assert term.coordinate is not None
+            points = [0.0, 0.0], (child.place - self.centres[child.body]).tolist()
+            pair = PairCoordinate(("ground", child.body), "xy"[along], *line, points)
+            self.of_pairs[term.coordinate.name] = pair
         offset, slope = self.relative(parent, child, moved)
         self.name_coordinate(moved.angle.coordinate, f"{child.body}.angle", slope, offset)
+        assert moved.angle.coordinate is not None
+        self.of_pairs[moved.angle.coordinate.name] = PairCoordinate(("ground", child.body), "angle", slope, offset)
+
+    def add_point_on_line(self, constraint: Element) -> None:
+        """Add a point of a body that stays on a line of another one."""
+        ends = []
+        for body, place in (("line", "point_on_line"), ("follower", "point_on_follower")):
+            name, origin, axes = self.frames.of_socket(constraint, f"socket_{body}_body")
+            ends.append((name, origin + axes @ numbers_of(constraint, place, 3, "0 0 0"), axes))
+        (first, on_line, axes), (second, point, _) = ends
+        direction = axes @ numbers_of(constraint, "line_direction_vec", 3, "0 0 0")
+        length = float(np.linalg.norm(direction))
+        if length == 0.0:
+            raise refused(f"{label_of(constraint)} has a line without direction")
+        apart = self.heights[first] + on_line[2] - self.heights[second] - point[2]
+        if abs(direction[2]) > FLAT * length or abs(apart) > FLAT:
+            raise refused(f"{label_of(constraint)} is not planar: its line and its point are not at one constant z")
+        points = (on_line[:2] - self.centres[first]).tolist(), (point[:2] - self.centres[second]).tolist()
+        name = self.free_name(constraint)
+        self.result.point_on_line(name, first, second, points=points, axis=(direction[:2] / length).tolist())
+
+    def add_coupler(self, constraint: Element) -> None:
+        """Add the coupling of two coordinates, if both follow from the relative pose of two bodies."""
+        label = label_of(constraint)
+        names = text_of(constraint, "independent_coordinate_names").split()
+        if len(names) != 1:
+            raise refused(f"{label} is not read: it depends on {len(names)} coordinates, not on one")
+        function = function_named(constraint, "coupled_coordinates_function", label)
+        if function.polynomial is None:
+            raise refused(f"{label} is not read: its function is a spline; polynomials and linear functions are")
+        pairs = []
+        for name in (text_of(constraint, "dependent_coordinate_name"), names[0]):
+            if (pair := self.of_pairs.get(last_part(name))) is None:
+                raise refused(f"{label} couples '{name}', which is no free coordinate of the model")
+            pairs.append(pair)
+        dependent, independent = pairs
+        scale = number_of(constraint, "scale_factor", "1")
+        for bodies in (dependent.bodies, independent.bodies, (independent.bodies[1], dependent.bodies[1])):
+            own, other = dependent.expression(*bodies), independent.expression(*bodies)
+            given = [pair.points for pair in pairs if pair.bodies == bodies and pair.points]
+            if bodies[0] == bodies[1] or own is None or other is None or given[1:] not in ([], given[:1]):
+                continue
+            powers = [
+                f"({scale * c!r})*({other})**{n}" if n else repr(scale * c) for n, c in enumerate(function.polynomial)
+            ]
+            self.result.add(
+                "joints", self.free_name(constraint), type="coupling", bodies=list(bodies),
+                points=list(given[0]) if given else [[0.0, 0.0], [0.0, 0.0]],
+                equation=f"{own} - ({' + '.join(powers)})", unit="rad" if dependent.quantity == "angle" else "m",
+            )  # fmt: skip
+            return
+        raise refused(
+            f"{label} is not read: a coupling knows the relative position of two bodies and the angle of the first, "
+            "from which its coordinates do not both follow"
+        )
+
+    def free_name(self, constraint: Element) -> str:
+        """Return the name of a constraint, changed if a joint has it."""
+        name = name_of(constraint)
+        while name in self.result.joints:
+            name += "'"
+        return name
 
     def name_coordinate(self, coordinate: OsimCoordinate | None, of: str, slope: float, offset: float) -> None:
         """Assign the name of a coordinate to the quantity `of`, which equals ``slope * coordinate + offset``."""

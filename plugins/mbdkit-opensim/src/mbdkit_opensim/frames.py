@@ -97,6 +97,13 @@ class OsimFrames:
         """
         return self._resolved(text_of(point, "socket_parent_frame"), "", point)
 
+    def of_socket(self, constraint: Element, socket: str) -> tuple[str, np.ndarray, np.ndarray]:
+        """Return the body to which a frame of a constraint is fixed, and position (3,) and axes (3, 3) of the frame in
+        that of the body.
+        """
+        path = text_of(constraint, socket) or text_of(constraint, socket.removeprefix("socket_"))  # of OpenSim 4, or 3
+        return self._resolved(path, f"/constraintset/{name_of(constraint)}", constraint)
+
     def _resolved(self, path: str, owner: str, element: Element) -> tuple[str, np.ndarray, np.ndarray]:
         """Return the body to which a frame is fixed, and position (3,) and axes (3, 3) of the frame in that of the
         body.

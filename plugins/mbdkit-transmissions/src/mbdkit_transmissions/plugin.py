@@ -26,18 +26,21 @@ def mbdkit_items() -> Iterable[Item]:
             summary="a gear that rolls on a rack",
             order=110,
             model=Target("mbdkit_transmissions.gears:Rack"),
+            example="rack-railway",
         ),
         JointKind(
             name="rolling",
             summary="a wheel that rolls without slip on a line or a circle",
             order=120,
             model=Target("mbdkit_transmissions.gears:Rolling"),
+            example="rack-railway",
         ),
         JointKind(
             name="belt",
             summary="a belt over two pulleys",
             order=130,
             model=Target("mbdkit_transmissions.gears:Belt"),
+            example="rack-railway",
         ),
         JointKind(
             name="cam",

@@ -18,7 +18,7 @@ from mbdkit.plugin import FunctionJoint
 from mbdkit.spec import load_spec
 from mbdkit_report import draw_mechanism
 
-NAMES = ("cam-follower", "geared-five-bar", "geared-knee-orthosis", "knee-slot", "planetary-gear")
+NAMES = ("cam-follower", "geared-five-bar", "geared-knee-orthosis", "knee-slot", "planetary-gear", "rack-railway")
 
 
 @cache
@@ -198,3 +198,21 @@ def test_joints_are_drawn_with_their_circles_and_curves(name: str) -> None:
     drawing = draw_mechanism(mechanism)
     assert lines
     assert sorted(len(shape) for shape in drawing.shapes) == sorted(len(line) for line in lines)
+
+
+def test_the_rack_railway_climbs_with_constant_acceleration() -> None:
+    # closed form: a mass with the inertias of the wheels, the pinion and the motor, which turns 12 rad per metre
+    run, p = checked("rack-railway"), load_spec("rack-railway").parameters
+    mass = 3000 + 2 * 80 + 60 + 200
+    acceleration = 12 * p["torque"] - mass * 9.81 * np.sin(np.arctan(0.2))
+    acceleration /= mass + 2 * 5 / 0.35**2 + 2 / 0.25**2 + 0.8 * 12**2
+    assert run["carriage"].velocity[:, 0] == pytest.approx(acceleration * run.time, abs=1e-9)
+    assert run["motor"].angle == pytest.approx(-12 * acceleration * run.time**2 / 2, abs=1e-8)
+    # the rails only turn the wheels; the teeth carry what the inertias of motor and pinion leave of the torque
+    for rail in ("rear_rail", "front_rail"):
+        along = run.joints[rail].reaction_force[:, 0]
+        assert along == pytest.approx(np.full(len(along), -5 * acceleration / 0.35**2), abs=1e-6)
+    teeth = 12 * p["torque"] - (2 / 0.25**2 + 0.8 * 12**2) * acceleration
+    forces = np.hypot(*run.joints["rack"].reaction_force.T)
+    assert forces == pytest.approx(np.full(len(forces), teeth), abs=1e-6)
+    assert "coefficient of friction needed" in run.summary()
