@@ -46,17 +46,29 @@ def belted() -> Mechanism:
 
 
 def curved() -> Mechanism:
-    """Return slots and cams with points as followers, given by expressions and tables, and couplings."""
+    """Return a slot given by an expression, and a coupling of all coordinates."""
     m = pair()
     m.slot("graph", "a", "b", curve={"y": "0.3*x**2 - 0.1"}, point=(0.02, 0.03))
+    m.coupling("K", "a", "b", equation="sin(angle)*x - 2*first**3 + 0.25*pi*t**2 + exp(y*second) - 1")
+    return m
+
+
+def tabulated() -> Mechanism:
+    """Return a slot given by a table."""
+    m = pair()
     m.slot("table", "a", "b", curve={"y": {"table": [[0.0, 0.2, 0.4, 0.6], [0.0, 0.1, 0.05, 0.2]]}})
-    m.cam("closed", "a", "b", profile={"table": [[0, 2, 4, 2 * math.pi], [0.5, 0.6, 0.55, 0.5]], "ends": "periodic"})
-    m.coupling("K", "a", "b", equation="sin(angle)*x - 2*first**3 + 0.25*pi*t**2 + exp(y*second)")
+    return m
+
+
+def periodic() -> Mechanism:
+    """Return a cam given by a table."""
+    m = pair()
+    m.cam("C", "a", "b", profile={"table": [[0, 2, 4, 2 * math.pi], [0.5, 0.6, 0.55, 0.5]], "ends": "periodic"})
     return m
 
 
 @pytest.mark.parametrize("numbers", [True, False])
-@pytest.mark.parametrize("model", [geared, rolling, belted, curved])
+@pytest.mark.parametrize("model", [geared, rolling, belted, curved, tabulated, periodic])
 def test_symbols_and_engine_give_the_same_numbers(model: Callable[[], Mechanism], numbers: bool) -> None:
     m = model()
     system, equations = m.to_sympy(numbers=numbers), EquationsOfMotion.of(m)
