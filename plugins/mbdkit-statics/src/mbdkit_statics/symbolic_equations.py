@@ -214,7 +214,8 @@ class _SystemBuilder:
     ) -> dict[sp.Symbol, sp.Expr]:
         """Return a function of the pose and its derivatives, given the other symbols of the definitions."""
         given = {
-            letter: self.parameter(value, letter, joint, tex=_text(letter)) for letter, value in function.parameters
+            letter: _angle(value) if self.numbers else self.parameter(value, letter, joint, tex=_text(letter))
+            for letter, value in function.parameters
         }
         x, y, angle, first = sp.symbols("x y angle first", real=True)
         try:
