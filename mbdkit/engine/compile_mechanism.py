@@ -12,7 +12,7 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import plain, quoted
+from mbdkit.base.plain_data import plain
 from mbdkit.engine.compile_forces import Lowering, Numbers, acting_kinds, table
 from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
@@ -39,8 +39,7 @@ from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.element_kinds import element_kinds
-from mbdkit.mechanism.joint_base import Constraint, PoseFunction
-from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.joint_base import PoseFunction
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import ELEMENTS
 from mbdkit.registry.seam import OwnSeam
@@ -263,19 +262,12 @@ class _Pair:
     function: PoseFunction | None = None
 
 
-def _constraints(mechanism: Mechanism, name: str, joint: Joint) -> list[Constraint]:
-    try:
-        return joint.constraints(mechanism.relative_pose(joint))
-    except SpecError as error:
-        raise error.located(prefix=f"model.joints.{quoted(name)}") from None
-
-
 def _pairs(mechanism: Mechanism, number: dict[str, int], motions: CompiledMotions) -> list[_Pair]:
     """Return the pairs of rows of all joints. The rows of a pair have the same unit, metres or radians."""
     pairs: list[_Pair] = []
     for j, (name, joint) in enumerate(mechanism.joints.items()):
         a, b = joint.bodies
-        for one in _constraints(mechanism, name, joint):
+        for one in mechanism.constraints_of(name):
             motion = -1 if one.motion is None else motions.add(one.motion)
             numbers = (*one.points, *one.constants)
             ends = (number[a], number[b])

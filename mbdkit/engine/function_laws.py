@@ -6,14 +6,13 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
 from mbdkit.engine.function_program import block
 from mbdkit.engine.kernels import law_programs
 from mbdkit.engine.kernels.pose_functions import OF_TIME, THIRD, VALUES
-from mbdkit.expressions.recorded import Recorder
 from mbdkit.expressions.recorded_derivatives import derivatives
-from mbdkit.mechanism.joint_base import Function, Pose, PoseFunction
+from mbdkit.mechanism.joint_base import Function, Pose, PoseFunction, record_function
 
 VARIABLES = len(Pose._fields)
 
@@ -31,15 +30,10 @@ def laws_of_function(function: PoseFunction, name: str) -> tuple[CompiledLaw, Co
 
 @lru_cache(maxsize=256)
 def _laws(function: Function, parameters: tuple[str, ...], name: str) -> tuple[CompiledLaw, CompiledLaw]:
-    recorder = Recorder()
-    x, y, angle, first_angle, time = (recorder.input(variable) for variable in Pose._fields)
-    pose = (x, y, angle, first_angle)
-    given = {parameter: recorder.input(f"parameter {parameter}") for parameter in parameters}
     try:
-        with blaming(f"the constraint of joint '{name}' cannot be computed", SpecError):
-            value: Any = function(Pose(x, y, angle, first_angle, time), given)
-        terms = derivatives(value, (*pose, time), order=3)
-        inputs = (*pose, *given.values(), time)
+        value, pose, given = record_function(function, parameters, name)
+        terms = derivatives(value, pose, order=3)
+        inputs = (*pose[:-1], *given.values(), pose[-1])
         first = replace(_law(block(inputs, terms[:VALUES])), claims=0 if terms[VARIABLES].number == 0.0 else OF_TIME)
         return first, _law(block(inputs, terms[VALUES : VALUES + THIRD]))
     except (PluginError, SpecError) as error:

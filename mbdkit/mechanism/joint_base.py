@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
+from mbdkit.base.errors import SpecError, blaming
+from mbdkit.expressions.recorded import Recorded, Recorder
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Attachment, Between
 from mbdkit.mechanism.values import Motion, Points
@@ -56,6 +58,28 @@ class PoseFunction:
 
     function: Function
     parameters: tuple[tuple[str, float], ...] = ()
+
+
+class RecordedFunction(NamedTuple):
+    """A `PoseFunction` as a graph of terms."""
+
+    value: Recorded
+    pose: tuple[Recorded, ...]
+    """The inputs that are the entries of the `Pose`; the last one is the time."""
+    parameters: dict[str, Recorded]
+    """The inputs that are parameters."""
+
+
+def record_function(function: Function, parameters: Sequence[str], joint: str) -> RecordedFunction:
+    """Call a function of a pose once, with numbers that record operations.
+
+    Raises SpecError, which names the joint, if the function cannot be computed.
+    """
+    recorder = Recorder()
+    pose = tuple(recorder.input(variable) for variable in Pose._fields)
+    given = {parameter: recorder.input(f"parameter {parameter}") for parameter in parameters}
+    with blaming(f"the constraint of joint '{joint}' cannot be computed", SpecError):
+        return RecordedFunction(recorder.constant(function(Pose(*pose), given)), pose, given)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from mbdkit.mechanism.bodies import GROUND, Element
 from mbdkit.mechanism.checks import check_centers, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.element_kinds import builder_of, check_elements, element_kinds, kind_built_by
 from mbdkit.mechanism.element_methods import ElementMethods
-from mbdkit.mechanism.joint_base import JointBase, Pose
+from mbdkit.mechanism.joint_base import Constraint, JointBase, Pose
 from mbdkit.mechanism.joint_kinds import joint_builder, joint_builders
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
@@ -174,6 +174,17 @@ class Mechanism(ElementMethods, HtmlView):
         xa, ya, xb, yb = joint.flat_points
         x, y = self.to_local(a, self.to_global(b, (xb, yb)))
         return Pose(x - xa, y - ya, self.relative_angle(a, b), self.relative_angle(GROUND, a), 0.0)
+
+    def constraints_of(self, name: str) -> list[Constraint]:
+        """Return the constraints of a joint.
+
+        Raises SpecError if its bodies cannot be joined at their initial positions.
+        """
+        joint = self.joints[name]
+        try:
+            return joint.constraints(self.relative_pose(joint))
+        except SpecError as error:
+            raise error.located(prefix=f"model.joints.{quoted(name)}") from None
 
     def constraint_rows(self) -> list[tuple[str, str]]:
         """Return (name, unit) of each constraint row, such as ``("A.x", "m")``, in the order of the joints."""

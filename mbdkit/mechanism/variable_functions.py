@@ -10,7 +10,7 @@ from typing import Any
 from mbdkit.base.text import listed
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
-from mbdkit.expressions.program import Program, value_of
+from mbdkit.expressions.program import Program, execute, value_of
 from mbdkit.expressions.recorded import Recorded
 from mbdkit.mechanism.values import Table, curve_of
 
@@ -84,6 +84,38 @@ def value_of_table(table: Table, at: Recorded) -> Recorded:
     return at.recorder.table(curve.x, curve.c[::-1].T, at, table.period)
 
 
+@lru_cache(maxsize=1024)
+def with_numbers(text: str, variables: tuple[str, ...]) -> tuple[Program, tuple[float, ...]]:
+    """Return the program of a text in which numbers are variables, and these numbers.
+
+    Texts that differ in numbers then have the same program, and can be differentiated with respect to the numbers.
+    Exponents stay numbers, because derivatives of powers with variable exponents need positive operands.
+
+    Returns
+    -------
+    program
+        Program for `value_of_program`, with variables ``0``, ``1``, ... for the numbers.
+    numbers
+        The numbers.
+    """
+    program = smooth_program(text, variables)
+
+    def step(operation: str, place: float, *operands: frozenset[int]) -> frozenset[int]:
+        if operation == "const":
+            return frozenset((int(place),))
+        return operands[0] if operation == "pow" else frozenset().union(*operands)
+
+    varied = execute(tuple((operation, float(place)) for place, (operation, _) in enumerate(program)), step)
+    names = {place: f"{_VARIABLE}{i}" for i, place in enumerate(sorted(varied))}
+    changed = [(names[i], 0.0) if i in names else instruction for i, instruction in enumerate(program)]
+    return tuple(changed), tuple(program[place][1] for place in names)
+
+
+def value_of_program(program: Program, values: Mapping[str, Any]) -> Any:
+    """Return the value of the program of a text, given the values of all its variables by name."""
+    return value_of(program, lambda operation, number: values.get(operation.removeprefix(_VARIABLE), number))
+
+
 def value_of_text(text: str, values: Mapping[str, Any]) -> Any:
     """Return the value of a function of variables.
 
@@ -94,8 +126,4 @@ def value_of_text(text: str, values: Mapping[str, Any]) -> Any:
     values
         Values of all its variables by name: numbers, arrays, or numbers that record operations.
     """
-
-    def leaf(operation: str, number: float) -> Any:
-        return number if operation == "const" else values[operation.removeprefix(_VARIABLE)]
-
-    return value_of(smooth_program(text, tuple(values)), leaf)
+    return value_of_program(smooth_program(text, tuple(values)), values)

@@ -55,8 +55,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         columns_of as columns_of, number_or_table as number_or_table, pair as pair, sequence as sequence,
     )
     from mbdkit.mechanism.variable_functions import (
-        function_of as function_of, value_of_table as value_of_table, value_of_text as value_of_text,
+        function_of as function_of, value_of_program as value_of_program, value_of_table as value_of_table,
+        value_of_text as value_of_text, with_numbers as with_numbers,
     )
+    from mbdkit.symbolic.symbolic_function import symbolic_function as symbolic_function
     from mbdkit.symbolic.symbolic_law import LENGTH as LENGTH, RATE as RATE, T as T, law_expressions as law_expressions
     from mbdkit.mechanism.extent import points_of_elements as points_of_elements
     from mbdkit.mechanism.mechanism_seams import lines_of as lines_of

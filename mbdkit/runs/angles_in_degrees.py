@@ -21,7 +21,7 @@ from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.motion_corners import jet_of
 from mbdkit.mechanism.parameter_units import outside_pure_functions
-from mbdkit.mechanism.parameters import evaluate, names_in, parameters_in_use
+from mbdkit.mechanism.parameters import RESERVED, evaluate, names_in, parameters_in_use
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.mechanism.values import Table
 from mbdkit.spec import RunSpec
@@ -69,8 +69,8 @@ def angles_in_degrees(spec: ModelSpec) -> Iterator[str]:
             continue
         if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
             continue  # functions of time and expressions of numbers are assumed to be in radians
-        if isinstance(angle, str) and names_in(angle) - {"pi", "degrees", *OPERATIONS}:
-            continue  # a function of variables, such as the profile of a cam
+        if isinstance(angle, str) and not names_in(angle) <= RESERVED:
+            continue  # a function of variables, such as the equation of a coupling
         value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
         is_number = written is None or isinstance(spec.parameters.get(written), int | float)
         if not looks_like_degrees(value):

@@ -9,6 +9,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import path_text
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.joint_base import FunctionJoint
 from mbdkit.mechanism.joints import Driver, Joint
 from mbdkit.mechanism.values import Table
 from mbdkit.quantities.quantity import Quantity
@@ -66,6 +67,8 @@ def zero_reactions_in(spec: RunSpec, where: str, expression: MeasureExpression) 
 
 def _not_transmitted(joint: Joint, reaction: Quantity) -> str:
     """Return why a joint cannot transmit a reaction; empty if it can, and for other quantities."""
+    if isinstance(joint, FunctionJoint):  # its force and torque follow from the derivatives of its functions
+        return ""
     kind = f"a {joint.type} joint" if not isinstance(joint, Driver) else f"a driver of {joint.coordinate}"
     if reaction.attribute == "torque" and "rad" not in joint.units and getattr(joint, "center", None) is None:
         has_friction = getattr(joint, "friction", None) is not None

@@ -100,6 +100,8 @@ class Interpreter:
             self._known |= one.forms(tools)
         polynomial = self(motions._piecewise_polynomial)
         self._known[motions._piecewise_polynomial] = lambda *given: every_branch(lambda: polynomial(*given))
+        table = self(law_programs._piecewise_polynomial)
+        self._known[law_programs._piecewise_polynomial] = lambda *given: every_branch(lambda: [table(*given)])[0]
 
     def __call__(self, function: Any) -> Any:
         """Return a function, kernel or law that is executed with symbols, as are all functions of mbdkit it calls."""
@@ -144,13 +146,15 @@ class Interpreter:
                 self(law)(int(program), length, rate, time, given.view(Numbers), out[row:].reshape(-1).view(Numbers))
             elif isinstance(law, LawFunction):
                 run = self(law)
+                if law is law_programs.run_function:  # it writes all its results, into several rows
+                    count = int(calls.integers_at(int(program), law_programs.HEAD)[2])
 
                 def results() -> Any:
                     values = np.full(count, 0.0, dtype=object)
                     run(int(program), length, rate, time, given, values)
                     return values
 
-                out[row] = every_branch(results)
+                out[row:].reshape(-1)[:count] = every_branch(results)
             else:
                 function, numbers = self(law), given[1 : 1 + int(given[0])]
                 out[row] = every_branch(lambda: function(length, rate, time, numbers))

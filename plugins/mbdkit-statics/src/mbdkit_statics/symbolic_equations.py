@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ import sympy as sp
 from sympy.core.function import UndefinedFunction
 
 from mbdkit.expressions.parser import Expression
-from mbdkit.plugin import GROUND, ExpressionLaw, Mechanism, Pathway, Segment, SpecError, Table, quoted
+from mbdkit.plugin import GROUND, ExpressionLaw, Mechanism, Pathway, PoseFunction, Segment, SpecError, Table, quoted
 from mbdkit.plugin.mechanisms import (
     LENGTH,
     RATE,
@@ -37,6 +37,7 @@ from mbdkit.plugin.mechanisms import (
     is_of_state,
     joint_with_friction,
     law_expressions,
+    symbolic_function,
 )
 from mbdkit.plugin.mechanisms import T as LAW_TIME
 from mbdkit.plugin.specs import law_parameters
@@ -178,12 +179,14 @@ class _SystemBuilder:
         constraints, jacobian, gamma, multipliers = [], [], [], []
         for name, joint in self.mechanism.joints.items():
             a, b = (self.bodies.index(body) for body in joint.bodies)
-            for constraint in joint.constraints(self.mechanism.relative_angle(*joint.bodies)):
+            for constraint in self.mechanism.constraints_of(name):
                 terms = _constraint_terms(constraint.kind)
                 jet = None if constraint.motion is None else _jet(constraint.motion)
                 here = self.values(
                     a, b, self.constraint_parameters(name, joint.bodies, constraint), jet, constraint.center
                 )
+                if constraint.function is not None:
+                    here |= self.function_values(name, constraint.function, here)
                 for index in range(constraint.rows):
                     constraints.append(terms["phi"][index].xreplace(here))
                     gamma.append(terms["gamma"][index].xreplace(here))
@@ -205,6 +208,29 @@ class _SystemBuilder:
             letter, tex = named[i] if i < len(named) else (f"p{i + 4}", f"p^{{({i + 4})}}")
             parameters.append(self.parameter(x, letter, joint, tex=tex))
         return parameters
+
+    def function_values(
+        self, joint: str, function: PoseFunction, here: dict[sp.Symbol, sp.Expr]
+    ) -> dict[sp.Symbol, sp.Expr]:
+        """Return a function of the pose and its derivatives, given the other symbols of the definitions."""
+        given = {
+            letter: _angle(value) if self.numbers else self.parameter(value, letter, joint, tex=_text(letter))
+            for letter, value in function.parameters
+        }
+        x, y, angle, first = sp.symbols("x y angle first", real=True)
+        try:
+            values = symbolic_function(
+                function, joint, (x, y, angle, first, TIME), given, _angle, partial(self.table, joint, {})
+            )
+        except SpecError as error:
+            raise error.located(prefix=f"model.joints.{quoted(joint)}") from None
+        pose = {
+            x: (d.in_x - d.PARAMETERS[0]).xreplace(here),
+            y: (d.in_y - d.PARAMETERS[1]).xreplace(here),
+            angle: (d.thb - d.tha).xreplace(here),
+            first: d.tha.xreplace(here),
+        }
+        return {symbol: value.xreplace(pose) for symbol, value in zip(d.FUNCTION.values(), values, strict=False)}
 
     def add_force(self, name: str, force: Force) -> None:
         """Add the generalized forces of a force element."""
@@ -306,15 +332,30 @@ class _SystemBuilder:
         def force(length: float, rate: float, time: float) -> float:
             return float(function(length, rate, time, parameters)[0])
 
+        return self.undefined(f"F_{name}", f"F_{{{_text(name)}}}", force)
+
+    def undefined(self, word: str, tex: str, function: Callable[..., float]) -> Any:
+        """Return an undefined function that evaluates numerically."""
+
         def latex(term: Any, printer: Any, exp: str | None = None) -> str:
-            shown = rf"F_{{{_text(name)}}}\left({', '.join(printer._print(x) for x in term.args)}\right)"
+            shown = rf"{tex}\left({', '.join(printer._print(x) for x in term.args)}\right)"
             return shown if exp is None else rf"{{{shown}}}^{{{exp}}}"
 
-        word = "F_" + re.sub(r"\W", "_", name)
+        word = re.sub(r"\W", "_", word)
         while word in self.functions:
             word += "_"
         self.functions.add(word)
-        return UndefinedFunction(word, __dict__={"_imp_": staticmethod(force), "_latex": latex})
+        return UndefinedFunction(word, __dict__={"_imp_": staticmethod(function), "_latex": latex})
+
+    def table(
+        self, joint: str, known: dict[tuple[int, int], Any], function: Callable[[float], float], table: int, order: int
+    ) -> Any:
+        """Return a derivative of a table of a joint as an undefined function."""
+        if (table, order) not in known:
+            index = _text(joint) + (f",{table + 1}" if table else "")
+            tex = rf"f_{{{index}}}" + (rf"^{{({order})}}" if order else "")
+            known[table, order] = self.undefined(f"f_{joint}_{table}_{order}", tex, function)
+        return known[table, order]
 
     def add(self, terms: sp.Matrix, a: str, b: str, parameters: Sequence[sp.Expr]) -> None:
         """Add generalized forces (6, 1), given in the symbols of the definitions, to those of bodies `a` and `b`."""

@@ -9,21 +9,24 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator
 
 from mbdkit.plugin import FunctionJoint, Pose, PoseFunction
-from mbdkit.plugin.mechanisms import function_of, value_of_text
+from mbdkit.plugin.mechanisms import function_of, value_of_program, with_numbers
 
 VARIABLES = ("x", "y", "angle", "first", "second", "t")
+NUMBER = "c"
+"""Prefix of the names of parameters, which are the numbers in the equation."""
 
 
 @dataclass(frozen=True)
 class Equation:
-    """The left side of an equation ``text = 0``, as a function of the pose."""
+    """The left side of an equation ``f = 0``, as a function of the pose; its numbers are parameters."""
 
-    text: str
+    program: tuple[tuple[str, float], ...]
 
     def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
         """Return its value."""
         own = (pose.x, pose.y, pose.angle, pose.first, pose.first + pose.angle, pose.t)
-        return value_of_text(self.text, dict(zip(VARIABLES, own, strict=True)))
+        numbers = {name.removeprefix(NUMBER): number for name, number in p.items()}
+        return value_of_program(self.program, numbers | dict(zip(VARIABLES, own, strict=True)))
 
 
 class Coupling(FunctionJoint):
@@ -48,4 +51,5 @@ class Coupling(FunctionJoint):
 
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
-        return [PoseFunction(Equation(self.equation))]
+        program, numbers = with_numbers(self.equation, VARIABLES)
+        return [PoseFunction(Equation(program), tuple((f"{NUMBER}{i}", x) for i, x in enumerate(numbers)))]
