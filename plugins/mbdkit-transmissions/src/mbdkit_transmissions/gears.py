@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from mbdkit.plugin import FunctionJoint, Number, Point, Pose, PoseFunction, Positive, SideForce, SpecError
 from mbdkit.plugin.mechanisms import pair
 
+TURN = 2 * math.pi
 PITCH = 1e-3
 """Largest deviation of the distance of the centres at the start from that of the pitch circles, as a fraction of it."""
 
@@ -25,13 +26,15 @@ Teeth = Annotated[tuple[int, int], BeforeValidator(pair("two numbers of teeth, [
 
 
 def rolling_circles(pose: Pose, p: Mapping[str, Any]) -> Any:
-    """Return how far two circles have slipped on each other [m], up to its third power.
+    """Return how far two circles have slipped on each other [m].
 
-    This is the distance of the second centre from the line of centres that follows from the relative angle. It counts
-    turns of this line, and never jumps.
+    The angle of the line of centres gets the whole turns with which it is closest to the one that follows from the
+    relative angle, so that it never jumps. Since the constraint is linear in angles, it does not drift in motions in
+    which all angles change evenly.
     """
     wanted = (p["radius"] * pose.angle - p["offset"]) / p["distance"]
-    return p["side"] * (pose.x * np.sin(wanted) - pose.y * np.cos(wanted))
+    off = wanted - np.arctan2(pose.y, pose.x)
+    return p["distance"] * (off - TURN * np.floor(off.plain / TURN + 0.5))
 
 
 def equal_turns(pose: Pose, p: Mapping[str, Any]) -> Any:
@@ -45,8 +48,7 @@ def _rolling(start: Pose, first: float, second: float) -> PoseFunction:
     if distance == 0.0:
         return PoseFunction(equal_turns, (("radius", second), ("start", start.angle)))
     offset = second * start.angle - distance * math.atan2(start.y, start.x)
-    numbers = {"distance": distance, "offset": offset, "radius": second, "side": math.copysign(1.0, distance)}
-    return PoseFunction(rolling_circles, tuple(numbers.items()))
+    return PoseFunction(rolling_circles, (("distance", distance), ("offset", offset), ("radius", second)))
 
 
 def _check_distance(start: Pose, wanted: float, key: str, text: str) -> None:
