@@ -52,7 +52,11 @@ def find(name: str, installed: Registry | None = None, further: Iterable[Kind] =
         kinds = [kind for kind, item_class in KINDS.items() if issubclass(item_class, Plugin)]
         listing = listed(list(dict.fromkeys(name for kind in kinds for name in installed.names(kind))))
         raise SpecError(f"there is no plugin '{name}'{did_you_mean(name, names)}; installed: {listing}")
-    return [item for item in named if isinstance(item.plugin, Plugin) or item.kind in further] or named
+    return [item for item in named if _has_options(item) or item.kind in further] or named
+
+
+def _has_options(item: Registered) -> bool:
+    return issubclass(KINDS[item.kind], Plugin)
 
 
 def details(item: Registered) -> dict[str, Any]:
@@ -66,7 +70,7 @@ def details(item: Registered) -> dict[str, Any]:
         "version": item.origin.version,
         "entry_point": item.origin.entry_point,
     }
-    if isinstance(item.plugin, Plugin):
+    if _has_options(item):
         shown |= {"options": named_options(item).model_json_schema(), "references": list(item.plugin.references)}
         if claims := item.plugin.claimed():
             shown["claims"] = dict(claims)
@@ -80,7 +84,7 @@ def page(item: Registered) -> str:
         f"  {item.plugin.summary}",
         f"  from {item.origin.distribution} {item.origin.version}, entry point {item.origin.entry_point}",
     ]
-    if not isinstance(item.plugin, Plugin):
+    if not _has_options(item):
         return "\n".join([*lines, f"  has no options; its code and its help: mbdkit plugins where {item.id}"])
     lines += ["", "Options:", *_option_lines(item.plugin.options)]
     if claims := item.plugin.claimed():
