@@ -70,7 +70,7 @@ def details(item: Registered) -> dict[str, object]:
         "version": item.origin.version,
         "entry_point": item.origin.entry_point,
     }
-    if isinstance(item.plugin, Plugin):
+    if _has_options(item):
         shown |= {"options": named_options(item).model_json_schema(), "references": list(item.plugin.references)}
         if claims := item.plugin.claimed():
             shown["claims"] = dict(claims)
