@@ -51,6 +51,7 @@ def _needed(provenance: Mapping[str, object]) -> Iterator[Needed]:
         ("force-law", "force_laws"),
         ("spec-kind", "spec_kind"),
         ("quantity", "quantities"),
+        ("joint-kind", "joint_kinds"),
     )
     for kind, key in kinds:
         names = (key, f"{key}_distribution", f"{key}_version", f"{key}_group")

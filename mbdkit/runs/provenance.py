@@ -14,6 +14,7 @@ from typing import Any, cast
 from mbdkit.base.command_words import command_line
 from mbdkit.base.distributions import MBDKIT, own_version
 from mbdkit.engine.native.machine_code import code_id
+from mbdkit.mechanism.joint_kinds import joint_kinds
 from mbdkit.quantities.registered_kinds import kinds_of_others
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import SpecKind
@@ -92,7 +93,7 @@ def plugins_of(spec: RunSpec) -> dict[str, str]:
     kinds = registry().of_kind("spec-kind") if type(spec) is not RunSpec else ()
     own = [("spec_kind", kind) for kind in kinds if kind.origin.distribution != MBDKIT and _is_of(spec, kind)]
     items = {"model": spec.model_item, "integrator": spec.integrator_item, **dict(own)}
-    return _plugins(items, spec) | _quantities(spec)
+    return _plugins(items, spec) | _quantities(spec) | _joints(spec)
 
 
 def _is_of(spec: RunSpec, kind: Registered) -> bool:
@@ -114,6 +115,16 @@ def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:
         for part in ("distribution", "version", "entry_point"):
             versions[f"force_laws_{part}"] = ", ".join(getattr(item.origin, part) for item in laws)
     return versions
+
+
+def _joints(spec: RunSpec) -> dict[str, str]:
+    """Return the plugins of other distributions whose types of joints a run has, and their versions."""
+    types = {getattr(joint, "type", "") for joint in spec.mechanism().joints.values()}
+    items = [item for name, item in joint_kinds().items() if name in types and item.origin.distribution != MBDKIT]
+    entries = {"joint_kinds": [item.id for item in items]}
+    for part in ("distribution", "version", "entry_point"):
+        entries[f"joint_kinds_{part}"] = [getattr(item.origin, part) for item in items]
+    return {key: ", ".join(texts) for key, texts in entries.items() if texts}
 
 
 def _quantities(spec: RunSpec) -> dict[str, str]:
