@@ -77,9 +77,9 @@ class OfJointKinds:
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Return the JSON schema with all installed types."""
         union = handler(cast("Any", schema)["schema"])
+        # the discriminator maps names of types to references, which types of plugins do not have
         kinds = [joint_class(item) for name, item in joint_kinds().items() if ":" not in name]
         union["oneOf"] = [*union["oneOf"], *(handler(kind.__pydantic_core_schema__) for kind in kinds)]
-        union.pop("discriminator")  # which would need a reference to each type; `type` has one value in each
         return union
 
     @staticmethod
