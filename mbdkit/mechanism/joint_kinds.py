@@ -77,12 +77,9 @@ class OfJointKinds:
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Return the JSON schema with all installed types."""
         union = handler(cast("Any", schema)["schema"])
-        for name, item in joint_kinds().items():
-            if ":" not in name:
-                reference = handler(joint_class(item).__pydantic_core_schema__)
-                union["oneOf"].append(reference)
-                if "$ref" in reference:
-                    union["discriminator"]["mapping"][name] = reference["$ref"]
+        # the discriminator maps names of types to references, which types of plugins do not have
+        kinds = [joint_class(item) for name, item in joint_kinds().items() if ":" not in name]
+        union["oneOf"] = [*union["oneOf"], *(handler(kind.__pydantic_core_schema__) for kind in kinds)]
         return union
 
     @staticmethod
