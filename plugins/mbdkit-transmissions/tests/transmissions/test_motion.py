@@ -92,7 +92,7 @@ def test_gears_on_the_ground_have_the_inertia_of_both() -> None:
 
 def test_a_planetary_gear_has_the_ratio_of_its_teeth() -> None:
     """Expected: with the ring held, the carrier turns by s / (s + r) of the sun, by Willis' equation."""
-    m = Mechanism()
+    m = Mechanism(gravity=(0.0, 0.0))
     m.body("sun", mass=2.0, inertia=0.02)
     m.body("carrier", mass=1.0, inertia=0.03, position=(0.075, 0.0))
     m.body("planet", mass=0.5, inertia=0.001, position=(0.15, 0.0))
@@ -101,8 +101,8 @@ def test_a_planetary_gear_has_the_ratio_of_its_teeth() -> None:
     m.revolute("P", "carrier", "planet", at=(0.15, 0.0))
     m.gear("inner", "sun", "planet", teeth=(40, 20), module=0.005)
     m.gear("outer", m.ground, "planet", teeth=(80, 20), module=0.005, internal=True)
-    m.torque("T", "sun", value=5.0)
-    found = run(m, end=3.0, step=0.02)
+    m.torque("T", "sun", value=0.25)
+    found = run(m, end=3.0, step=0.01)
     sun, carrier, planet = (found.bodies[name].angle[-1] for name in ("sun", "carrier", "planet"))
     assert abs(sun) > 4 * math.pi
     assert carrier == pytest.approx(sun * 40 / (40 + 80), rel=1e-10)

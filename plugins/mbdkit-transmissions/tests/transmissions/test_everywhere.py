@@ -1,0 +1,128 @@
+"""Transmissions in other computations: vectorized runs, gradients, CasADi, statics, archives."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit import EquationsOfMotion, Mechanism, SpecError
+from mbdkit.plugin.equations import Starts
+from mbdkit.spec import load_spec
+from mbdkit_studies.lanes.lane_runs import LaneRuns
+
+from .geared_arm import coupled, crossed, geared, links
+
+GAUSS = {"name": "gauss", "stages": 3}
+TIME = {"end": 0.2, "step": 0.005}
+
+
+def spec_of(ratio: float = 1.5, integrator: Any = GAUSS, **sections: Any) -> dict[str, Any]:
+    """Return the spec of a run of the arm with a coupling, whose ratio is a parameter."""
+    disc = {"mass": 1.0, "inertia": 0.1}
+    joints = {
+        "A": {"type": "revolute", "bodies": ["ground", "a"], "at": [0, 0]},
+        "B": {"type": "revolute", "bodies": ["a", "b"], "at": [1, 0]},
+        "G": {"type": "coupling", "bodies": ["a", "b"], "equation": "angle - ratio*first"},
+    }
+    bodies = {"a": disc | {"position": [0.5, 0.0]}, "b": disc | {"position": [1.5, 0.0]}}
+    model = {"name": "mechanism", "gravity": [0.0, -9.81], "bodies": bodies, "joints": joints}
+    own = {"mbdkit": 1, "parameters": {"ratio": ratio}, "model": model, "integrator": integrator, "time": TIME}
+    return own | sections
+
+
+@pytest.mark.parametrize("integrator", [GAUSS, {"name": "rk4"}, {"name": "radau-iia", "stages": 3}])
+def test_vectorized_runs_have_the_bits_of_single_runs(integrator: dict[str, Any]) -> None:
+    specs = [load_spec(spec_of(ratio, integrator)) for ratio in (1.3, 1.4, 1.5, 1.6, 1.7)]
+    lanes = LaneRuns(Starts(), ())
+    members = [member for member in lanes.members(specs) if member is not None]
+    assert len(members) == len(specs)
+    found = {index: run for vector in lanes.finished(members) for index, run in vector if run is not None}
+    assert [found[i].data_sha256 for i in range(len(specs))] == [mbdkit.run(spec).data_sha256 for spec in specs]
+
+
+def test_the_gradient_by_a_number_of_an_equation_is_that_of_differences() -> None:
+    measures = {"angle": "final(bodies.b.angle)", "torque": "final(joints.G.torque)"}
+    gradient = mbdkit.gradient(spec_of(), measures, ["ratio"], check=False)
+    step = 1e-5
+    values = []
+    for ratio in (1.5 - step, 1.5 + step):
+        run = mbdkit.run(spec_of(ratio))
+        values.append([run.bodies["b"].angle[-1], run.joints["G"].reaction_torque[-1]])
+    differences = np.diff(values, axis=0)[0] / (2 * step)
+    np.testing.assert_allclose(gradient.jacobian[:, 0], differences, rtol=1e-7)
+
+
+@pytest.mark.parametrize("model", [geared, coupled, crossed])
+def test_casadi_has_the_equations_of_the_engine(model: Any) -> None:
+    pytest.importorskip("casadi")
+    m = model()
+    system, equations = m.to_casadi(), EquationsOfMotion.of(m)
+    generator = np.random.default_rng(3)
+    q, v, a = (generator.standard_normal(equations.n) for _ in range(3))
+    lam = generator.standard_normal(equations.m)
+    state = (q, v, a, lam, [], [], [], 0.0)
+    position, velocity, acceleration = (np.ravel(x) for x in system.constraints(*state))
+    close: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-12}
+    np.testing.assert_allclose(position, equations.constraints(0.0, q), **close)
+    np.testing.assert_allclose(velocity, equations.constraint_rates(0.0, q, v), **close)
+    rates = equations.constraint_jacobian(0.0, q) @ a - equations.gamma(0.0, q, v)
+    np.testing.assert_allclose(acceleration, rates, **close)
+    np.testing.assert_allclose(np.ravel(system.residual(*state)), equations.residual(0.0, q, v, a, lam), **close)
+
+
+def test_casadi_has_tables_and_roots() -> None:
+    pytest.importorskip("casadi")
+    m = Mechanism()
+    m.body("a", mass=1.0, inertia=0.1)
+    m.body("b", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.cam("C", "a", "b", profile={"table": [[0, 2, 4, 6.283185307179586], [0.4, 0.5, 0.45, 0.4]], "ends": "periodic"},
+          follower={"roller": 0.1})  # fmt: skip
+    system, equations = m.to_casadi(), EquationsOfMotion.of(m)
+    for angle in (0.1, 2.5, 5.0):
+        q = equations.q0 + np.array([0.0, 0.0, angle, 0.02, 0.03, 0.0])
+        position, *_ = system.constraints(q, q, q, [0.0], [], [], [], 0.0)
+        np.testing.assert_allclose(np.ravel(position), equations.constraints(0.0, q), rtol=0, atol=1e-12)
+
+
+def test_a_geared_arm_hangs_where_its_potential_is_stationary() -> None:
+    found = mbdkit.equilibrium(geared())
+    a, b = found.position[:, 2]
+    assert b == pytest.approx(2.5 * a, rel=1e-12)
+    assert 1.5 * np.cos(a) + 2.5 * 0.5 * np.cos(b) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_taylor_refuses_other_joints_than_pins() -> None:
+    with pytest.raises(SpecError, match="joints other than pins"):
+        mbdkit.run(coupled(), integrator={"name": "taylor"}, formulation="joint-coordinates", time=TIME)
+
+
+def test_a_start_off_the_constraint_is_assembled() -> None:
+    m = links()
+    m.joints.clear()
+    m.revolute("A", m.ground, "a", points=((0.0, 0.0), (-0.5, 0.0)))
+    m.revolute("B", "a", "b", points=((0.5, 0.0), (-0.5, 0.0)))
+    m.coupling("G", "a", "b", equation="angle - 1.5*first - 0.01")
+    equations = EquationsOfMotion.of(m)
+    assert np.max(np.abs(equations.constraints(0.0, equations.q0))) < 1e-12
+
+
+def test_archives_are_read_without_the_part(tmp_path: Path) -> None:
+    path = tmp_path / "arm.h5"
+    with mbdkit.run(spec_of(), archive=path) as run:
+        known = [float(run.bodies["b"].angle[-1]), float(run.joints["G"].reaction_torque[-1])]
+    program = (
+        "import mbdkit; run = mbdkit.load('arm.h5'); "
+        "print([float(run.bodies['b'].angle[-1]), float(run.joints['G'].reaction_torque[-1])])"
+    )
+    environment = os.environ | {"MBDKIT_DISABLE_PLUGINS": "mbdkit/transmissions"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(known)
