@@ -245,8 +245,8 @@ class FunctionJoint(JointBase):
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
-        (a, b), (on_a, on_b) = self.bodies, self.points
-        return [("points[0]", a, on_a), ("points[1]", b, on_b)]
+        (a, b), (xa, ya, xb, yb) = self.bodies, self.flat_points
+        return [("points[0]", a, (xa, ya)), ("points[1]", b, (xb, yb))]
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""

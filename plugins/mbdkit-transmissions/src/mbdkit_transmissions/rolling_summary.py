@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 @summary_lines
 def needed_friction(run: Run) -> list[tuple[str, str]]:
     """Return the coefficient of friction that each wheel needs to roll."""
+    if not run.records("constraints/multiplier"):
+        return []
     names = [str(name) for name in run.array("constraints/constraint")]
     wheels = [name.removesuffix(".tangential") for name in names if name.endswith(".tangential")]
     if not wheels:
