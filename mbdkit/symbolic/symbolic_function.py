@@ -71,10 +71,11 @@ def symbolic_function(
     known = dict(zip((entry.index for entry in inputs), pose, strict=True))
     known |= {given[name].index: expression for name, expression in parameters.items()}
     recorder = value.recorder
-    for index in recorder.ancestors(results, known):
+    needed = recorder.ancestors(results, known)
+    if any(recorder.terms[index].operation == "root" for index in needed):
+        raise SpecError(f"joint '{joint}' has no symbolic form, because its constraint is the root of an equation")
+    for index in needed:
         term = recorder.terms[index]
-        if term.operation == "root":
-            raise SpecError(f"joint '{joint}' has no symbolic form, because its constraint is the root of an equation")
         operands = [known[operand] for operand in term.operands]
         match term.operation:
             case "constant":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations_with_replacement, permutations
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ STEP = 1e-200
 """Complex step: no subtraction, so the smaller the better."""
 
 GROUND = 2
+VARIABLES = 5
+"""Variables of a function of the pose: x, y, relative angle, angle of the first body, time."""
 
 
 class Element:
@@ -36,6 +39,9 @@ class Element:
         self.u = rng.normal(size=(1, 3))
         self.lam = rng.normal(size=(1, 2))
         self.center = rng.normal(size=(2, 5)) if kind == "moving_center" else None
+        self.cubic = rng.normal(size=(3, *[VARIABLES] * 3)) if kind == "function" else None
+        if kind == "function":  # the motion is the time
+            self.u[0, 1:] = 1.0, 0.0
 
     @property
     def columns(self) -> list[int]:
@@ -47,6 +53,8 @@ class Element:
         function = getattr(element_kernels, f"{self.kind}_{kernel}")
         if self.center is not None:  # the first of the arrays is that of the motions
             arguments = (*arguments[:-1], (self.center_at(q), *arguments[-1][1:]))
+        if self.cubic is not None:
+            arguments = (*arguments[:-1], (self.function_at(q, arguments[-1][0][0, 0]), *arguments[-1][1:]))
         before, after = arguments[:-1], arguments[-1]
         motion = (0,) if self.kind in element_kernels.CONSTRAINT_KINDS else ()
         function(0, self.first, self.second, *motion, q, *before, cs, self.p, *after)
@@ -65,6 +73,23 @@ class Element:
                     if 0 <= order - row < 3:
                         jets[2 * axis + row, order - row] = value
         return jets
+
+    def function_at(self, q: Any, time: Any) -> np.ndarray:
+        """Return the rows (19, 3) of a cubic polynomial of the pose and its derivatives to third order."""
+        a, b = 3 * self.first, 3 * self.second
+        ca, sa, cb, sb = np.cos(q[a + 2]), np.sin(q[a + 2]), np.cos(q[b + 2]), np.sin(q[b + 2])
+        x = q[b] + cb * self.p[0, 2] - sb * self.p[0, 3] - q[a]
+        y = q[b + 1] + sb * self.p[0, 2] + cb * self.p[0, 3] - q[a + 1]
+        pose = [ca * x + sa * y - self.p[0, 0], ca * y - sa * x - self.p[0, 1], q[b + 2] - q[a + 2], q[a + 2], time]
+        w, cubic = np.array(pose), self.cubic[0]
+        third = sum(np.transpose(cubic, order) for order in permutations(range(3))) / 6
+        second = self.cubic[1, 0] + self.cubic[1, 0].T + third @ w
+        first = self.cubic[2, 0, 0] + (self.cubic[1, 0] + self.cubic[1, 0].T) @ w + third @ w @ w / 2
+        value = self.cubic[2, 0, 0] @ w + w @ self.cubic[1, 0] @ w + third @ w @ w @ w / 6
+        numbers = [value, *first]
+        numbers += [second[chosen] for chosen in combinations_with_replacement(range(VARIABLES), 2)]
+        numbers += [third[chosen] for chosen in combinations_with_replacement(range(VARIABLES), 3)]
+        return np.array([*numbers, 0.0]).reshape(-1, 3)
 
     def position(self, q: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return Phi (r,) and Phi_t (r,)."""
