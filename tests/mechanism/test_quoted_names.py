@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -137,6 +137,7 @@ def test_a_measured_motion_names_markers_with_dots(tmp_path: Path) -> None:
 TEXT = st.text(st.characters(blacklist_categories=["C", "Zl", "Zp"], blacklist_characters="/"), min_size=1)
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(TEXT | st.integers(0, 99), min_size=1, max_size=6).filter(lambda parts: isinstance(parts[0], str)))
 def test_every_key_path_is_read_as_it_was_written(parts: list[str | int]) -> None:
     text = path_text(tuple(parts))
