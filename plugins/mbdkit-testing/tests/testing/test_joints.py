@@ -74,11 +74,8 @@ WRONG: dict[str, tuple[str, str, dict[str, str]]] = {
     "turns": ("joint.turns", "of 'mesh' jumps after", {LEFT: 'p["radius"] * left'}),
     "points": (
         "joint.points",
-        "refers to the point [0.0, 0.0] of the first body, which is not among the `attachments`",
-        {
-            "    def functions(": "    @property\n    def flat_points(self) -> tuple[float, float, float, float]:\n"
-            "        return 0.0, 0.0, 0.0, 0.0\n\n    def functions(",
-        },
+        "which is not among the `attachments`",
+        {"    def functions(": "    def attachments(self) -> list[Any]:\n        return []\n\n    def functions("},
     ),
     "unit": (
         "joint.units",
