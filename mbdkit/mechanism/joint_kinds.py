@@ -39,6 +39,11 @@ def joint_class(item: Registered) -> type[FunctionJoint]:
     found: object = kind.model()
     if not (isinstance(found, type) and issubclass(found, FunctionJoint)):
         raise PluginError(f"the `model` of {item.id} is {described(found)}, not a class derived from FunctionJoint")
+    if taken := {"name", "a", "b"} & found.model_fields.keys():
+        raise PluginError(
+            f"the field '{min(taken)}' of {found.__name__} has the name of an argument of `Mechanism.{kind.builder}`; "
+            "choose another name"
+        )
     return found
 
 

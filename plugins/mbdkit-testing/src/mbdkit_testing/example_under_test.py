@@ -74,6 +74,7 @@ class ExampleUnderTest(ItemUnderTest):
     def changed(self, mechanism: dict[str, Any] | None = None, **sections: Any) -> RunSpec:
         """Return the spec of the example with plain data of another mechanism, and with other sections."""
         data = json.loads(self.spec.canonical_json())
+        data.pop("parameters", None)  # whose values the mechanism contains
         model = {"name": "mechanism", **(mechanism or self.spec.mechanism().to_spec())}
         return load_spec({**data, "model": model, **sections})
 
