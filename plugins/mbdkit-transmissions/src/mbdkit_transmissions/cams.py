@@ -178,19 +178,22 @@ class Cam(FunctionJoint):
         return [profile]
 
 
-class Graph(StrictModel):
-    """A curve ``y(x)`` in the frame of the first body."""
+class SlotCurve(StrictModel):
+    """A curve in the frame of the first body, with its point as origin: a graph ``y(x)``, or a closed polar curve."""
 
-    y: OfX
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("y", "radius")
+
+    y: OfX | None = None
     """y [m] as a function of `x` [m]: a number, an expression, or a table."""
-
-
-class Polar(StrictModel):
-    """A closed curve around a's point."""
-
-    radius: OfAngle
+    radius: OfAngle | None = None
     """Distance from a's point [m] as a function of the `angle` from a's x axis [rad]: a number, an expression, or a
-    table with `ends: periodic`."""
+    table with `ends: periodic`; an alternative to `y`."""
+
+    @model_validator(mode="after")
+    def _is_one(self) -> SlotCurve:
+        if (self.y is None) == (self.radius is None):
+            raise SpecError("give either `y`, a function of x, or `radius`, a function of angle, for a closed curve")
+        return self
 
 
 class Slot(FunctionJoint):
@@ -199,7 +202,7 @@ class Slot(FunctionJoint):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "point")
 
     type: Literal["slot"] = "slot"
-    curve: Graph | Polar
+    curve: SlotCurve
     """The curve, with a's point as its origin: ``{y: EXPRESSION of x}``, or ``{radius: EXPRESSION of angle}`` for a
     closed one. Each may also be a table."""
     point: Point | None = None
@@ -224,16 +227,18 @@ class Slot(FunctionJoint):
 
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
-        if isinstance(self.curve, Polar):
+        if self.curve.radius is not None:
             radius = Curve(self.curve.radius, "angle")
             check_closed(radius, "curve.radius")
             return [PoseFunction(OnClosedCurve(radius))]
+        assert self.curve.y is not None
         return [PoseFunction(OnGraph(Curve(self.curve.y, "x")))]
 
     def lines(self, start: Pose) -> Lines:
         """Return the curve, or the part of it near the start."""
-        if isinstance(self.curve, Polar):
+        if self.curve.radius is not None:
             return [_closed_line(Curve(self.curve.radius, "angle"), self.points[0])]
+        assert self.curve.y is not None
         height, (x0, y0) = Curve(self.curve.y, "x"), self.points[0]
         half = max(abs(float(start.x)), abs(float(start.y)), 0.1)
         first, last = getattr(self.curve.y, "span", (start.x - half, start.x + half))

@@ -35,6 +35,7 @@ def test_wrong_joints_are_refused_by_key(case: dict[str, Any]) -> None:
         mbdkit.run(spec_with(case["joint"]))
     assert error.value.key == f"model.joints.J{case['key']}"
     assert case["says"] in error.value.message
+    assert "\n" not in error.value.message
 
 
 def test_a_locked_train_and_its_driver_are_named() -> None:
