@@ -101,9 +101,7 @@ def test_a_decorated_test_fails_where_the_check_does_and_skips_where_it_does() -
     assert issubclass(ConformanceWarning, UserWarning)
     with pytest.raises(pytest.skip.Exception, match="not claimed; measured: defect"):
         by_name["geometry.symplectic-form"]()
-    with pytest.raises(
-        TypeError, match="exactly one of integrator=, .*element= and joint="
-    ):
+    with pytest.raises(TypeError, match=r"exactly one of integrator=, .*element= and joint="):
         conformance(integrator="rk4", model="single-pendulum")
 
 
