@@ -68,6 +68,31 @@ BALL: Data = {
     "bodies": {"ball": {"mass": 1.0, "inertia": 0.004, "position": [0.0, 0.4]}},
     "contacts": {"floor": FLOOR_AND_BALL},
 }
+GEARED: Data = {
+    "name": "mechanism",
+    "bodies": {
+        "small": {"mass": 1.0, "inertia": 0.01, "position": [0.05, 0.0]},
+        "large": {"mass": 2.0, "inertia": 0.04, "position": [0.3, 0.1]},
+    },
+    "joints": {
+        "A": {"type": "revolute", "bodies": ["ground", "small"], "at": [0.0, 0.0]},
+        "B": {"type": "revolute", "bodies": ["ground", "large"], "at": [0.3, 0.0]},
+        "teeth": {"type": "gear", "bodies": ["small", "large"], "points": [[-0.05, 0.0], [0.0, -0.1]],
+                  "radii": [0.1, 0.2], "pressure_angle": 0.0},
+    },
+}  # fmt: skip
+CAM: Data = {
+    "name": "mechanism",
+    "bodies": {
+        "cam": {"mass": 1.0, "inertia": 0.01, "angular_velocity": 6.0},
+        "follower": {"mass": 0.5, "inertia": 0.01, "position": [0.0, 0.06]},
+    },
+    "joints": {
+        "shaft": {"type": "revolute", "bodies": ["ground", "cam"], "at": [0.0, 0.0]},
+        "guide": {"type": "prismatic", "bodies": ["ground", "follower"], "at": [0.0, 0.06], "axis": [0, 1]},
+        "lift": {"type": "cam", "bodies": ["cam", "follower"], "profile": "0.05 + 0.01*sin(angle)"},
+    },
+}
 ANGLES: Data = {"low": {"when": "leg.angle - 0.2"}, "high": {"when": "leg.angle - 0.6", "action": "stop"}}
 
 
@@ -265,6 +290,8 @@ GROUPS: dict[str, dict[str, Callable[[Member], None]]] = {
         "muscles": Compared("elbow-curl", 0.2, 200, limit=2),
         "controllers": Compared(SAMPLED),
         "drivers": Compared("slider-crank", 0.3),
+        "gears": Compared(GEARED, 0.6),
+        "cams": Compared(CAM, 0.3, 200),
         "compliant contact": Compared(BALL, 0.5, 400, floor=1e-6),
         "event-driven contact": _with(Compared(BALL, 0.8), contact={"treatment": "event-driven"}),
     },
