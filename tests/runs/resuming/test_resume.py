@@ -126,6 +126,17 @@ SPECS = {
 }
 
 
+TURNING = (("a", 0.0), ("b", 0.3))
+GEARS = {
+    "name": "mechanism",
+    "bodies": {
+        name: {"mass": 1.0, "inertia": 0.02, "position": [x, 0.05], "angular_velocity": 0.3} for name, x in TURNING
+    },
+    "joints": {
+        name.upper(): {"type": "revolute", "bodies": ["ground", name], "at": [x, 0.0]} for name, x in TURNING
+    } | {"teeth": {"type": "gear", "bodies": ["a", "b"], "points": [[0, -0.05], [0, -0.05]], "radii": [0.1, 0.2]}},
+}  # fmt: skip
+SPECS |= {"gauss, gears with radial forces": spec_of({"name": "gauss"}, {"steps": 5000, "step": 1e-3}, GEARS)}
 CONTACTS = {
     "name": "mechanism",
     "bodies": DRIVEN["bodies"] | {
