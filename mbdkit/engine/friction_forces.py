@@ -87,12 +87,15 @@ class FollowingForce:
         Index of the joint.
     side
         The side force.
+    least
+        Reaction [N] whose square is added to that of the reaction; see `NEGLIGIBLE`.
     """
 
     name: str
     joint: FunctionJoint
     number: int
     side: SideForce
+    least: float
     law_id: ClassVar[str] = "side-force"
     length_unit: ClassVar[str] = "m"
 
@@ -118,12 +121,20 @@ class FollowingForce:
     @property
     def numbers(self) -> dict[str, float]:
         """Values of the parameters of the law by name; that of the multiplier is 0."""
-        return {REACTIONS[0]: 0.0, "ratio": self.side.ratio}
+        return {REACTIONS[0]: 0.0, "ratio": self.side.ratio, "least": self.least}
 
 
-_SIDE = TracedLaw(
-    lambda length, rate, time, p: p["ratio"] * np.absolute(p[REACTIONS[0]]) + 0.0 * length, lambda one: one.numbers
-)
+NEGLIGIBLE = 1e-7
+"""Share of the weight of all bodies that the size of a reaction exceeds for its side force, which is smooth where the
+reaction changes its sign. Smaller forces would be adjusted to rounding errors of reactions."""
+
+
+def _side_force(length: Any, rate: Any, time: Any, p: Mapping[str, Any]) -> Any:
+    reaction, least = p[REACTIONS[0]], p["least"]
+    return p["ratio"] * np.sqrt(reaction * reaction + least * least)
+
+
+_SIDE = TracedLaw(_side_force, lambda one: one.numbers)
 
 Law = Callable[[Any, Mapping[str, Any]], Any]
 
@@ -165,8 +176,9 @@ def friction_forces(mechanism: Mechanism) -> list[FrictionForce]:
 
 def following_forces(mechanism: Mechanism) -> list[FollowingForce]:
     """Return the side forces of all joints that have one, as force elements."""
+    least = NEGLIGIBLE * 9.81 * sum(body.mass for body in mechanism.bodies.values())
     return [
-        FollowingForce(name, joint, number, side)
+        FollowingForce(name, joint, number, side, least)
         for number, (name, joint) in enumerate(mechanism.joints.items())
         if isinstance(joint, FunctionJoint) and (side := joint.side_force()) is not None
     ]
