@@ -20,9 +20,8 @@ from mbdkit_contact.contact import Contact
 from mbdkit_contact.contact import Friction
 from mbdkit_contact.contact import Shape
 from mbdkit_transmissions.cams import Flat
-from mbdkit_transmissions.cams import Graph
-from mbdkit_transmissions.cams import Polar
 from mbdkit_transmissions.cams import Roller
+from mbdkit_transmissions.cams import SlotCurve
 
 class ElementMethods(NamedElements):
     """The part of `Mechanism` that adds its elements."""
@@ -817,7 +816,7 @@ class ElementMethods(NamedElements):
 
     def slot(
         self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
-        curve: Mapping[str, Any] | Graph | Mapping[str, Any] | Polar, point: Sequence[float] | None = None
+        curve: Mapping[str, Any] | SlotCurve, point: Sequence[float] | None = None
     ) -> None:
         """Connect bodies `a` and `b`: a point that slides along a curve
 
@@ -836,7 +835,7 @@ class ElementMethods(NamedElements):
             by default.
         curve
             The curve, with a's point as its origin: ``{y: EXPRESSION of x}``, or ``{radius: EXPRESSION of angle}``
-            for a closed one. Each may also be a table. Keys of `Graph`: y. Keys of `Polar`: radius.
+            for a closed one. Each may also be a table. Keys of `SlotCurve`: y, radius.
         point
             The point in b's frame [m], in place of the second of `points`.
         """

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, cast
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, SerializationInfo, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, core_schema, to_json
 
 from mbdkit.base.distributions import MBDKIT
@@ -76,8 +76,9 @@ class OfJointKinds:
     """
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema of the union, with a validator before it."""
-        return core_schema.with_info_wrap_validator_function(self._validated, handler(source))
+        """Return the schema of the union, with a validator and a serializer before it."""
+        serializer = core_schema.wrap_serializer_function_ser_schema(self._serialized, info_arg=True)
+        return core_schema.with_info_wrap_validator_function(self._validated, handler(source), serialization=serializer)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Return the JSON schema with all installed types."""
@@ -86,6 +87,15 @@ class OfJointKinds:
         kinds = [joint_class(item) for name, item in joint_kinds().items() if ":" not in name]
         union["oneOf"] = [*union["oneOf"], *(handler(kind.__pydantic_core_schema__) for kind in kinds)]
         return union
+
+    @staticmethod
+    def _serialized(joint: JointBase, handler: Any, info: SerializationInfo) -> object:
+        if not isinstance(joint, FunctionJoint):
+            return handler(joint)
+        return joint.model_dump(
+            mode=info.mode, by_alias=info.by_alias, exclude_unset=info.exclude_unset,
+            exclude_defaults=info.exclude_defaults, exclude_none=info.exclude_none,
+        )  # fmt: skip
 
     @staticmethod
     def _validated(data: Any, handler: Any, info: ValidationInfo) -> JointBase:
