@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, ClassVar, cast
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -77,7 +77,7 @@ class NativeLaw:
 
     function: LawFunction
     program: tuple[int, ...] = ()
-    parameters: Callable[[Any], Sequence[float]] | None = None
+    parameters: Callable[[object], Sequence[float]] | None = None
     potential: bool = False
     passive: bool = False
     states: ClassVar[tuple[LawState, ...]] = ()

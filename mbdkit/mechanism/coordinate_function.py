@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -70,7 +70,7 @@ class CoordinateTable(_Points):
     """Name of the coordinate."""
 
 
-def _function(value: Any) -> Any:
+def _function(value: object) -> object:
     """Accept numbers and valid expressions, and convert mappings to tables."""
     if isinstance(value, str):
         program_of(value)

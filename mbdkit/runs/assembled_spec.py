@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -60,7 +59,7 @@ def assembled_text(spec: RunSpec, start: AssembledState, text: str) -> tuple[str
                 _check(_loaded(spec, edited))
                 return edited, True
     document = spec._document
-    data: dict[str, Any] = {} if document is None else copied(document.data)
+    data: dict[str, object] = {} if document is None else copied(document.data)
     written = write_yaml({**data, "model": model})
     _check(_loaded(spec, written))
     return written, False

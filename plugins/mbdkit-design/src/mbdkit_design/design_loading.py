@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
-from typing import Any, cast
+from typing import cast
 
 from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, parse_path, path_text
 from mbdkit.plugin.files import Path
@@ -82,7 +82,7 @@ def _document(source: object) -> tuple[Document, FilePath]:
     return document_of(source, ("design", "designs"), packaged, lambda: example_names("design"))
 
 
-Given = dict[str, tuple[Path, Any]]
+Given = dict[str, tuple[Path, object]]
 """Settings of a base: key path and value of each, by the key of the design that states it."""
 
 
@@ -139,7 +139,7 @@ def spec_class(data: Mapping[str, object]) -> type[RunSpec] | type[InverseSpec]:
     return cast("type[RunSpec] | type[InverseSpec]", kind.model())
 
 
-def _put_all(data: dict[str, Any], given: Given) -> None:
+def _put_all(data: dict[str, object], given: Given) -> None:
     """Set values in a base."""
     for where, (path, value) in given.items():
         try:
@@ -150,7 +150,7 @@ def _put_all(data: dict[str, Any], given: Given) -> None:
 
 def _check_variable(name: str, data: Mapping[str, object]) -> None:
     """Raise SpecError if a variable is neither a parameter of the base nor a key below an element of the base."""
-    path, place = variable_path(name), dict(data)  # type: Path, Any
+    path, place = variable_path(name), dict(data)  # type: Path, object
     for depth, part in enumerate(path):
         if not isinstance(place, Mapping):
             return  # a list, or a mistake that `put` or the validation of the base reports

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies import Batches
 
-Settings = Sequence[tuple[Path, Any]]
+Settings = Sequence[tuple[Path, object]]
 """Key paths and their values."""
 
 
@@ -66,7 +65,7 @@ class Job:
     settings: Settings
 
     @cached_property
-    def values(self) -> dict[str, Any]:
+    def values(self) -> dict[str, object]:
         """The values by key."""
         return {path_text(path): value for path, value in self.settings}
 

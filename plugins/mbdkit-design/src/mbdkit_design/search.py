@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evolution, least_squares, minimize
@@ -190,7 +189,7 @@ def _strategy(problem: Problem, optimizer: EvolutionStrategy, first: np.ndarray)
     """
     import cma
 
-    options: dict[str, Any] = {
+    options: dict[str, object] = {
         "bounds": [0.0, 1.0],
         "seed": optimizer.seed + 1,  # a seed of 0 would be replaced by the clock
         "maxiter": optimizer.max_iterations,

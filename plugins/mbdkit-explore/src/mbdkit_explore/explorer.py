@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Explorer:
         except MbdkitError as error:
             return {"error": shown(str(error)), "spec": yaml_text(data)}
 
-    def _inverse(self, data: dict[str, Any]) -> Run:
+    def _inverse(self, data: dict[str, object]) -> Run:
         document = read_source(self.spec)
         document.data = copied(data)
         return inverse(cast("InverseSpec", spec_loader.of(kind_of(document.data).load)(document, ())))

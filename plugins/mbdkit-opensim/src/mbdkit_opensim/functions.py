@@ -8,7 +8,6 @@ OpenSim extrapolates it by straight lines. `NaturalCubicSpline` is an earlier na
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -16,7 +15,7 @@ from scipy.interpolate import PPoly
 
 from mbdkit_opensim.osim_document import label_of, number_of, numbers_of, refused
 
-Center = float | str | dict[str, Any]
+Center = float | str | dict[str, object]
 """The center of a revolute joint in `Mechanism.revolute`: a number, an expression in `angle`, or a table."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
@@ -22,7 +22,7 @@ class Equation:
 
     program: tuple[tuple[str, float], ...]
 
-    def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
+    def __call__(self, pose: Pose, p: Mapping[str, object]) -> object:
         """Return its value."""
         own = (pose.x, pose.y, pose.angle, pose.first, pose.first + pose.angle, pose.t)
         numbers = {name.removeprefix(NUMBER): number for name, number in p.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -73,12 +73,12 @@ class Reactions:
                     f"{self._need_time[k]:.6g} s, but has {joint.friction:g}, so that it would slip",
                 )
 
-    def stored(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, object]:
         """Return the state as plain values, for a checkpoint."""
         names = ("push", "pull", "pull_time", "need", "need_time")
         return {name: getattr(self, f"_{name}") for name in names}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: dict[str, object]) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         for name, values in state.items():
             fill(getattr(self, f"_{name}"), values)

@@ -9,7 +9,6 @@ import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -336,9 +335,9 @@ def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, ke
     return spec
 
 
-def _complete(base: dict[str, Any], whole: Mapping[str, object], key: str) -> None:
+def _complete(base: dict[str, object], whole: Mapping[str, object], key: str) -> None:
     """Make sure that a spec has the mapping or list in which a key is set; add it with its default values if not."""
-    there: Any = base
+    there: object = base
     default: object = whole
     for part in parse_key(key)[:-1]:
         if not isinstance(there, dict) or not isinstance(default, Mapping) or part not in default:

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 from mbdkit.archive.stored_mechanism import is_determined
 from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, path_text
@@ -118,7 +117,7 @@ class _Member:
 
     point: PlannedPoint
     base: str
-    values: Mapping[str, Any]
+    values: Mapping[str, object]
     spec: RunSpec | Outcome
 
 

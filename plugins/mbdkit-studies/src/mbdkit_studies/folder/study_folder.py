@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 from mbdkit.plugin import SpecError
 from mbdkit_studies.folder import member_table
@@ -58,7 +57,7 @@ class StudyFolder(OwnedFolder[StudySpec]):
 
     def plain_spec(self, spec: StudySpec) -> dict[str, object]:
         """See `OwnedFolder.plain_spec`."""
-        plain: dict[str, Any] = spec.model_dump(mode="json", exclude_unset=True)
+        plain: dict[str, object] = spec.model_dump(mode="json", exclude_unset=True)
         return plain
 
     def remove_results(self) -> None:

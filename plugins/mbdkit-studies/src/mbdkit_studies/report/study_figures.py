@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -110,7 +110,7 @@ def asked_measures(study: Study) -> Iterator[Quantity]:
     """Yield the measures that the study defines, then the others that it requests. If it neither names nor defines
     measures, yield the most relevant ones.
     """
-    asked: Any = study.spec.measures
+    asked: object = study.spec.measures
     usual = [name for name in _USUAL if name in study.units]  # without a reference run, there is no error
     defined = [measure.name for measure in study.spec.defined_measures()]
     entries = asked if isinstance(asked, list | tuple) else defined or usual
@@ -248,7 +248,7 @@ def with_slope_guides(figure: Figure) -> Figure:
     Parameters
     ----------
     figure
-        Any chart. Guides are added only if both axes are logarithmic and the label of the x axis is ``step``.
+        object chart. Guides are added only if both axes are logarithmic and the label of the x axis is ``step``.
     """
     if not (figure.x.log and figure.y.log and figure.x.label == "step"):
         return figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbdkit.plugin import counted, shown
 from mbdkit.plugin.doubts import LEVELS
@@ -132,7 +132,7 @@ def _few(labels: Sequence[object]) -> str:
     return f"{counted(len(labels), 'value')}: {few}{', ...' * (len(labels) > 6)}"
 
 
-def outcome(study: Study) -> dict[str, Any]:
+def outcome(study: Study) -> dict[str, object]:
     """Return the results of running a study as values for JSON."""
     counts, levels = Counter(study.statuses()), Counter(study.verdicts())
     return {

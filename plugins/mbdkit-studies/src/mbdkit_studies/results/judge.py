@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbdkit.plugin import PluginError, SpecError, StudyPlugin, did_you_mean, listed, with_place
 from mbdkit.plugin.seams import Seam
@@ -50,7 +50,7 @@ def judge(study: Study) -> Verdict:
         return with_added_methods(general_verdict(study), study)
     item, function = find_verdict(study.spec)
     try:
-        verdict: Any = function(study)
+        verdict: object = function(study)
     except (LookupError, ValueError) as error:
         wrong = (
             f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path as FilePath
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from mbdkit.plugin import SpecError, StudyPlugin, copied, did_you_mean, listed, path_text
 from mbdkit.plugin.files import Path
@@ -209,7 +209,7 @@ def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
     return document, path.parent
 
 
-def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Document]:
+def _write_out_bases(data: dict[str, object], folder: FilePath) -> dict[Path, Document]:
     """Replace each base that is a name or a Python object by its data; return the documents of the bases by key
     path.
     """
