@@ -88,7 +88,7 @@ class FollowingForce:
     side
         The side force.
     least
-        Reaction [N] whose square is added to that of the reaction; see `NEGLIGIBLE`.
+        Reaction [N] below which the side force is not proportional to the reaction; see `NEGLIGIBLE`.
     """
 
     name: str
@@ -125,13 +125,14 @@ class FollowingForce:
 
 
 NEGLIGIBLE = 1e-7
-"""Share of the weight of all bodies that the size of a reaction exceeds for its side force, which is smooth where the
-reaction changes its sign. Smaller forces would be adjusted to rounding errors of reactions."""
+"""Share of the weight of all bodies below which reactions have smaller side forces, which are smooth where the reaction
+changes its sign. Smaller forces would be adjusted to rounding errors of reactions."""
 
 
 def _side_force(length: Any, rate: Any, time: Any, p: Mapping[str, Any]) -> Any:
     reaction, least = p[REACTIONS[0]], p["least"]
-    return p["ratio"] * np.sqrt(reaction * reaction + least * least)
+    square = reaction * reaction  # without a reaction there is no side force, as there is no friction
+    return p["ratio"] * square / np.sqrt(square + least * least)
 
 
 _SIDE = TracedLaw(_side_force, lambda one: one.numbers)

@@ -21,10 +21,9 @@ from mbdkit.registry.item import described
 from mbdkit.registry.manager import registry
 
 
-def joint_kinds() -> dict[str, Registered]:
+def joint_kinds() -> Mapping[str, Registered]:
     """Return the items of all types of joints that plugins add, by each name that a spec may use."""
-    known = registry()
-    return {name: item for item in known.of_kind("joint-kind") for name in known.accepted(item)}
+    return registry().by_accepted_name("joint-kind")
 
 
 def joint_class(item: Registered) -> type[FunctionJoint]:

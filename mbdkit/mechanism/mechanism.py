@@ -137,10 +137,10 @@ class Mechanism(ElementMethods, HtmlView):
                 return self.__dict__.setdefault(name, {})
             if (kind := kind_built_by(name)) is not None:
                 return MethodType(builder_of(kind), self)
-            if name in (types := joint_builders()):
-                return MethodType(joint_builder(types[name]), self)
             if name in accessors(type(self)):
                 return computed(self, name)
+            if name in (types := joint_builders()):
+                return MethodType(joint_builder(types[name]), self)
         raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'", name=name, obj=self)
 
     def __dir__(self) -> list[str]:

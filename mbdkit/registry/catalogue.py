@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import attrgetter
 from typing import Literal
 
 from mbdkit.base.distributions import MBDKIT, normalized_name
@@ -102,6 +104,8 @@ class Registry:
         kinds = list(KINDS)
         self.items = tuple(sorted(items, key=lambda item: (kinds.index(item.kind), item.plugin.order)))
         self._reports = tuple(reports)
+        self._of_kind = {kind: tuple(group) for kind, group in groupby(self.items, attrgetter("kind"))}
+        self._accepted: dict[Kind, dict[str, Registered]] = {}
 
     @property
     def reports(self) -> tuple[Report, ...]:
@@ -141,7 +145,7 @@ class Registry:
 
     def of_kind(self, kind: Kind) -> tuple[Registered, ...]:
         """Return the items of one kind."""
-        return tuple(item for item in self.items if item.kind == kind)
+        return self._of_kind.get(kind, ())
 
     def only(self, distribution: str) -> Registry:
         """Return a registry with the items of one distribution only."""
@@ -153,6 +157,12 @@ class Registry:
     def names(self, kind: Kind) -> list[str]:
         """Return the names of the items of one kind: the short name if it is unique, otherwise the full id."""
         return [self.accepted(item)[0] for item in self.of_kind(kind)]
+
+    def by_accepted_name(self, kind: Kind) -> Mapping[str, Registered]:
+        """Return the items of one kind by every name that a spec may use for them."""
+        if kind not in self._accepted:
+            self._accepted[kind] = {name: item for item in self.of_kind(kind) for name in self.accepted(item)}
+        return self._accepted[kind]
 
     def accepted(self, item: Registered) -> list[str]:
         """Return every name that a spec may use for this item."""
