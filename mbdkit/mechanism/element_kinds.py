@@ -18,11 +18,12 @@ from mbdkit.base.errors import MissingPartError, PluginError, SpecError
 from mbdkit.base.parts import ELEMENTS_OF_PARTS
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.bodies import Body, Element, FromTo
+from mbdkit.mechanism.joint_kinds import joint_kinds
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.model_methods import of_models
 from mbdkit.mechanism.pathways import LawForce
 from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.registry.element_items import ElementDerivatives, ElementFailures, ElementForces, ElementKind
+from mbdkit.registry.element_items import ElementDerivatives, ElementFailures, ElementForces, ElementKind, JointKind
 from mbdkit.registry.item import described
 from mbdkit.registry.manager import log, registry
 from mbdkit.registry.seam import OwnSeam, Seam
@@ -181,7 +182,7 @@ def element_files(elements: Mapping[str, object], folder: Path, /) -> None:
 
 
 def check_elements(elements: Mapping[str, Mapping[str, object]], mechanism: ElementsByName, prefix: str = "") -> None:
-    """Raise SpecError for the first element of a plugin's kind that does not fit the other elements.
+    """Raise SpecError for the first element, or joint, of a plugin's kind that does not fit the other elements.
 
     `elements`: elements by key in the model and name. `mechanism`: the mechanism, or its data. `prefix`: beginning of
     the key of the error.
@@ -189,6 +190,10 @@ def check_elements(elements: Mapping[str, Mapping[str, object]], mechanism: Elem
     for key, kind in element_kinds().items():
         if elements.get(key) and kind.check_elements is not None:
             element_check.of(kind.check_elements)(elements[key], mechanism, prefix)
+    for name, item in joint_kinds().items() if elements.get("joints") else ():
+        joints = {key: joint for key, joint in elements["joints"].items() if cast(Joint, joint).type == name}
+        if joints and (check := cast(JointKind, item.plugin).check_elements) is not None:
+            element_check.of(check)(joints, mechanism, prefix)
 
 
 def field_of(kind: ElementKind) -> FieldInfo:

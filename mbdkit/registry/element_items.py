@@ -204,6 +204,8 @@ class JointKind(Feature):
         One line that describes the joint.
     model
         Class of the joints, derived from `mbdkit.plugin.FunctionJoint`.
+    check_elements
+        Function that raises SpecError for joints of this type that do not fit the other elements.
     example
         Name of a packaged example, a run of a mechanism with such a joint, on which ``mbdkit plugins verify`` checks
         the kind.
@@ -211,8 +213,10 @@ class JointKind(Feature):
 
     kind: ClassVar[str] = "joint-kind"
     key: ClassVar[str] = "type"
+    seams: ClassVar[Mapping[str, str]] = {"check_elements": "element_check"}
 
     model: Target
+    check_elements: Target | None = None
     example: str = ""
 
     @property

@@ -108,6 +108,12 @@ class Gear(FunctionJoint):
         assert self.module is not None
         return self.teeth[0] * self.module / 2, self.teeth[1] * self.module / 2
 
+    @property
+    def ratio(self) -> float:
+        """Angle by which b turns if a turns by 1 rad and the line of centres is held."""
+        first, second = self.pitch_radii
+        return first / second if self.internal else -first / second
+
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
         first, second = self.pitch_radii
@@ -141,6 +147,12 @@ class Belt(FunctionJoint):
     """Whether the belt is crossed, so that the pulleys turn in opposite directions."""
     rows: ClassVar[tuple[str, ...]] = ("belt",)
     units: ClassVar[tuple[str, ...]] = ("m",)
+
+    @property
+    def ratio(self) -> float:
+        """Angle by which b turns if a turns by 1 rad and the line of centres is held."""
+        first, second = self.radii
+        return -first / second if self.crossed else first / second
 
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""

@@ -19,6 +19,7 @@ def mbdkit_items() -> Iterable[Item]:
             summary="two gears whose pitch circles roll on each other",
             order=100,
             model=Target("mbdkit_transmissions.gears:Gear"),
+            check_elements=Target("mbdkit_transmissions.trains:check_trains"),
             example="planetary-gear",
         ),
         JointKind(
@@ -40,6 +41,7 @@ def mbdkit_items() -> Iterable[Item]:
             summary="a belt over two pulleys",
             order=130,
             model=Target("mbdkit_transmissions.gears:Belt"),
+            check_elements=Target("mbdkit_transmissions.trains:check_trains"),
             example="rack-railway",
         ),
         JointKind(
