@@ -66,6 +66,7 @@ def test_complementarity_of_few_discs_holds_to_rounding_and_wrong_forces_are_see
     assert law_errors(bounced, spec, 1e-3)[0] > 1e-2  # these impulses are not those of discs without restitution
 
 
+@pytest.mark.slow
 def test_laws_of_100_discs_hold_to_rounding_errors() -> None:
     spec: dict[str, Any] = pit(10, 10) | {
         "time": {"end": 0.3, "step": 1e-3},

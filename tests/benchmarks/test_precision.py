@@ -69,6 +69,7 @@ def test_both_ways_agree_on_the_beginning_of_the_chains_motion() -> None:
     assert np.abs(one - other).max() < 1e-15
 
 
+@pytest.mark.slow
 def test_collocation_of_two_rods_leads_to_the_digits_of_the_double_pendulum() -> None:
     assert HORIZONTAL.start_angle == DOUBLE_PENDULUM.angle
     start = DOUBLE_PENDULUM.start.astype(np.longdouble)

@@ -51,6 +51,7 @@ def test_the_stored_code_is_that_of_the_sources() -> None:
     assert not outdated, "build the machine code again: python -m mbdkit_builder build"
 
 
+@pytest.mark.slow
 @stored
 def test_all_levels_and_the_sources_in_python_agree_to_the_bit() -> None:
     levels = [level.name for level in this_platform().levels if is_able(level)]
@@ -62,6 +63,7 @@ def test_all_levels_and_the_sources_in_python_agree_to_the_bit() -> None:
     assert hashes(some, MBDKIT_KERNELS="python") == {name: found[0][name] for name in some}
 
 
+@pytest.mark.slow
 @stored
 def test_results_do_not_depend_on_the_level_and_the_routines_that_libraries_choose_for_a_processor() -> None:
     # expected: results of the best level with this processor's own routines; with those of another one, LAPACK, BLAS,

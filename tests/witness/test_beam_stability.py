@@ -154,6 +154,7 @@ def arch(elements: int) -> mbdkit.Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_a_shallow_arch_snaps_through_at_its_limit_point_and_is_followed_beyond() -> None:
     # expected: the extremes of the load as a function of the depth of its crown, by the boundary value problem
     depths = np.linspace(0.003, 0.13, 40)

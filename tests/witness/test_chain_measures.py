@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from tests.witness.chain_measures import cases_of
 
 
+@pytest.mark.slow
 def test_errors_and_gradients_of_measures_of_random_chains_are_true() -> None:
     cases = [case for seed in (0,) for case in cases_of(seed)]
     known = [one for one in cases if one.is_known]

@@ -231,6 +231,7 @@ def test_a_thin_leaf_is_checked_by_a_guard_on_the_index_2_equations() -> None:
         assert "confirmed by a run with adaptive radau-iia of order 9 and index 2" in run.accuracy.method
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.0, 1e-3], ids=["undamped", "damped"])
 def test_unknown_errors_of_a_beam_under_a_sudden_load_name_its_missing_damping(damping: float) -> None:
     m = mbdkit.Mechanism()

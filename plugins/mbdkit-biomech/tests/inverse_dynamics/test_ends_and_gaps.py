@@ -15,6 +15,7 @@ import mbdkit
 from mbdkit_biomech.inverse_dynamics.results import measure_samples
 
 
+@pytest.mark.slow
 def test_bars_near_the_ends_cover_the_truth_and_peaks_there_are_doubted() -> None:
     near = np.r_[0:10, 191:201]
     covered, peaks = [], []

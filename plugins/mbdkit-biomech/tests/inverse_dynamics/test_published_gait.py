@@ -14,6 +14,7 @@ LIGHT = 1e-13
 """Mass [kg] and inertia of bodies that only carry joints."""
 
 
+@pytest.mark.slow
 def test_an_unsmoothed_running_step_has_the_published_loads() -> None:
     path = reference("isb_running.csv")
     run = mbdkit.inverse(running_spec(path))

@@ -69,6 +69,7 @@ def test_crossings_and_normalized_cycles_are_interpolated() -> None:
     assert normalized(time, time, np.array([0.5, 2.5])).cycles[0] == pytest.approx(np.linspace(0.5, 2.5, 101))
 
 
+@pytest.mark.slow
 def test_residual_loads_come_last_and_a_number_has_one_error_everywhere() -> None:
     run = mbdkit.inverse("walking")
     found = mbdkit.workload(run)

@@ -57,6 +57,7 @@ def test_sources_have_the_shares_of_closed_forms():
         assert "sources of error" in run.summary()
 
 
+@pytest.mark.slow
 def test_bars_cover_exact_samples_where_recruitment_has_corners():
     # The smallest activation exceeds the optimal one in half of the samples; the bars come from other samples, in which
     # all but recruitment is linear.

@@ -54,6 +54,7 @@ def write_forces(folder: Path, rows: Array) -> None:
     (folder / "trials" / "jw_ngait_og3_knee_forces.csv").write_text(f"Time(sec),PM,AM,AL,PL,GON,GRFz\n{text}\n")
 
 
+@pytest.mark.slow
 def test_forces_in_pounds_are_compared_with_compression_along_the_shank_in_the_stances(folder: Path) -> None:
     archive = folder / "trial.h5"
     lines = compare(folder, archive=archive, uncertainty="none")

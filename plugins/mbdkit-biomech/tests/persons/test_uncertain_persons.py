@@ -35,6 +35,7 @@ def test_an_error_of_a_knee_changes_its_moment_by_the_force_times_the_distance(a
     assert np.sqrt(np.mean(left**2)) < 0.15 * np.sqrt(np.mean(expected[inside] ** 2))
 
 
+@pytest.mark.slow
 def test_bars_of_a_person_contain_data_and_person_by_default():
     with mbdkit.inverse(person_spec(motion={"errors": {"samples": 100}}, uncertainty={"samples": 100})) as run:
         parts = run.accuracy.parts
@@ -94,6 +95,7 @@ def test_a_muscle_along_the_leg_that_pulls_the_shank_off_the_knee_is_doubtful(ab
     assert all("of knee in single stance by up to 300 N" in one.sentence for one in found)
 
 
+@pytest.mark.slow
 def test_bars_of_a_drawn_person_contain_most_forces() -> None:
     # The benchmark `persons` counts this for many: 96 %, with a standard deviation of 14 % between them, of which 2.5
     # are allowed. One person shows that no large source is missing: bars of the noise of the data contain 10 to 30 %.

@@ -110,6 +110,7 @@ def fresh() -> str:
     return generated()
 
 
+@pytest.mark.slow
 def test_the_checked_in_kernels_are_those_that_the_definitions_generate(fresh: str) -> None:
     assert TARGET.read_text(encoding="utf-8") == fresh, "run `python -m mbdkit_builder elements`"
 

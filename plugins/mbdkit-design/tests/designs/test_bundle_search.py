@@ -80,6 +80,7 @@ def test_a_search_that_stopped_at_a_kink_goes_on_and_one_at_a_smooth_minimum_doe
     assert beyond_kink(cast("Problem", WithinDiamond()), inside, 1e-9, 100) is inside
 
 
+@pytest.mark.slow
 def test_the_spring_of_the_least_peak_of_a_torque_is_the_chebyshev_fit_of_the_moment() -> None:
     # expected: the line k phi - k phi_0 with the smallest largest distance from the moment, a linear program
     angle, moment = moments(at=np.linspace(0.0, 2.0, 4001))

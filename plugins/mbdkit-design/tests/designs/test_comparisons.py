@@ -86,6 +86,7 @@ def test_fronts_are_not_compared() -> None:
         load_design_spec(moved(goals, compare={"a": {"time.step": 0.02}}))
 
 
+@pytest.mark.slow
 def test_comparisons_are_added_to_an_optimum_that_is_there_and_stages_are_named(tmp_path: Path) -> None:
     spec, told = tuned(compare={"coarse": GILL}), []  # type: dict[str, Any], list[str]
     found = mbdkit.design(spec, out=tmp_path / "both", optimum_only=True, notify=told.append)

@@ -39,6 +39,7 @@ def test_exact_derivatives_are_those_of_the_measures(kind: str) -> None:
     np.testing.assert_allclose(exact, differences(evaluator, x), rtol=1e-6, atol=1e-9 * np.max(np.abs(exact)))
 
 
+@pytest.mark.slow
 def test_the_optimum_is_found_to_more_digits_than_by_differences() -> None:
     # expected: the regression of the moments
     angle, moment = moments()

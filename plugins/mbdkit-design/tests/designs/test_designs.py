@@ -44,6 +44,7 @@ def test_a_design_of_inverse_dynamics_without_known_noise_has_no_estimate_of_its
     assert "may be due to errors of the runs, which were not estimated" in found.summary()
 
 
+@pytest.mark.slow
 def test_scenarios_are_summed_by_their_weights() -> None:
     # expected: with phi_0 = 0, the sum of w_s <(M_s + k phi_s)^2> is least at k = -sum w_s <M phi> / sum w_s <phi^2>
     amplitudes, weights = (0.5, 1.2), (1.0, 0.3)
@@ -60,7 +61,8 @@ def test_scenarios_are_summed_by_their_weights() -> None:
 
 
 @pytest.mark.parametrize(
-    "optimizer", ["slsqp", "trust-constr", pytest.param("differential-evolution", marks=pytest.mark.slow)]
+    "optimizer",
+    ["slsqp", *(pytest.param(name, marks=pytest.mark.slow) for name in ("trust-constr", "differential-evolution"))],
 )
 def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
     # expected: the brace may exert 3 N m at most, at the largest angle
@@ -80,6 +82,7 @@ def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
     assert wrong in found.summary()
 
 
+@pytest.mark.slow
 def test_two_goals_give_a_front_between_their_least_values() -> None:
     # expected: <(M + k phi)^2> falls, and the torque of the brace rises, from k = 0 to the regression
     spec = swing()
@@ -155,6 +158,7 @@ def test_the_command_writes_a_folder_once(tmp_path: Path, monkeypatch: pytest.Mo
         assert run.measures["goal"] == pytest.approx(stored["best"]["goals"]["goal"], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_limits_that_cannot_be_met_are_told_by_the_exit_status(tmp_path: Path) -> None:
     given = pendulum(**{"model.angle": {"bounds": [0.0, 0.1]}})
     given["subject_to"] = {"height": {"value": "final(rod1.y)", "min": 10.0}}

@@ -36,6 +36,7 @@ def sledge(**sections: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr"])
 def test_the_best_point_is_none_whose_run_fails(optimizer: str) -> None:
     # the goal falls up to the value at which runs begin to fail; trust-constr ends beyond it

@@ -51,6 +51,7 @@ def test_the_front_of_three_distances_is_the_triangle() -> None:
     assert found.best in found.front
 
 
+@pytest.mark.slow
 def test_a_front_within_limits_and_a_bound_that_fixes_a_variable() -> None:
     # expected: y = 0.5 at its bound, and x between the limit 0.25 and 1, the nearest places to the corners
     variables = moved("")["variables"]
@@ -87,6 +88,7 @@ def test_bounds_without_room_say_how_to_fix_a_variable() -> None:
         mbdkit.design(moved(distance(0, 0), variables=variables))
 
 
+@pytest.mark.slow
 def test_cma_es_finds_the_nearest_point_within_a_limit() -> None:
     # expected: (0.3, 0), and with x + y >= 1 the foot (0.65, 0.35) of the perpendicular to the line
     pytest.importorskip("cma")

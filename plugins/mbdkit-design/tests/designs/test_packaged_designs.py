@@ -29,6 +29,7 @@ def balance(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_stiffness_and_attachment_of_the_balanced_arm_are_found(balance: Path) -> None:
     # expected: k h b = m g c; links have their centres at half of 0.4 m, springs end at b = 0.1 m along the links
     gravity, along = 9.81, 0.1

@@ -64,6 +64,7 @@ def test_of_two_springs_in_parallel_only_the_sum_is_determined(optimizer: str) -
     assert "Only a combination of model.forces.brace.stiffness, model.forces.strap.stiffness" in found.summary()
 
 
+@pytest.mark.slow
 def test_a_limit_or_a_bound_determines_one_of_two_springs() -> None:
     rough = {"name": "slsqp", "tolerance": 1e-9}
     limited = {"strap": {"value": "max(abs(forces.strap.value))", "max": 2.0, "min": 2.0}}

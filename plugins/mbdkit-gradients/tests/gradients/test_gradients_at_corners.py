@@ -10,6 +10,7 @@ from tests.gradients.checks import assert_passed
 import mbdkit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end", "engages_at"),
     [
@@ -58,6 +59,7 @@ def test_energies_jump_with_the_force() -> None:
     np.testing.assert_allclose(found.jacobian.sum(axis=0), [GRAVITY, 0.0, 0.0], rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_events_and_integrals_of_a_run_with_corners() -> None:
     # expected: differences of runs; the impulse of the pad is the change of the momentum and that of gravity
     spec = ball(0.9, 0.01)

@@ -49,7 +49,9 @@ def exact() -> np.ndarray:
     return mbdkit.gradient(SLIDER_CRANK, MEASURES[:1] + MEASURES[2:], PARAMETERS, check=False, **sections).jacobian
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (i % 2)) for i, kind in enumerate(KINDS)]
+)
 def test_gradients_of_every_kind_of_step(kind: str, exact: np.ndarray) -> None:
     # expected: differences of runs, which have the same steps; and the derivatives of the motion, up to the error of
     # the method

@@ -131,6 +131,7 @@ def compare_batch(batch: int, count: int, most: int = MOST) -> None:
     seed(batch)(chosen(given(mechanisms())(lambda drawn: compare(drawn, next(indices), most))))()
 
 
+@pytest.mark.slow
 def test_gradients_of_random_mechanisms_agree_with_differences_of_runs() -> None:
     # expected: differences of order 6 of whole runs
     compare_batch(0, 2, most=3)

@@ -173,6 +173,7 @@ def test_a_gradient_with_an_event_includes_the_state() -> None:
     np.testing.assert_allclose(found.jacobian[0], scaled, rtol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", [{"name": "rk4"}, {"name": "gauss", "stages": 2}], ids=str)
 def test_a_gradient_through_a_stop_includes_the_jump_of_the_rate_of_a_state(integrator: dict[str, Any]) -> None:
     """The force of a stop with a damper jumps at contact, and is part of the rate of a state."""

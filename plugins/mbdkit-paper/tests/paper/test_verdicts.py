@@ -205,6 +205,7 @@ def test_part_of_the_paper_decides_what_it_can_and_leaves_the_rest_open(small: m
     json.dumps(verdict.to_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_added_methods_stand_beside_the_papers_and_leave_its_claims_alone(small: mbdkit.Study, tmp_path: Path) -> None:
     added = ("rattle, index-3", "scipy-dop853")
     plain = judge(small)

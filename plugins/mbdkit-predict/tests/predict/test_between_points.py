@@ -80,6 +80,7 @@ def test_a_jump_that_the_motion_passes_at_the_end_of_an_interval_is_doubtful(col
     assert "A force jumps at a state that the motion passes at t = 0.5 s" in run.verdict_reasons[0]
 
 
+@pytest.mark.slow
 def test_a_jump_at_the_end_of_a_phase_is_right() -> None:
     # x = 0.5 ends the first phase, after a time T with a velocity v; a force of 10 N acts in the second one
     def effort(end: float, speed: float) -> float:

@@ -123,7 +123,9 @@ def test_examples_are_those_of_the_machine_code(name: str) -> None:
     check(load_spec(name).mechanism())
 
 
-@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (i % 2)) for i, name in enumerate(PAIRS)]
+)
 def test_contacts_are_those_of_the_machine_code(name: str) -> None:
     shapes, at, angle = PAIRS[name]
     check(two_bodies(*shapes, at, angle), spread=0.03)

@@ -25,6 +25,7 @@ from mbdkit_predict.transcription import OF_POINTS, Mesh
 from predict.exact_optima import DRAG, EFFORT, EXACT, PUSH, block, of_states, swing_up
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXACT)
 def test_the_error_bar_of_exact_optima_covers_and_is_sharp(name: str) -> None:
     spec, exact = EXACT[name]
@@ -170,6 +171,7 @@ def test_a_first_mesh_above_the_limit_is_refined_once() -> None:
     assert abs(run.objective - 12.0) <= run.objective_error
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_an_interrupted_prediction_keeps_the_best_motion(tmp_path: Path) -> None:
     timer = threading.Timer(1.5, signal.raise_signal, [signal.SIGINT])

@@ -45,7 +45,10 @@ def test_a_drawing_of_many_links_has_no_names_and_says_so(rods: int, are_shown: 
     assert ("J1" in texts(mechanism_svg(shown, Illustration.WIDE))) == are_shown
 
 
-@pytest.mark.parametrize("name", sorted(example_names("run")))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (i % 3 > 0)) for i, name in enumerate(sorted(example_names("run")))],
+)
 def test_every_element_of_an_example_is_named_once(name):
     mechanism = load_spec(name).mechanism()
     shown = start(mechanism)

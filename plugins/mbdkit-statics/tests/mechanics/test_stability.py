@@ -252,6 +252,7 @@ def test_a_column_buckles_also_where_a_point_of_the_search_is_the_bifurcation(lo
     np.testing.assert_array_equal(path.unstable, np.where(path.time > 1 / load, 1, 0))
 
 
+@pytest.mark.slow
 def test_large_mechanisms_say_what_was_not_examined() -> None:
     # a torque on one rod that depends on the angle of another has no potential; only the lowest motions are examined
     n = 510

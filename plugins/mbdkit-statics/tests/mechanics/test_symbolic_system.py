@@ -136,6 +136,7 @@ def assert_same_numbers(m: Mechanism, symbolic: SymbolicSystem, seed: int) -> No
         np.testing.assert_allclose(found[array], value, rtol=0, atol=1e-13 * scale, err_msg=array)
 
 
+@pytest.mark.slow
 @forms
 def test_beams_are_those_of_the_compiled_engine(numbers: bool) -> None:
     m = flexible(np.random.default_rng(5), elements=1)

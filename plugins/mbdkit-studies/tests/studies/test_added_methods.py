@@ -232,6 +232,7 @@ def test_what_is_not_installed_is_left_out_and_named(done: mbdkit.Study) -> None
     assert document.html()
 
 
+@pytest.mark.slow
 def test_with_the_plugin_what_was_left_out_is_computed_and_nothing_else(done: mbdkit.Study, tmp_path: Path) -> None:
     folder = shutil.copytree(done.folder, tmp_path / "study")
     site = tmp_path / "site"

@@ -495,7 +495,7 @@ def contents(block: Path) -> dict[str, Any]:
         }
 
 
-@pytest.mark.parametrize("store", ["hashes", "all"])
+@pytest.mark.parametrize("store", ["hashes", pytest.param("all", marks=pytest.mark.slow)])
 def test_an_interrupted_block_is_completed_to_the_same_bits(
     store: str, tmp_path: Path, computed: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

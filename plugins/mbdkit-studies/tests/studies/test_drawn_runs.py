@@ -20,6 +20,7 @@ def _short_studies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drawn_runs, "BLOCK", 5)
 
 
+@pytest.mark.slow
 def test_drawn_runs_have_the_bits_of_single_runs(tmp_path: Path) -> None:
     count, failed, found = compare(["rk4", "dopri5 adaptive"], 2, tmp_path)
     assert found == []

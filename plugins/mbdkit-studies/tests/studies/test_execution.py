@@ -180,6 +180,7 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
     assert [point.reason for point in again.points] == [point.reason for point in done.points]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call_and_in_later_ones(

@@ -210,6 +210,7 @@ def test_a_run_is_opened_by_the_number_that_answers_give(of_ishigami: mbdkit.Stu
         of_ishigami.select("angle > 1")
 
 
+@pytest.mark.slow
 def test_the_report_shows_the_sample(of_ishigami: mbdkit.Study) -> None:
     from mbdkit_studies.report.study_report import study_report
 
@@ -354,6 +355,7 @@ def test_a_key_of_the_sample_is_set_by_an_assignment(throw: dict[str, Any], tmp_
         mbdkit.study(throw, assignments=["sample.m=4"], out=tmp_path / "other")
 
 
+@pytest.mark.slow
 def test_indices_of_errors_are_not_shown(tmp_path: Path) -> None:
     # the total energy does not depend on the phase: its values differ by their errors only
     base = oscillator({"name": "rk4"}, 0.2, check=True, parameters={"phase": 0.0, "level": 0.0})

@@ -86,6 +86,7 @@ def test_a_claim_of_no_drift_is_held(claims: dict[str, object], outcome: str, me
     assert message in found.cause
 
 
+@pytest.mark.slow
 def test_a_pass_says_what_was_compared_with_what() -> None:
     text = verify("force-law", "one-sided", {"stiffness": 50.0, "acts": "tension"}, quick=True).text()
     lines = {line.split()[0]: line for line in text.splitlines() if line.startswith("  ")}

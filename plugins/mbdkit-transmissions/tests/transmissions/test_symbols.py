@@ -68,7 +68,9 @@ def periodic() -> Mechanism:
 
 
 @pytest.mark.parametrize("numbers", [True, False])
-@pytest.mark.parametrize("model", [geared, rolling, belted, curved, tabulated, periodic])
+@pytest.mark.parametrize(
+    "model", [geared, rolling, belted, curved, tabulated, pytest.param(periodic, marks=pytest.mark.slow)]
+)
 def test_symbols_and_engine_give_the_same_numbers(model: Callable[[], Mechanism], numbers: bool) -> None:
     m = model()
     system, equations = m.to_sympy(numbers=numbers), EquationsOfMotion.of(m)

@@ -71,6 +71,7 @@ def test_the_radial_forces_of_the_teeth_are_in_the_bearing_of_the_planet() -> No
     assert bearing + teeth == pytest.approx(-0.2 * 0.042 * run["carrier"].angular_velocity ** 2, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_the_geared_five_bar_moves_as_in_its_minimal_coordinate() -> None:
     run, p = checked("geared-five-bar"), load_spec("geared-five-bar").parameters
     apart, crank, rod = p["apart"], p["crank"], p["rod"]
