@@ -17,7 +17,7 @@ from mbdkit.plugin.equations import Starts
 from mbdkit.spec import load_spec
 from mbdkit_studies.lanes.lane_runs import LaneRuns
 
-from .geared_arm import coupled, crossed, geared, links
+from .geared_arm import RATIO, acceleration, coupled, crossed, geared, links
 
 GAUSS = {"name": "gauss", "stages": 3}
 TIME = {"end": 0.2, "step": 0.005}
@@ -96,6 +96,47 @@ def test_a_geared_arm_hangs_where_its_potential_is_stationary() -> None:
     a, b = found.position[:, 2]
     assert b == pytest.approx(2.5 * a, rel=1e-12)
     assert 1.5 * np.cos(a) + 2.5 * 0.5 * np.cos(b) == pytest.approx(0.0, abs=1e-12)
+
+
+def geared_spec(pressure_angle: float = 0.0) -> dict[str, Any]:
+    """Return the model of the arm whose second link is geared to the ground."""
+    model = spec_of()["model"]
+    gear = {"type": "gear", "bodies": ["ground", "b"], "radii": [0.6, 0.4], "points": [[0, 0], [-0.5, 0]]}
+    return model | {"joints": model["joints"] | {"G": gear | {"pressure_angle": pressure_angle}}}
+
+
+def test_inverse_dynamics_of_a_geared_arm_is_virtual_work(tmp_path: Path) -> None:
+    time = np.linspace(0.0, 1.0, 401)
+    a, rate, change = 0.4 * np.sin(3 * time), 1.2 * np.cos(3 * time), -3.6 * np.sin(3 * time)
+    np.savetxt(tmp_path / "arm.csv", np.stack([time, a], axis=1), delimiter=",", header="time,a", comments="")
+    motion = {"file": str(tmp_path / "arm.csv"), "columns": {"a.angle": {"column": "a", "unit": "rad"}}}
+    spec = {"mbdkit": 1, "model": geared_spec(), "motion": motion | {"smooth": {"name": "none"}}}
+    run = mbdkit.inverse(spec | {"actuators": {"A": {"joint": "A"}}})
+    # expected: with acceleration 0, the equation of the arm gives its bias; the inertia multiplies the rest
+    bias = np.array([acceleration(x, v) for x, v in zip(a, rate, strict=True)])
+    inertia = 0.5**2 + 1.0 + (RATIO * 0.5) ** 2 + 0.1 * (1 + RATIO**2) + RATIO * np.cos((RATIO - 1.0) * a)
+    torque = np.interp(time, run.time, run.actuators["A"].value)
+    np.testing.assert_allclose(torque[50:-50], (inertia * (change - bias))[50:-50], rtol=0, atol=1e-8)
+    with pytest.raises(SpecError, match="does not include the radial force of the teeth"):
+        mbdkit.inverse(spec | {"model": geared_spec(0.35)} | {"actuators": {"A": {"joint": "A"}}})
+
+
+def test_a_predicted_motion_of_a_geared_arm_is_confirmed_by_a_run() -> None:
+    pytest.importorskip("casadi")
+    model = geared_spec(0.35) | {"forces": {"T": {"type": "torque", "body": "a", "value": 0.0}}}
+    found = mbdkit.predict(
+        {
+            "mbdkit_predict": 1,
+            "base": {"model": model},
+            "controls": {"forces.T.value": {"bounds": [-100, 100], "start": 20}},
+            "duration": 0.8,
+            "initial": {"a.angle": 0, "a.angular_velocity": 0},
+            "final": {"a.angle": 0.8, "a.angular_velocity": 0},
+            "minimize": "integral(forces.T.value**2)",
+        }
+    )
+    assert found.verdict == "good"
+    assert found.bodies["b"].angle[-1] == pytest.approx(RATIO * 0.8, abs=1e-9)
 
 
 def test_taylor_refuses_other_joints_than_pins() -> None:
