@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 import mbdkit
 
-PUBLIC = ("mbdkit", "mbdkit.spec", "mbdkit.plot", "mbdkit.testing")
+PUBLIC = ("mbdkit", "mbdkit.spec", "mbdkit.testing")
 
 COMMANDS = {
     "run": "run pendulum -o FOLDER/pendulum.h5 --overwrite --json",
