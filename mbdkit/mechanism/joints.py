@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import At, Attachment, BetweenPoints, Body, FromTo
 from mbdkit.mechanism.joint_base import Constraint, FunctionJoint, JointBase, Mark, Pose, Travel
@@ -387,6 +388,14 @@ else:
     """A joint or driver; `type` selects its class, which a plugin may add (`JointKind`)."""
 
 
-def joint_with_friction(joints: Mapping[str, Joint]) -> str:
-    """Return the name of the first joint with friction; empty if no joint has friction."""
-    return next((name for name, joint in joints.items() if getattr(joint, "friction", None) is not None), "")
+def force_of_reaction(joints: Mapping[str, Joint]) -> tuple[str, str, str] | None:
+    """Return the first force that follows the reaction of its joint: friction, or a side force.
+
+    The result is the name of the joint with the key of the force, the name of the force in messages, and what ends it.
+    """
+    for name, joint in joints.items():
+        if getattr(joint, "friction", None) is not None:
+            return f"{quoted(name)}.friction", "friction in joints", "omit it"
+        if isinstance(joint, FunctionJoint) and (side := joint.side_force()) is not None:
+            return f"{quoted(name)}.{side.key}", side.name, "set it to 0"
+    return None

@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.joint_base import Constraint as Constraint
     from mbdkit.mechanism.joints import (
         SlidingJoint as SlidingJoint, Weld as Weld,
-        joint_with_friction as joint_with_friction,
+        force_of_reaction as force_of_reaction,
     )
     from mbdkit.mechanism.law_element import Law as Law
     from mbdkit.mechanism.mechanism import gravity_text as gravity_text

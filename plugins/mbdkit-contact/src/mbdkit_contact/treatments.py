@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mbdkit.plugin import ExternalMethod, Mechanism, Method, RunSpec, SpecError, StepMethod, quoted
+from mbdkit.plugin import ExternalMethod, Mechanism, Method, RunSpec, SpecError, StepMethod
 from mbdkit.plugin.equations import INDEX_1
-from mbdkit.plugin.mechanisms import joint_with_friction
+from mbdkit.plugin.mechanisms import force_of_reaction
 from mbdkit.plugin.methods import CompiledMethod
 from mbdkit.plugin.seams import run_check, treatment_condition, treatment_guards, treatment_method
 from mbdkit_contact.compiled_events import CompiledEventDriven
@@ -19,12 +19,12 @@ GUARDS = {"dop853": 4, "dopri5": 16}
 
 @run_check
 def check_run(mechanism: Mechanism) -> None:
-    """Raise SpecError if contacts are rigid and a joint has friction."""
-    if mechanism.reacting is not None and (name := joint_with_friction(mechanism.joints)):
+    """Raise SpecError if contacts are rigid and a joint has friction, or a side force."""
+    if mechanism.reacting is not None and (force := force_of_reaction(mechanism.joints)):
+        key, what, remedy = force
         raise SpecError(
-            "runs with rigid contacts do not support friction in joints; omit it, or use "
-            "`contact: {treatment: compliant}`",
-            key=f"model.joints.{quoted(name)}.friction",
+            f"runs with rigid contacts do not support {what}; {remedy}, or use `contact: {{treatment: compliant}}`",
+            key=f"model.joints.{key}",
         )
 
 

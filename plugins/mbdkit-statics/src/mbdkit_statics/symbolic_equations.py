@@ -34,8 +34,8 @@ from mbdkit.plugin.mechanisms import (
     TorsionSpring,
     curve_of,
     expression_of,
+    force_of_reaction,
     is_of_state,
-    joint_with_friction,
     law_expressions,
     symbolic_function,
 )
@@ -73,8 +73,9 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
     if kind := "states" if mechanism.states else next(iter(further), ""):
         what = "first-order states" if kind == "states" else kind
         raise SpecError(f"{what} have no symbolic form", key=f"model.{kind}")
-    if name := joint_with_friction(mechanism.joints):
-        raise SpecError("friction in joints has no symbolic form", key=f"model.joints.{quoted(name)}.friction")
+    if force := force_of_reaction(mechanism.joints):
+        key, what, remedy = force
+        raise SpecError(f"{what} has no symbolic form; {remedy}", key=f"model.joints.{key}")
     return _SystemBuilder(mechanism, numbers).system()
 
 

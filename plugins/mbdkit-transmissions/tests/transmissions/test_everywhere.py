@@ -117,7 +117,7 @@ def test_inverse_dynamics_of_a_geared_arm_is_virtual_work(tmp_path: Path) -> Non
     inertia = 0.5**2 + 1.0 + (RATIO * 0.5) ** 2 + 0.1 * (1 + RATIO**2) + RATIO * np.cos((RATIO - 1.0) * a)
     torque = np.interp(time, run.time, run.actuators["A"].value)
     np.testing.assert_allclose(torque[50:-50], (inertia * (change - bias))[50:-50], rtol=0, atol=1e-8)
-    with pytest.raises(SpecError, match="does not include the radial force of the teeth"):
+    with pytest.raises(SpecError, match="does not support the radial force of the teeth"):
         mbdkit.inverse(spec | {"model": geared_spec(0.35)} | {"actuators": {"A": {"joint": "A"}}})
 
 

@@ -23,8 +23,8 @@ def pair(**second: object) -> Mechanism:
 def geared() -> Mechanism:
     """Return a gear whose bodies turn on a carrier, and a gear in a ring of the ground."""
     m = pair(position=(0.34, 0.38))
-    m.gear("G", "a", "b", radii=(0.1, 0.2))
-    m.gear("ring", m.ground, "b", radii=(0.6, 0.6 - math.hypot(0.34, 0.38)), internal=True)
+    m.gear("G", "a", "b", radii=(0.1, 0.2), pressure_angle=0.0)
+    m.gear("ring", m.ground, "b", radii=(0.6, 0.6 - math.hypot(0.34, 0.38)), internal=True, pressure_angle=0.0)
     return m
 
 
@@ -97,7 +97,7 @@ def test_a_coupling_shows_its_equation() -> None:
 
 def test_parameters_of_gears_are_symbols() -> None:
     m = pair(position=(0.34, 0.38))
-    m.gear("G", "a", "b", radii=(0.1, 0.2))
+    m.gear("G", "a", "b", radii=(0.1, 0.2), pressure_angle=0.0)
     values = {str(symbol): value for symbol, value in m.to_sympy(numbers=False).parameters.items()}
     assert values["radius_G"] == 0.2
     assert values["distance_G"] == pytest.approx(0.3, rel=1e-15)
@@ -109,3 +109,11 @@ def test_the_root_of_an_equation_has_no_symbols() -> None:
     with pytest.raises(SpecError, match="joint 'C' has no symbolic form, because its constraint is the root") as error:
         m.to_sympy()
     assert error.value.key == "model.joints.C"
+
+
+def test_a_radial_force_is_refused_because_it_follows_the_reaction() -> None:
+    m = pair(position=(0.34, 0.38))
+    m.gear("G", "a", "b", radii=(0.1, 0.2))
+    with pytest.raises(SpecError, match="the radial force of the teeth has no symbolic form; set it to 0") as error:
+        m.to_sympy()
+    assert error.value.key == "model.joints.G.pressure_angle"

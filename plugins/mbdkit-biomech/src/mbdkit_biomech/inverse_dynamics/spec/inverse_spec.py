@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
 
-from mbdkit.plugin import GROUND, FunctionJoint, QuantityNames, SpecError, Target, path_text, quoted
-from mbdkit.plugin.mechanisms import joint_with_friction
+from mbdkit.plugin import GROUND, QuantityNames, SpecError, Target, path_text, quoted
+from mbdkit.plugin.mechanisms import force_of_reaction
 from mbdkit.plugin.specs import (
     Choice,
     DefinedMeasure,
@@ -151,17 +151,9 @@ class InverseSpec(ModelSpec):
                 "inverse dynamics does not support contacts: omit them, and give the forces of the ground as `loads`",
                 key=f"model.contacts.{quoted(next(iter(contacts)))}",
             )
-        for name, joint in mechanism.joints.items():
-            if isinstance(joint, FunctionJoint) and (side := joint.side_force()) is not None:
-                raise SpecError(
-                    f"inverse dynamics does not include {side.name}; set it to 0",
-                    key=f"model.joints.{quoted(name)}.{side.key}",
-                )
-        if name := joint_with_friction(mechanism.joints):
-            raise SpecError(
-                "inverse dynamics does not support friction in joints; omit it",
-                key=f"model.joints.{quoted(name)}.friction",
-            )
+        if force := force_of_reaction(mechanism.joints):
+            key, what, remedy = force
+            raise SpecError(f"inverse dynamics does not support {what}; {remedy}", key=f"model.joints.{key}")
 
     @property
     def span(self) -> tuple[float, float] | None:
