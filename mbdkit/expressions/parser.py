@@ -209,6 +209,10 @@ class Compiler:
                 return self.call(node, nesting)
         return self.operand(node)
 
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the variables that error messages list."""
+        return (self.variable,)
+
     def operand(self, node: ast.expr) -> Code:
         """Return the program of an operand that depends on the context.
 
@@ -216,9 +220,9 @@ class Compiler:
         """
         if isinstance(node, ast.Name):
             name = self.segment(node)
-            known = [self.variable, "pi", *FUNCTIONS, *self.parameters]
+            known = [*self.names(), "pi", *FUNCTIONS, *self.parameters]
             hint = (TIME.get(name) if self.variable == "t" else "") or did_you_mean(name, known)
-            hint = hint or f"; known: {listed([self.variable, 'pi', *self.parameters])} and functions"
+            hint = hint or f"; known: {listed([*self.names(), 'pi', *self.parameters])} and functions"
             self.refuse(f"unknown name '{name}'{hint}", node)
         self.refuse(
             f"'{self.segment(node)}' is not part of {self.wanted}, + - * / **, "

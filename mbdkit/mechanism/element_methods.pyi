@@ -19,8 +19,7 @@ from mbdkit_contact.contact import Compliance
 from mbdkit_contact.contact import Contact
 from mbdkit_contact.contact import Friction
 from mbdkit_contact.contact import Shape
-from mbdkit_transmissions.cams import Flat
-from mbdkit_transmissions.cams import Roller
+from mbdkit_transmissions.cams import Follower
 from mbdkit_transmissions.cams import SlotCurve
 
 class ElementMethods(NamedElements):
@@ -786,7 +785,7 @@ class ElementMethods(NamedElements):
     def cam(
         self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 0.0)),
         profile: float | str | Mapping[str, Any],
-        follower: Literal["point"] | Mapping[str, Any] | Roller | Mapping[str, Any] | Flat = 'point'
+        follower: Literal["point"] | Mapping[str, Any] | Follower = 'point'
     ) -> None:
         """Connect bodies `a` and `b`: a cam and a follower
 
@@ -811,7 +810,7 @@ class ElementMethods(NamedElements):
             ends.
         follower
             What touches the cam at b's point: the `point` itself, `{roller: radius}`, or `{flat: [x, y]}`, a face
-            with this normal in b's frame. Keys of `Roller`: roller. Keys of `Flat`: flat.
+            with this normal in b's frame. Keys of `Follower`: roller, flat.
         """
 
     def slot(

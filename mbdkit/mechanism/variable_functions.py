@@ -49,6 +49,10 @@ class VariableCompiler(Compiler):
             error.variables = self.variables
             raise
 
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the variables that error messages list."""
+        return self.variables
+
     def operand(self, node: ast.expr) -> Code:
         """Return the program of a variable; the base class rejects all other operands."""
         if isinstance(node, ast.Name) and node.id in self.variables:

@@ -90,18 +90,24 @@ def _point_and_tangent(radius: Curve, s: Any) -> tuple[Any, Any, Any, Any]:
     return r * c, r * sine, slope * c - r * sine, slope * sine + r * c
 
 
-class Roller(StrictModel):
-    """A follower that is a roller around the second body's point."""
+class Follower(StrictModel):
+    """A follower with an extent: exactly one of `roller` and `flat`."""
 
-    roller: Positive
-    """Radius of the roller [m]."""
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("roller", "flat")
 
+    roller: Positive | None = None
+    """Radius of a roller around the second body's point [m]."""
+    flat: Point | None = None
+    """Direction, in b's frame, of the normal of a flat face through the second body's point; it points away from the
+    cam."""
 
-class Flat(StrictModel):
-    """A follower that is a flat face through the second body's point."""
-
-    flat: Point
-    """Direction of the normal of the face in b's frame, which points away from the cam."""
+    @model_validator(mode="after")
+    def _is_one(self) -> Follower:
+        if (self.roller is None) == (self.flat is None):
+            raise SpecError("give either `roller`, a radius, or `flat`, the normal of a face")
+        if self.flat == (0.0, 0.0):
+            raise SpecError("the normal [0, 0] has no direction", key="flat")
+        return self
 
 
 class Cam(FunctionJoint):
@@ -116,7 +122,7 @@ class Cam(FunctionJoint):
     profile: OfAngle
     """Radius of the cam [m] from its centre, a's point, as a function of the `angle` from a's x axis [rad]: a number,
     an expression, or a table with `ends: periodic`."""
-    follower: Literal["point"] | Roller | Flat = "point"
+    follower: Literal["point"] | Follower = "point"
     """What touches the cam at b's point: the `point` itself, `{roller: radius}`, or `{flat: [x, y]}`, a face with this
     normal in b's frame."""
     rows: ClassVar[tuple[str, ...]] = ("normal",)
@@ -124,39 +130,40 @@ class Cam(FunctionJoint):
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
-        return self.places() if isinstance(self.follower, Flat) else self.places()[:1]
+        is_flat = self.follower != "point" and self.follower.flat is not None
+        return self.places() if is_flat else self.places()[:1]
 
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
-        radius = Curve(self.profile, "angle")
+        radius, follower = Curve(self.profile, "angle"), self.follower
         size = float(np.max(check_closed(radius, "profile")))
-        self._check_curvature(radius)
-        if isinstance(self.follower, Roller):
-            return [PoseFunction(RollerOnCurve(radius), (("roller", self.follower.roller), ("size", size)))]
-        if isinstance(self.follower, Flat):
-            normal = math.atan2(self.follower.flat[1], self.follower.flat[0])
+        if follower == "point":
+            return [PoseFunction(OnClosedCurve(radius))]
+        self._check_curvature(radius, follower)
+        if follower.flat is not None:
+            normal = math.atan2(follower.flat[1], follower.flat[0])
             return [PoseFunction(FaceOnCurve(radius), (("normal", normal), ("size", size)))]
-        return [PoseFunction(OnClosedCurve(radius))]
+        assert follower.roller is not None
+        return [PoseFunction(RollerOnCurve(radius), (("roller", follower.roller), ("size", size)))]
 
-    def _check_curvature(self, radius: Curve) -> None:
+    @staticmethod
+    def _check_curvature(radius: Curve, follower: Follower) -> None:
         """Raise SpecError if the follower cannot touch the profile everywhere."""
-        if self.follower == "point":
-            return
         step = 2 * np.pi / 7200
         angles = np.arange(-np.pi, np.pi, step)
         before, r, after = (np.asarray(radius(angles + shift)) for shift in (-step, 0.0, step))
         slope, bend = (after - before) / (2 * step), (after - 2 * r + before) / step**2
         curvature = (r * r + 2 * slope * slope - r * bend) / (r * r + slope * slope) ** 1.5
         worst = int(np.argmin(curvature))
-        if isinstance(self.follower, Flat) and curvature[worst] <= 0.0:
+        if follower.flat is not None and curvature[worst] <= 0.0:
             raise SpecError(
                 f"the profile is hollow at the angle {angles[worst]:.4g} rad, where a flat face cannot follow it",
                 key="profile",
             )
-        if isinstance(self.follower, Roller) and -curvature[worst] * self.follower.roller >= 1.0:
+        if follower.roller is not None and -curvature[worst] * follower.roller >= 1.0:
             raise SpecError(
                 f"the profile is hollow at the angle {angles[worst]:.4g} rad with a radius of curvature of "
-                f"{-1.0 / curvature[worst]:.4g} m, less than that of the roller, {self.follower.roller:.4g} m",
+                f"{-1.0 / curvature[worst]:.4g} m, less than that of the roller, {follower.roller:.4g} m",
                 key="follower",
             )
 
@@ -164,18 +171,19 @@ class Cam(FunctionJoint):
         """Return the profile and the follower."""
         profile = _closed_line(Curve(self.profile, "angle"), self.points[0])
         (x, y), follower = self.points[1], self.follower
-        if isinstance(follower, Roller):
+        if follower == "point":
+            return [profile]
+        if follower.roller is not None:
             turns = np.linspace(0.0, 2 * np.pi, 25)
             return [
                 profile,
                 [(1, (x + follower.roller * math.cos(s), y + follower.roller * math.sin(s))) for s in turns],
             ]
-        if isinstance(follower, Flat):
-            length = math.hypot(*follower.flat)
-            dx, dy = -follower.flat[1] / length, follower.flat[0] / length
-            half = float(np.max(np.asarray(Curve(self.profile, "angle")(np.linspace(-np.pi, np.pi, 181)))))
-            return [profile, [(1, (x - half * dx, y - half * dy)), (1, (x + half * dx, y + half * dy))]]
-        return [profile]
+        assert follower.flat is not None
+        length = math.hypot(*follower.flat)
+        dx, dy = -follower.flat[1] / length, follower.flat[0] / length
+        half = float(np.max(np.asarray(Curve(self.profile, "angle")(np.linspace(-np.pi, np.pi, 181)))))
+        return [profile, [(1, (x - half * dx, y - half * dy)), (1, (x + half * dx, y + half * dy))]]
 
 
 class SlotCurve(StrictModel):
