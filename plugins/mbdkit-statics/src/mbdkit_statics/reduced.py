@@ -15,6 +15,7 @@ from scipy.linalg import eigh, eigvalsh_tridiagonal, ldl
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
+from mbdkit.plugin import GROUND, SpecError, quoted
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
 
@@ -39,6 +40,9 @@ SHIFT = 1e-12
 
 NEAREST = 4
 """Number of eigenvalues among which the lowest real part is chosen if the stiffness is not symmetric."""
+
+HELD = 1e-9
+"""Two points are held at a constant distance if motions change it by less than this share of what they move."""
 
 PILOTS = 3
 """Number of inverse iterations by which `_pilot` estimates the lowest frequency."""
@@ -127,6 +131,7 @@ def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) 
     scaled = p.constraint_jacobian(at.t, at.q).toarray()[:, free] / root
     q, r = np.linalg.qr(scaled.T, mode="complete")
     basis = q[:, p.m :] / root[:, None]
+    _refuse_side_forces_that_work(prepared, at.q, free, basis)
     tangents = p.tangents(at.t, at.q, at.v, at.a, at.lam)
     k, c = (x.toarray()[np.ix_(free, free)] for x in (tangents.stiffness, tangents.damping))
     turning = 0.5 * tangents.gamma_v.toarray()[:, free] @ basis  # d(Phi_q v + Phi_t)/dq is -gamma_v / 2
@@ -140,6 +145,34 @@ def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) 
     everywhere, turned = np.zeros((2, p.n, basis.shape[1]))
     everywhere[free], turned[free] = basis, moved
     return Reduced(everywhere, stiffness, basis.T @ c @ basis, turned)
+
+
+def _refuse_side_forces_that_work(
+    prepared: PreparedMechanism, q: np.ndarray, free: np.ndarray, basis: np.ndarray
+) -> None:
+    """Raise SpecError for the first side force whose points come closer in motions along a basis (f', f).
+
+    The tangents hold reactions constant, and side forces that follow them; this is right where they do no work.
+    """
+    mechanism = prepared.workspace.mechanism
+    for force in mechanism.following:
+        slope, points, given = np.zeros((2, len(q))), [], force.joint.flat_points
+        for sign, body, point in zip((-1.0, 1.0), force.joint.bodies, (given[:2], given[2:]), strict=True):
+            if body == GROUND:
+                points.append(np.array(point))
+                continue
+            i = 3 * mechanism.bodies.index(body)
+            c, s = np.cos(q[i + 2]), np.sin(q[i + 2])
+            arm = np.array([c * point[0] - s * point[1], s * point[0] + c * point[1]])
+            points.append(q[i : i + 2] + arm)
+            slope[:, i : i + 3] = sign * np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]]])
+        along = (points[1] - points[0]) @ slope[:, free]
+        if np.any(np.abs(along @ basis) > HELD * (np.abs(along) @ np.abs(basis))):
+            raise SpecError(
+                f"linearised equations do not include {force.side.name} of joint '{force.name}', whose points are not "
+                "held at a constant distance; hold them, or set it to 0",
+                key=f"model.joints.{quoted(force.name)}.{force.side.key}",
+            )
 
 
 def at_rest(prepared: PreparedMechanism, q: np.ndarray, lam: np.ndarray) -> State:
@@ -282,6 +315,7 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
     from scipy.sparse.linalg import LinearOperator, eigs
 
     p, n = prepared.equations, prepared.equations.n
+    prepared.workspace.mechanism.refuse_side_forces("the modes of a large mechanism")
     shift = 0.5 * np.sqrt(_pilot(prepared, at)[0])
     state = at.t, at.q, at.v, at.a, at.lam
     tangents = p.tangents(*state)

@@ -98,6 +98,19 @@ def test_a_geared_arm_hangs_where_its_potential_is_stationary() -> None:
     assert 1.5 * np.cos(a) + 2.5 * 0.5 * np.cos(b) == pytest.approx(0.0, abs=1e-12)
 
 
+def test_modes_include_no_radial_force_that_does_work() -> None:
+    """Expected: held centres have the modes of a gear without this force; otherwise the tangents would be wrong."""
+    held, free = geared(), links()
+    plain = held.joints["G"].model_copy(update={"pressure_angle": 0.0})
+    modes = mbdkit.modes(held).eigenvalues
+    held.joints["G"] = plain
+    np.testing.assert_allclose(modes, mbdkit.modes(held).eigenvalues, rtol=1e-9)
+    free.gear("G", free.ground, "b", radii=(0.6, 0.9))
+    with pytest.raises(SpecError, match="not held at a constant distance") as error:
+        mbdkit.modes(free)
+    assert error.value.key == "model.joints.G.pressure_angle"
+
+
 def geared_spec(pressure_angle: float = 0.0) -> dict[str, Any]:
     """Return the model of the arm whose second link is geared to the ground."""
     model = spec_of()["model"]
