@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from mbdkit.engine.workspace import finite_motions
 from mbdkit.mechanism.beams import written_key
 from mbdkit.mechanism.joints import Revolute
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.values import Table
+from mbdkit.mechanism.values import Motion, Table
 
 NOISE = 1e-9
 """Changes below this are not reported [m, rad, m/s, rad/s]."""
@@ -148,7 +147,7 @@ class _Assembly:
         self.search.evaluate(self.given_q.ravel())
         if finite_motions(top, scratch.u):
             return
-        written: list[tuple[str, Any]] = []
+        written: list[tuple[str, Motion | None]] = []
         for name, joint in self.mechanism.joints.items():
             written.append((f"model.joints.{quoted(name)}.motion", getattr(joint, "motion", None)))
         for name, force in self.mechanism.forces.items():

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from mbdkit.mechanism.joint_friction import JointFriction, PinFriction, SlideFri
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Segment
+
+if TYPE_CHECKING:
+    from mbdkit.expressions.recorded import Recorded
 
 REACTIONS = ("reaction_0", "reaction_1")
 """Names of the law parameters for the multipliers of the first rows of the joint; kernels update their values."""
@@ -129,7 +132,7 @@ NEGLIGIBLE = 1e-7
 changes its sign. Smaller forces would be adjusted to rounding errors of reactions."""
 
 
-def _side_force(length: Any, rate: Any, time: Any, p: Mapping[str, Any]) -> Any:
+def _side_force(length: Recorded, rate: Recorded, time: Recorded, p: Mapping[str, Recorded]) -> Recorded:
     reaction, least = p[REACTIONS[0]], p["least"]
     square = reaction * reaction  # without a reaction there is no side force, as there is no friction
     return p["ratio"] * square / np.sqrt(square + least * least)
@@ -137,16 +140,16 @@ def _side_force(length: Any, rate: Any, time: Any, p: Mapping[str, Any]) -> Any:
 
 _SIDE = TracedLaw(_side_force, lambda one: one.numbers)
 
-Law = Callable[[Any, Mapping[str, Any]], Any]
+Law: TypeAlias = "Callable[[Recorded, Mapping[str, Recorded]], Recorded]"
 
 
-def _pin(rate: Any, p: Mapping[str, Any]) -> Any:
+def _pin(rate: Recorded, p: Mapping[str, Recorded]) -> Recorded:
     """Return the friction torque of a pin of radius `arm` at an angular rate; the multipliers are its reaction."""
     force = np.sqrt(p["reaction_0"] * p["reaction_0"] + p["reaction_1"] * p["reaction_1"])
     return p["arm"] * _against(force, p["arm"] * rate, p)
 
 
-def _slide(rate: Any, p: Mapping[str, Any]) -> Any:
+def _slide(rate: Recorded, p: Mapping[str, Recorded]) -> Recorded:
     """Return the friction force of a slide of length ``1 / arm`` at a rate of its travel.
 
     The multipliers are the normal force and the moment, which are equivalent to one normal force at each end.
@@ -155,7 +158,7 @@ def _slide(rate: Any, p: Mapping[str, Any]) -> Any:
     return _against(np.absolute(half + couple) + np.absolute(half - couple), rate, p)
 
 
-def _against(normal: object, slip: object, p: Mapping[str, object]) -> Any:
+def _against(normal: Recorded, slip: Recorded, p: Mapping[str, Recorded]) -> Recorded:
     numbers = p["static"], p["kinetic"], p["transition"]
     return -regularised_friction(normal, slip, numbers, lambda x, a, b: np.where(x > 0.0, a, b))
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+
+import numpy as np
 
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
@@ -40,5 +41,5 @@ def _laws(function: Function, parameters: tuple[str, ...], name: str) -> tuple[C
         raise SpecError(f"the constraint of joint '{name}': {error}") from None
 
 
-def _law(program: Any) -> CompiledLaw:
+def _law(program: np.ndarray) -> CompiledLaw:
     return native_law(NativeLaw(law_programs.run_function, tuple(program.tolist())))

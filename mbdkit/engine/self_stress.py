@@ -7,7 +7,7 @@ have no self-stresses.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.linear_systems import SparseFactors
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 SMALL = 1e-9
@@ -69,7 +71,7 @@ def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
     return np.array([i for i, row in enumerate(compiled.rows) if row.pair in kept], dtype=np.int64)
 
 
-def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray) -> Any:
+def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray) -> np.ndarray | csr_array:
     """Return a matrix with the given entries and without empty columns: dense up to `MOST_DENSE` rows, else sparse."""
     columns, column = np.unique(column, return_inverse=True)
     shape = (m, len(columns))
@@ -82,7 +84,7 @@ def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray
     return dense
 
 
-def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
+def self_stresses(jacobian: np.ndarray | csr_array, expected: int = 0) -> np.ndarray:
     """Return an orthonormal basis (m, r) of the left null space of a matrix.
 
     - `jacobian`: (m, n) matrix as returned by `scaled_matrix`, with rows of norm about 1. For a dense matrix a
@@ -107,7 +109,7 @@ def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
     return basis[:, values < SMALL]
 
 
-def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
+def smallest_stress(jacobian: np.ndarray | csr_array) -> tuple[np.ndarray, float]:
     """Return the left singular vector (m,) of the smallest singular value of a matrix (m, n), and that value.
 
     The matrix has the format of `scaled_matrix`. If it has more rows than columns, the value is 0.
@@ -135,7 +137,7 @@ def _singular_vectors(y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.ascontiguousarray(y[order].T), values[order]
 
 
-def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
+def _smallest(jacobian: csr_array, some: int) -> tuple[np.ndarray, np.ndarray]:
     """Return left singular vectors of the `some` smallest singular values, and these values, in descending order.
 
     The sparse matrix ``[I, J^T; J, -TRACE]`` is factorized for inverse iteration with ``J J^T + TRACE``.

@@ -7,10 +7,10 @@ velocities, and lengths, rates and tensions of pathways; all other quantities ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
@@ -198,7 +198,7 @@ def _laws(
     return ExpressionLaw(value, parameters=dict), slopes
 
 
-def _function_of_sympy(operation: str) -> Any:
+def _function_of_sympy(operation: str) -> Callable[..., sympy.Expr]:
     import operator
 
     import sympy as sp

@@ -132,7 +132,7 @@ class RunExpression:
         return CompiledExpression(_total(whole), tuple(phases), tuple(breaks), whole in factors)
 
 
-def _applied(function: Callable[..., Any], of: Function, other: Function | None = None) -> Function:
+def _applied(function: Callable[..., object], of: Function, other: Function | None = None) -> Function:
     if other is None:
         return lambda values: function(of(values))
     return lambda values: function(of(values), other(values))
@@ -143,7 +143,7 @@ def _total(function: Function) -> Function:
     a number that is too large.
     """
 
-    def evaluated(values: Sequence[object]) -> Any:
+    def evaluated(values: Sequence[object]) -> object:
         try:
             value = function(values)
         except (ArithmeticError, ValueError):

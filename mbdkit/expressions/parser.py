@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
+from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
@@ -87,7 +87,7 @@ class Expression:
 
         functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "pow": sp.Pow}
 
-        def step(operation: str, number: float, *operands: Any) -> Any:
+        def step(operation: str, number: float, *operands: sympy.Expr) -> sympy.Expr:
             if operation == "const":
                 return sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
             if operation == "t":

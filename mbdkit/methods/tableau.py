@@ -371,11 +371,11 @@ class ButcherTableau:
             if not self._simplified_order_reaches(a, b, c):
                 self.check_trees(self.order)
 
-    def _simplified_order_reaches(self, a: list[list[Any]], b: list[Any], c: list[Any]) -> bool:
+    def _simplified_order_reaches(self, a: list[list[mpmath.mpf]], b: list[mpmath.mpf], c: list[mpmath.mpf]) -> bool:
         """Return whether B(p), C(eta) and D(zeta) imply the claimed order."""
         s, p = range(self.stages), self.order
 
-        def holds(defects: Iterator[Any]) -> bool:
+        def holds(defects: Iterator[mpmath.mpf]) -> bool:
             return all(abs(d) <= self._tolerance for d in defects)
 
         if not holds(mpmath.fsum(b[i] * c[i] ** (k - 1) for i in s) - mpmath.mpf(1) / k for k in range(1, p + 1)):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -15,7 +14,7 @@ from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.expressions.recorded_derivatives import derivatives
 from mbdkit.mechanism.joint_base import PoseFunction, record_function
 
-_OPERATIONS: Mapping[str, Callable[..., Any]] = {
+_OPERATIONS: Mapping[str, Callable[..., sp.Basic]] = {
     "add": sp.Add, "subtract": lambda x, y: x - y, "multiply": sp.Mul, "divide": lambda x, y: x / y, "power": sp.Pow,
     "negate": lambda x: -x, "remainder": sp.Mod, "abs": sp.Abs, "floor": sp.floor, "ceil": sp.ceiling,
     "minimum": sp.Min, "maximum": sp.Max, "sqrt": sp.sqrt, "exp": sp.exp, "log": sp.log, "sin": sp.sin, "cos": sp.cos,

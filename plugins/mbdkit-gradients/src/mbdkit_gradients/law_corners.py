@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class SidedLaw:
     """
 
     law: ExpressionLaw
-    conditions: tuple[Callable[..., list[Any]], ...]
+    conditions: tuple[Callable[..., list[float]], ...]
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class ForceCondition:
     element: int
     parameters: np.ndarray
     side: int
-    function: Callable[..., list[Any]]
+    function: Callable[..., list[float]]
 
     def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
         """Return g in T states.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count, pairwise
-from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -61,7 +60,9 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
         for i, (begin, end) in enumerate(pairwise(times)):
             coefficients = np.linalg.solve(matrix, controls[:, i].T)
 
-            def rates(t: float, y: np.ndarray, b: float = begin, h: float = end - begin, k: Any = coefficients) -> Any:
+            def rates(
+                t: float, y: np.ndarray, b: float = begin, h: float = end - begin, k: np.ndarray = coefficients
+            ) -> np.ndarray:
                 z = y[2 * n :].copy()
                 z[rows] = ((t - b) / h) ** powers @ k
                 a, _, of_states = equations.derivatives(t, y[:n], y[n : 2 * n], z)
@@ -93,7 +94,7 @@ def _between_stops(rates: Rates, span: tuple[float, float], state: np.ndarray, s
             raise StepError("step-too-small", "the explicit method needs too many evaluations")
         return rates(t, y)
 
-    options: Any = {"rtol": PRECISION, "atol": absolute}
+    options: dict[str, float | np.ndarray] = {"rtol": PRECISION, "atol": absolute}
     try:
         result = solve_ivp(counted, span, state, EXPLICIT, **options)
     except StepError:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -34,7 +33,7 @@ class PointHessian:
     variables: ca.MX
     blocks: Callable[[ca.MX, Mapping[str, ca.MX]], ca.MX]
     conditions: tuple[str, ...]
-    rest: Any
+    rest: ca.MX
 
     def whole(self, conditions: Mapping[str, ca.MX], unknowns: ca.MX, sizes: np.ndarray) -> ca.Function:
         """Return the upper triangle of the Hessian of all conditions, for unknowns divided by their sizes."""
