@@ -10,7 +10,7 @@ import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import h5py
 
@@ -18,6 +18,9 @@ from mbdkit.archive.hdf5_errors import cause, error_number
 from mbdkit.base import file_locks
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.base.files import check_not_input, check_output, rename_new, replace_file
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 SUFFIX = ".h5"
 
@@ -86,15 +89,15 @@ class _Stream(io.FileIO):
     is_discarding = False
     """Whether writes have no effect, so that HDF5 can close the file without changing it."""
 
-    def write(self, data: Any) -> int:
+    def write(self, data: ReadableBuffer) -> int:
         """Write all bytes, of which the system may take only some at a time."""
-        rest = memoryview(data)
+        rest = whole = memoryview(data)
         try:
             while rest and not self.is_discarding and self._failure is None:
                 rest = rest[os.write(self.fileno(), rest) :]
         except OSError as error:
             self._failure = error
-        return len(data)
+        return whole.nbytes
 
     def truncate(self, size: int | None = None) -> int:
         """Set the size of the file."""

@@ -11,7 +11,10 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 _LOCK = threading.Lock()
 _LIMITED = ExitStack()
@@ -39,7 +42,7 @@ def one_thread_of_linear_algebra() -> Iterator[None]:
 
 
 @lru_cache(maxsize=1)
-def _controller() -> Any:
+def _controller() -> ThreadpoolController:
     """Return the controller of the thread pools of the loaded libraries; cached, because it takes about 10 ms."""
     import scipy.linalg  # noqa: F401  loads the library of SciPy
     from threadpoolctl import ThreadpoolController

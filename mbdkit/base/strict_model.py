@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import (
     BaseModel,
@@ -153,7 +153,6 @@ def located_below(error: ValidationError, tag: str) -> ValidationError:
     lines: list[InitErrorDetails] = []
     for details in error.errors(include_url=False):
         context = details.get("ctx", {})
-        kind: Any = details["type"]
-        line = InitErrorDetails(type=kind, loc=(tag, *details["loc"]), input=details["input"], ctx=context)
+        line = InitErrorDetails(type=details["type"], loc=(tag, *details["loc"]), input=details["input"], ctx=context)
         lines.append(line)
     return ValidationError.from_exception_data(error.title, lines)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -165,9 +165,10 @@ class AtPoint(Element):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_default_beside_at(cls, data: Any) -> object:
-        is_placed = isinstance(data, Mapping) and data.get("at") is not None and "point" not in data
-        return {**data, "point": None} if is_placed else data
+    def _no_default_beside_at(cls, data: object) -> object:
+        if isinstance(data, Mapping) and data.get("at") is not None and "point" not in data:
+            return {**data, "point": None}
+        return data
 
     @model_validator(mode="after")
     def _point_once(self) -> Self:

@@ -10,7 +10,7 @@ it in ``mbdkit_statics/element_definitions.py``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -358,7 +358,7 @@ class Driver(JointBase):
         return (0.0, 0.0, *self.point, *((1.0, 0.0) if self.coordinate == "x" else (0.0, 1.0)))
 
     @classmethod
-    def unit_along(cls, data: Mapping[str, Any]) -> str:
+    def unit_along(cls, data: Mapping[str, object]) -> str:
         """Return the unit of the driven coordinate; see `Element.unit_along`."""
         return {"angle": "rad", "x": "m", "y": "m"}.get(str(data.get("coordinate")), "")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, model_validator
 from pydantic.fields import FieldInfo
@@ -160,7 +160,9 @@ class MechanismData(StrictModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _with_kinds(cls, data: object, handler: Callable[[Any], MechanismData], info: ValidationInfo) -> MechanismData:
+    def _with_kinds(
+        cls, data: object, handler: Callable[[object], MechanismData], info: ValidationInfo
+    ) -> MechanismData:
         """Validate as a derived class if there are elements of further kinds, so that only their code is imported."""
         kinds = kinds_in(data) if isinstance(data, Mapping) and data.keys() - cls.model_fields.keys() else []
         if further := tuple(kind for kind in kinds if kind.key_in_model not in cls.model_fields):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar, TypeGuard
 
 from pydantic import BeforeValidator, Field
 
@@ -38,12 +38,12 @@ class StateSyntax(Compiler):
         return super().operand(node)
 
 
-def is_of_state(value: object) -> bool:
+def is_of_state(value: object) -> TypeGuard[str]:
     """Return whether a value is a text that contains a quantity of a run, such as ``bodies.leg.angle``."""
     return isinstance(value, str) and _QUANTITY.search(value) is not None
 
 
-def _value(given: Any) -> object:
+def _value(given: object) -> object:
     """Accept functions of time, and expressions of the state."""
     if not is_of_state(given):
         return checked_motion(given)

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
+
+Nested: TypeAlias = "str | Sequence[Nested]"
+"""A text, or sequences of texts, nested to any depth."""
 
 COORDINATES = ("x", "y", "theta")
 AXES = ("x", "y")
@@ -68,7 +71,7 @@ def with_members(names: ArchiveNames, **members: Sequence[tuple[str, Sequence[st
     return replace(names, members=tuple((dict(names.members) | more).items())) if more else names
 
 
-def _tuples(value: Any) -> object:
+def _tuples(value: Nested) -> Nested:
     """Return nested sequences as tuples, which can be compared and hashed."""
     return value if isinstance(value, str) else tuple(map(_tuples, value))
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -106,7 +106,7 @@ class CoarseBeams:
         """Return the state as plain values for a checkpoint."""
         return [[beam.turns, beam.largest] for beam in self._beams]
 
-    def restore(self, state: list[Any]) -> None:
+    def restore(self, state: Sequence[Sequence[object]]) -> None:
         """Continue from the state of a checkpoint; raise ValueError if it does not belong to these beams."""
         for beam, (turns, largest) in zip(self._beams, state, strict=True):
             fill(beam.turns, turns)

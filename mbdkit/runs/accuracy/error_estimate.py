@@ -22,7 +22,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -232,7 +231,7 @@ class _Quantity(Estimated):
     def norm_errors(self, part: slice) -> np.ndarray:
         return self._estimates(lambda difference: np.linalg.norm(difference[..., part], axis=-1), np.s_[:, :])
 
-    def _estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: Any) -> np.ndarray:
+    def _estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: tuple[slice | None, ...]) -> np.ndarray:
         first, second, third, guard = self._values
         d01, d12, d02, d0g = (
             np.maximum.accumulate(size(difference), axis=0)
