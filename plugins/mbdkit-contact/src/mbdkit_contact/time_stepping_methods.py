@@ -6,7 +6,7 @@ Their algorithms are in `mbdkit_contact.kernels.time_stepping`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -87,7 +87,7 @@ def create_generalized_alpha(options: NonsmoothGeneralizedAlphaOptions) -> Nonsm
     return NonsmoothGeneralizedAlpha(options.spectral_radius)
 
 
-def _claims(order: int, **claims: Any) -> Claims:
+def _claims(order: int, *, l_stable: bool = False) -> Claims:
     return Claims(
         order=order,
         drift="positions satisfy the constraints up to rounding errors, velocities up to errors of the order of "
@@ -96,7 +96,7 @@ def _claims(order: int, **claims: Any) -> Claims:
         needs=("tangents",),
         conserves=("linear-momentum",),
         a_stable=True,
-        **claims,
+        l_stable=l_stable,
     )
 
 

@@ -8,7 +8,7 @@ VI.4; Hairer and Wanner, Solving ODEs II, IV.5; IIID after Chan 1990).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import mpmath
 from pydantic import Field
@@ -91,7 +91,9 @@ def _create(kind: str) -> Callable[[LobattoOptions], Method]:
     return create
 
 
-def _claims(*, l_stable: bool = False, **claims: Any) -> Callable[[LobattoOptions], mbdkit.Claims]:
+def _claims(
+    *, l_stable: bool = False, symmetric: bool = False, symplectic: bool = False, quadratic_invariants: bool = False
+) -> Callable[[LobattoOptions], mbdkit.Claims]:
     @integrator_claims
     def claims_of(options: LobattoOptions) -> mbdkit.Claims:
         return mbdkit.Claims(
@@ -103,7 +105,9 @@ def _claims(*, l_stable: bool = False, **claims: Any) -> Callable[[LobattoOption
             conserves=("linear-momentum",),
             a_stable=options.stage_solver == "newton",
             l_stable=l_stable and options.stage_solver == "newton",
-            **claims,
+            symmetric=symmetric,
+            symplectic=symplectic,
+            quadratic_invariants=quadratic_invariants,
         )
 
     return claims_of
