@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -100,7 +101,7 @@ class CompiledEventDriven(CompiledMethod):
         state = self.reacting.stored()
         return {"between": self.between.stored_systems(), **{name: state[name] for name in ("impacts", "reactions")}}
 
-    def restore_systems(self, state: Any) -> None:
+    def restore_systems(self, state: Mapping[str, object]) -> None:
         """See `CompiledMethod.restore_systems`."""
         events = self.events
         self.between.restore_systems(state["between"])

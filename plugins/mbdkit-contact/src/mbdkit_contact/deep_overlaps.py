@@ -5,7 +5,7 @@ bodies that overlap.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -77,7 +77,7 @@ class DeepOverlaps:
         """Return the state as plain values, for a checkpoint."""
         return {"depth": self._depth, "time": self._time}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Mapping[str, object]) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         fill(self._depth, state["depth"])
         fill(self._time, state["time"])

@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -38,14 +37,14 @@ def read_polylines(contacts: Mapping[str, object], folder: Path) -> None:
         If a file is not a table with the named columns, with the file and line or the key.
     """
     for key, shape in _shapes(contacts):
-        if isinstance(shape.get("polyline"), Mapping):
+        if isinstance(polyline := shape.get("polyline"), Mapping):
             try:
-                shape["polyline"] = _points(shape["polyline"], folder)
+                shape["polyline"] = _points(polyline, folder)
             except SpecError as error:
                 raise error if error.file else error.located(prefix=f"{key}.polyline") from None
 
 
-def _shapes(contacts: Mapping[str, object]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _shapes(contacts: Mapping[str, object]) -> Iterator[tuple[str, dict[str, object]]]:
     for name, contact in contacts.items():
         shapes = contact.get("shapes") if isinstance(contact, Mapping) else None
         key = f"model.contacts.{quoted(name)}.shapes"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from mbdkit.plugin import ForceLawPlugin, ModelPlugin, Target, hookimpl
+
+if TYPE_CHECKING:
+    from mbdkit_robots.linkages import to_pylinkage as to_pylinkage
 
 mbdkit_api = 1
 
@@ -47,7 +50,7 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:
     ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name == "to_pylinkage":
         from mbdkit_robots.linkages import to_pylinkage
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +21,8 @@ from mbdkit_report.plot.charts import Panel, draw_lines, named
 from mbdkit_report.plot.style import legend, powers_of_ten
 
 if TYPE_CHECKING:
+    import h5py
+
     from mbdkit.plugin import Run
 
 SMALLEST = 1e-18
@@ -134,7 +136,7 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     loads = distributed_loads(run) if forces else ()
     columns = [column for column, given in enumerate(units) if given == unit]
     columns = [column for column in columns if column >= len(forces) or forces[column].name not in loads]
-    data: Any = run.dataset("forces/value") if forces else np.zeros((len(time), 0))
+    data: h5py.Dataset | np.ndarray = run.dataset("forces/value") if forces else np.zeros((len(time), 0))
     if acting:
         data = np.column_stack([data[:], run.array("actuators/value")])
     taken = [force.name for force in forces]
