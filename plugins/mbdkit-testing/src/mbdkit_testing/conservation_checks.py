@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,9 @@ LOOSE = 1e-3
 """Tolerance of adaptive methods, with which nothing is conserved by accuracy."""
 
 
-def _conserved(name: str, models: tuple[Model, ...], quantity: Callable[[Run, Model], np.ndarray]) -> Check[Any]:
+def _conserved(
+    name: str, models: tuple[Model, ...], quantity: Callable[[Run, Model], np.ndarray]
+) -> Check[IntegratorUnderTest]:
     def conserved(integrator: IntegratorUnderTest) -> Result:
         largest, error = 0.0, np.inf
         for model in models:

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +64,7 @@ def tangents(kind: ExampleUnderTest) -> Result:
 def checkpoint(kind: ExampleUnderTest) -> Result:
     """A run that is interrupted and continued from its checkpoint is bitwise the same, and so is its verdict."""
     # Fixed steps without events return to Python after a known number of steps, so that the run can be interrupted.
-    fixed: dict[str, Any] = (
+    fixed: dict[str, dict[str, str] | dict[str, float]] = (
         {"integrator": {"name": "rk4"}, "time": kind.times(0.05)} if kind.spec.claims.adaptive else {}
     )
     spec = kind.changed(events={}, **fixed)

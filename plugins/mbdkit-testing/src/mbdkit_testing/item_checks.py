@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from mbdkit.plugin.specs import Registered, Registry
 from mbdkit_testing.check import check
@@ -26,7 +25,7 @@ class ItemUnderTest:
     """
 
     item: Registered
-    options: dict[str, Any]
+    options: dict[str, object]
     installed: Registry
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import mbdkit
 from mbdkit.plugin.files import check_output, check_suffix, replacing
@@ -18,7 +17,11 @@ _TONES = {"pass": "yes", "fail": "no", "warn": "partly", "not claimed": "open", 
 def html(reports: Sequence[Report]) -> str:
     """Return the page of one or several reports."""
     title = f"Verification of {', '.join(report.id for report in reports)}"
-    filters: dict[str, Callable[..., Any]] = {"tone": _TONES.__getitem__, "figures": figures_text, "claimed": _claimed}
+    filters: dict[str, Callable[..., object]] = {
+        "tone": _TONES.__getitem__,
+        "figures": figures_text,
+        "claimed": _claimed,
+    }
     return render("verification.html", {"title": title, "version": mbdkit.__version__, "reports": reports}, filters)
 
 

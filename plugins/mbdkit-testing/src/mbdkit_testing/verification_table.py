@@ -7,9 +7,8 @@ that file; without a file it prints the table. The exit status is 1 if an integr
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from mbdkit_report import Trend
 from mbdkit_testing.check_result import Figure, Report
@@ -18,7 +17,7 @@ from mbdkit_testing.kit import verify
 ROUNDING = 1e-12
 """Change of energy [J] that counts as rounding."""
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
-VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
+VARIANTS: tuple[tuple[str, Mapping[str, object]], ...] = (
     ("rk4", {}),
     ("rk-gill", {}),
     *(("gauss", {"stages": s}) for s in range(1, 7)),
@@ -52,7 +51,7 @@ HEADING = (
 )
 
 
-def title(name: str, options: dict[str, Any]) -> str:
+def title(name: str, options: Mapping[str, object]) -> str:
     """Return the first cell of a row."""
     return " ".join([f"`{name}`", *(f"{value}" for value in options.values())])
 
