@@ -14,7 +14,6 @@ from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import ActingForce, ElementState, ForceElement, SampledController
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.friction_forces import FollowingForce, FrictionForce, following_forces, friction_forces
-from mbdkit.engine.function_laws import laws_of_function
 from mbdkit.engine.kernels import table_rows as rows
 from mbdkit.engine.kernels.applied_forces import (
     BODY_FORCE,
@@ -219,6 +218,8 @@ class Lowering:
 
         The first law gives the value and the first two derivatives, the next one the third derivatives.
         """
+        from mbdkit.engine.function_laws import laws_of_function  # most mechanisms have no such joint
+
         begin, first = len(self.law_parameters), len(self.laws)
         self.law_parameters += [float(POSE + len(function.parameters)), *[0.0] * POSE]
         self.law_parameters += [value for _, value in function.parameters]

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from mbdkit.base.errors import SpecError, blaming
-from mbdkit.expressions.recorded import Recorded, Recorder
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Attachment, Between
 from mbdkit.mechanism.values import Motion, Points
 
 if TYPE_CHECKING:
     import numpy as np
+
+    from mbdkit.expressions.recorded import Recorded
 
 Mark = Literal["pin", "slide", "weld", "bar", "none"]
 """Plot symbol of a joint: a pin at its point, a guide along its axis, a weld, a bar between its points, or none."""
@@ -75,6 +76,8 @@ def record_function(function: Function, parameters: Sequence[str], joint: str) -
 
     Raises SpecError, which names the joint, if the function cannot be computed.
     """
+    from mbdkit.expressions.recorded import Recorder  # most mechanisms have no such joint
+
     recorder = Recorder()
     pose = tuple(recorder.input(variable) for variable in Pose._fields)
     given = {parameter: recorder.input(f"parameter {parameter}") for parameter in parameters}

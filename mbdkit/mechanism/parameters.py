@@ -35,7 +35,6 @@ from mbdkit.mechanism.parameter_units import unit_of_expression
 from mbdkit.mechanism.state_values import StateExpressionError, StateSyntax
 from mbdkit.mechanism.validation_errors import spec_error, value_path, walk
 from mbdkit.mechanism.values import TextForNumberError
-from mbdkit.mechanism.variable_functions import VariableCompiler, VariableExpressionError
 
 Validated = TypeVar("Validated")
 Values = Mapping[str, float]
@@ -308,7 +307,7 @@ def _replacements(
         except SpecError as error_of_unit:
             raise error_of_unit.located(prefix=path_text(path)) from None
         if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
-            kind = inner.variables if isinstance(inner, VariableExpressionError) else _kind_of(inner)
+            kind = _kind_of(inner)
             if kind == "function of time":
                 _check_unit(text, values, details["loc"], path, data, root, plugins, of_time=True)
             yield path, text, kind
@@ -320,6 +319,10 @@ def _replacements(
 
 
 def _kind_of(error: ExpressionError) -> Kind:
+    from mbdkit.mechanism.variable_functions import VariableExpressionError  # few models have such texts
+
+    if isinstance(error, VariableExpressionError):
+        return error.variables
     return next(kind for error_class, kind in _KINDS if isinstance(error, error_class))
 
 
@@ -405,6 +408,8 @@ def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | s
     """
     try:
         if isinstance(kind, tuple):
+            from mbdkit.mechanism.variable_functions import VariableCompiler
+
             VariableCompiler(text, kind, values).program()
         elif kind not in _COMPILERS:
             value = evaluate(text, values)

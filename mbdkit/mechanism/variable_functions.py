@@ -5,14 +5,16 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbdkit.base.text import listed
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute, value_of
-from mbdkit.expressions.recorded import Recorded
 from mbdkit.mechanism.values import Table, curve_of
+
+if TYPE_CHECKING:
+    from mbdkit.expressions.recorded import Recorded
 
 _VARIABLE = "variable:"
 """Prefix of the instructions that push a variable."""
