@@ -7,10 +7,13 @@ results.
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -44,7 +47,24 @@ def one_thread_of_linear_algebra() -> Iterator[None]:
 @lru_cache(maxsize=1)
 def _controller() -> ThreadpoolController:
     """Return the controller of the thread pools of the loaded libraries; cached, because it takes about 10 ms."""
-    import scipy.linalg  # noqa: F401  loads the library of SciPy
     from threadpoolctl import ThreadpoolController
 
+    _load_library_of_scipy()
     return ThreadpoolController()
+
+
+def _load_library_of_scipy() -> None:
+    """Load the library behind `scipy.linalg`, without the modules that this package imports, which most runs do not
+    need and which take a tenth of a second.
+    """
+    if "scipy.linalg" in sys.modules:
+        return
+    import ctypes
+
+    import scipy
+
+    folder = Path(scipy.__file__).parent / "linalg"
+    try:
+        ctypes.CDLL(str(next(folder.glob("_fblas*" + EXTENSION_SUFFIXES[-1]))))  # an extension that is linked with it
+    except (StopIteration, OSError):  # SciPy was built in another way
+        import scipy.linalg  # loads its library, too

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -315,3 +317,28 @@ def test_a_run_uses_one_thread_of_linear_algebra_and_restores_their_number() -> 
         assert threads_of_linear_algebra() == before
     assert seen
     assert all(numbers == {1} for numbers in seen)
+
+
+def test_the_library_of_scipy_has_one_thread_before_its_modules_are_imported() -> None:
+    # expected: a run may need SciPy when it has begun; a library that is loaded only then would have all threads
+    program = """
+import mbdkit, sys
+from threadpoolctl import threadpool_info
+
+def libraries():
+    return {one["filepath"]: one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+def look(reached, end):
+    assert "scipy.linalg" not in sys.modules
+    before = libraries()
+    import scipy.linalg
+    assert libraries() == before and set(before.values()) == {1}, (before, libraries())
+    sys.exit("seen")
+
+mbdkit.run("pendulum", progress=look)
+"""
+    several = {"OPENBLAS_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | several, capture_output=True, text=True, check=False
+    )
+    assert done.stderr.strip() == "seen"
