@@ -19,11 +19,23 @@ def rows(path: Path) -> list[str]:
     return [line for line in text.splitlines() if line.startswith("| ") and "`" in line]
 
 
+def files_of_map(path: Path) -> list[str]:
+    return [file for row in rows(path) for file in re.findall(r"`([a-z_0-9/]+(?:\.py|/))`", row.split("|")[2])]
+
+
 @pytest.mark.parametrize("name", PACKAGES)
 def test_every_file_of_the_map_exists(name: str) -> None:
-    named = [file for row in rows(MAPS[name]) for file in re.findall(r"`([a-z_0-9/]+(?:\.py|/))`", row.split("|")[2])]
+    named = files_of_map(MAPS[name])
     assert named
     assert not [file for file in named if not (PACKAGES[name] / file).exists()]
+
+
+@pytest.mark.parametrize("name", ["mbdkit_opensim", "mbdkit_robots"])
+def test_every_file_of_the_map_of_an_example_of_plugins_exists(name: str) -> None:
+    folder = ROOT / "plugins" / name.replace("_", "-")
+    named, sources = files_of_map(folder / "README.md"), folder / "src" / name
+    assert {file.name for file in sources.glob("*.py")} - set(named) == {"__init__.py"}
+    assert not [file for file in named if not (sources / file).exists()]
 
 
 @pytest.mark.parametrize("name", PACKAGES)
