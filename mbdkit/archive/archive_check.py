@@ -108,6 +108,7 @@ class _Checker:
             self.times()
         with self.reading("the events"):
             self.events()
+            self.settings()
         with self.reading("the estimated errors"):
             self.accuracy()
         with self.reading("the names of axes"):
@@ -302,6 +303,17 @@ class _Checker:
         known = self.spec.get("events")
         if isinstance(known, dict) and (strange := set(group["name"].asstr()[:]) - set(known)):
             self.say(f"events/name has {', '.join(sorted(strange))}, which the spec does not have")
+
+    def settings(self) -> None:
+        if any(path not in self.file for path in ("inputs/input", *layout.SETTINGS)):
+            return
+        group = self.file["inputs/set"]
+        if not np.array_equal(group["number"][:], np.arange(1, len(group["number"]) + 1)):
+            self.say("inputs/set/number does not count from 1")
+        if np.any(np.diff(group["instant"][:]) < 0):
+            self.say("inputs/set/instant decreases")
+        if strange := {*group["name"].asstr()[:]} - {*self.file["inputs/input"].asstr()[:]}:
+            self.say(f"inputs/set/name has {', '.join(sorted(strange))}, which is no input")
 
     def accuracy(self) -> None:
         group = self.file.get("accuracy")

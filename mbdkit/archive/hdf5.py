@@ -79,7 +79,7 @@ def create(
         identifier.write(h5s.ALL, h5s.ALL, values, mtype=of_values)
     dataset = h5py.Dataset(identifier)
     if array.is_scale:
-        h5ds.set_scale(identifier, array.name.encode())
+        h5ds.set_scale(identifier, array.path.rpartition("/")[2].encode())
     else:
         for axis, dim in enumerate(array.dims):
             h5ds.attach_scale(identifier, h5d.open(file.id, f"{under}{array.group}/{dim}".encode()), axis)

@@ -100,6 +100,37 @@ class StateHistory(columns.States, of="states"):
     """Value and rate of one first-order state."""
 
 
+@dataclass(frozen=True)
+class InputSettings:
+    """The values to which an input was set during a run, in order of time; the first one is that at the start.
+
+    For an input that changes linearly, these are the points between which it does, up to the end of the run.
+
+    Attributes
+    ----------
+    time
+        Times, (S,), s.
+    value
+        Values, (S,), in the unit of the input.
+    """
+
+    time: np.ndarray
+    value: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+class InputHistory(columns.Inputs, of="inputs"):
+    """Value of one input, in `units`. A row at a time at which the input was set shows the value before it."""
+
+    @property
+    def set(self) -> InputSettings:
+        """Times and values at which the input was set."""
+        own = self.source.array("inputs/set/name") == self.name
+        return InputSettings(self.source.array("inputs/set/instant")[own], self.source.array("inputs/set/value")[own])
+
+
 class ConstraintHistory(columns.Constraints, of="constraints"):
     """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""
 

@@ -79,6 +79,9 @@ SHARED = tuple(array.path for kind in KINDS for array in kind.arrays if isinstan
 #: Paths of the arrays of events; all of them are present if the spec has events.
 EVENTS = tuple(kind_of_group("events").by_path)
 
+#: Paths of the arrays of settings of inputs; all of them are present if the mechanism has inputs.
+SETTINGS = tuple(path for path in kind_of_group("inputs").by_path if path.startswith("inputs/set/"))
+
 #: Paths of the arrays of impacts; all of them are present if elements or drivers may have impulses.
 IMPACTS = tuple(kind_of_group("impacts").by_path)
 

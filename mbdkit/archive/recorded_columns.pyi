@@ -6,6 +6,7 @@ from mbdkit.archive.named_columns import Histories, View
 from mbdkit.archive.history import BeamHistory
 from mbdkit.archive.history import ConstraintHistory
 from mbdkit.archive.history import ForceHistory
+from mbdkit.archive.history import InputHistory
 from mbdkit.archive.history import MarkerHistory
 from mbdkit.archive.history import StateHistory
 from mbdkit_biomech.histories import ActuatorHistory
@@ -89,6 +90,11 @@ class States(View, of="states"):
     """value of the state, (T,), units by row"""
     rate: np.ndarray
     """derivative of the state by time, (T,), units by row"""
+    units: str
+
+class Inputs(View, of="inputs"):
+    value: np.ndarray
+    """value of the input, (T,), units by row"""
     units: str
 
 class Constraints(View, of="constraints"):
@@ -226,6 +232,9 @@ class FurtherKinds:
     @property
     def states(self) -> Histories[StateHistory]:
         """Value and rate of one first-order state."""
+    @property
+    def inputs(self) -> Histories[InputHistory]:
+        """Value of one input, in `units`. A row at a time at which the input was set shows the value before it."""
     @property
     def constraints(self) -> Histories[ConstraintHistory]:
         """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""

@@ -195,8 +195,15 @@ class RunWriter(ABC):
         """
         self._append_numbered("impacts", "impact", rows)
 
+    def append_inputs(self, rows: Mapping[str, np.ndarray]) -> None:
+        """Append settings of inputs; the values are copied.
+
+        `rows`: ``set/instant`` and ``set/value``, and the strings ``set/name`` and ``set/row_units``, each (S,).
+        """
+        self._append_numbered("inputs", "set/number", rows)
+
     def _append_numbered(self, group: str, dim: str, rows: Mapping[str, np.ndarray]) -> None:
-        numbers = np.arange(self.rows(dim) + 1, self.rows(dim) + 1 + len(rows["time"]))
+        numbers = np.arange(self.rows(dim) + 1, self.rows(dim) + 1 + len(next(iter(rows.values()))))
         self._append(dim, {f"{group}/{name}": values for name, values in {**rows, dim: numbers}.items()})
 
     def _append(self, dim: str, rows: Mapping[str, np.ndarray]) -> None:

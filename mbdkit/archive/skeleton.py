@@ -78,7 +78,7 @@ def memory_file(image: bytes | bytearray = b"") -> h5py.File:
 
 def begin_file(file: h5py.File, names: ArchiveNames, arrays: tuple[Array, ...]) -> None:
     """Create the groups of an archive and its arrays of names."""
-    for group in (*dict.fromkeys(array.group for array in arrays), "stats", "provenance"):
+    for group in (*dict.fromkeys(array.path.rpartition("/")[0] for array in arrays), "stats", "provenance"):
         file.create_group(group)
     texts = name_texts(names)
     for array in sorted((array for array in arrays if not array.grows), key=lambda one: not one.is_scale):

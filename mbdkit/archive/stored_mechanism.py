@@ -32,7 +32,7 @@ _NAMED = 5  # elements that are named in a sentence
 _MOST_UNKNOWN = 100
 _ASSEMBLY = TypeAdapter(Assembly)
 _SECTIONS = ("bodies", "beams", *ELEMENTS)
-_LAST_SECTIONS = ("coordinates", "states", "controllers")
+_LAST_SECTIONS = ("coordinates", "states", "inputs", "controllers")
 _OTHERS = frozenset({"name", "title", "gravity", "assembly"})
 _OWN = RegistryLookup(lambda: registry().only("mbdkit"))
 """Finds the force laws of mbdkit itself: those of plugins are not called when an archive is read."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, Never
 
@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.compile_motions import CompiledMotions
-from mbdkit.engine.compiled_mechanism import ActingForce, ElementState, ForceElement, SampledController
+from mbdkit.engine.compiled_mechanism import ActingForce, CompiledInput, ElementState, ForceElement, SampledController
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.friction_forces import FollowingForce, FrictionForce, following_forces, friction_forces
 from mbdkit.engine.kernels import table_rows as rows
@@ -26,13 +26,13 @@ from mbdkit.engine.kernels.applied_forces import (
 from mbdkit.engine.kernels.pose_functions import POSE
 from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression
 from mbdkit.mechanism.element_kinds import element_kinds, forces_of
-from mbdkit.mechanism.force_law import TracedLaw
+from mbdkit.mechanism.force_law import ExpressionLaw, TracedLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joint_base import PoseFunction
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import LawForce, path_ends
-from mbdkit.mechanism.state_values import is_of_state
+from mbdkit.mechanism.state_values import Input, is_of_state
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.seam import OwnSeam
 
@@ -74,6 +74,7 @@ class Lowering:
         self.slopes: list[rows.SlopeRow] = []
         self.first_segments: dict[str, int] = {}
         self.controllers: list[SampledController] = []
+        self.compiled_inputs: list[CompiledInput] = []
         self.acting: list[ActingForce] = []
         self.extensions: dict[str, Any] = {}
         self.numbering: Numbering
@@ -257,7 +258,7 @@ class Lowering:
         """Add the expressions that depend on the state, and the states that belong to them.
 
         These are values of loads, expressions of further kinds of elements, rates of the first-order states that the
-        mechanism defines, and outputs and states of sampled controllers.
+        mechanism defines, outputs and states of sampled controllers, and inputs.
         """
         held = [
             (name, value, 0.0) for name, controller in mechanism.controllers.items() for value in controller.outputs
@@ -272,7 +273,9 @@ class Lowering:
             *(f"{name}.{value}" for name, value, _ in held),
         ]
         places = {name: i for i, name in enumerate(names)}
-        numbering = self.numbering = Numbering(mechanism, self.bodies, self.first_segments, places)
+        self.compiled_inputs += _numbered(mechanism.inputs, len(names))
+        inputs = {item.name: item.state for item in self.compiled_inputs}
+        numbering = self.numbering = Numbering(mechanism, self.bodies, self.first_segments, places, inputs)
         loads = [name for name, force in mechanism.forces.items() if isinstance(force, Torque | PointForce)]
         for k, name in enumerate(loads):
             force = mechanism.forces[name]
@@ -289,6 +292,8 @@ class Lowering:
             self.state(name, state.unit, state.initial, law)
         for name, value, initial in held:
             self.state(f"{name}.{value}", "1", initial)
+        for item in self.compiled_inputs:
+            self._add_input(item)
         for name, controller in mechanism.controllers.items():
             laws = {
                 key: self.expression(f"model.controllers.{quoted(name)}.{key}", name, text)
@@ -302,6 +307,14 @@ class Lowering:
                 (place[f"{name}.{value}"], laws[f"states.{quoted(value)}.next"]) for value in controller.states
             )
             self.controllers.append(SampledController(name, controller.period, controller.delay, outputs, states))
+
+    def _add_input(self, item: CompiledInput) -> None:
+        value = self.state(f"inputs.{item.name}", item.unit, item.initial)
+        if item.is_linear:
+            law, _ = bind_law(_slope_law(), {"slope": 0.0}, item.name)
+            self._add_law_row(item.name, law, len(self.law_parameters))  # the next state is its parameter
+            self.set_rate(value, len(self.laws) - 1)
+            self.state(f"inputs.{item.name}.slope", f"{item.unit}/s", 0.0)
 
     def state(self, name: str, unit: str, initial: float, law: int = -1, *, by_method: bool = False) -> int:
         """Add a first-order state, and return its index.
@@ -391,6 +404,21 @@ def acting_kinds(mechanism: Mechanism) -> list[ElementKind]:
         for key, kind in element_kinds().items()
         if mechanism.elements.get(key) and (mechanism.is_of_run or not kind.acts.only_in_runs)
     ]
+
+
+def _numbered(inputs: Mapping[str, Input], first: int) -> Iterator[CompiledInput]:
+    """Yield inputs whose states are numbered from `first` on."""
+    for name, item in inputs.items():
+        slope = first + 1 if item.hold == "linear" else -1
+        yield CompiledInput(name, item.unit, item.initial, item.bounds, first, slope)
+        first += 2 if item.hold == "linear" else 1
+
+
+@cache
+def _slope_law() -> ExpressionLaw:
+    import sympy as sp
+
+    return ExpressionLaw(sp.Symbol("slope", real=True), parameters=dict)
 
 
 @cache

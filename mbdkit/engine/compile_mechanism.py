@@ -131,6 +131,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         laws=tuple(forces.laws),
         states=tuple(forces.states),
         controllers=tuple(forces.controllers),
+        inputs=tuple(forces.compiled_inputs),
         acting=tuple(forces.acting),
         friction=tuple(one.number for one in forces.friction),
         first_friction=forces.first_friction,
@@ -230,6 +231,7 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
             mechanism.beams,
             mechanism.states,
             mechanism.controllers,
+            mechanism.inputs,
             *(getattr(mechanism, kind.key_in_model) for kind in kinds),
         )
         for name, one in named.items()

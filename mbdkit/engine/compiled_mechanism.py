@@ -105,6 +105,29 @@ class SampledController:
 
 
 @dataclass(frozen=True)
+class CompiledInput:
+    """An input of a mechanism.
+
+    - `name`, `unit`, `initial`, `bounds`: those of `mbdkit.mechanism.state_values.Input`.
+    - `state`: index of its value among the first-order states. The rate of this state is 0, or the state `slope`.
+    - `slope`: index of the first-order state with its rate, for an input that is linear between the times at which it
+      is set; otherwise -1.
+    """
+
+    name: str
+    unit: str
+    initial: float
+    bounds: tuple[float, float] | None
+    state: int
+    slope: int = -1
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the input changes linearly between the times at which it is set."""
+        return self.slope >= 0
+
+
+@dataclass(frozen=True)
 class Redundancy:
     """Redundant constraints of a mechanism; none by default.
 
@@ -161,7 +184,8 @@ class CompiledMechanism:
     - `well_scaled`: whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
     - `redundancy`: constraints that are excluded because the other constraints imply them.
     - `states`: first-order states of elements and of the mechanism, and values that are constant during a step: those
-      that the method sets, and outputs and states of sampled controllers.
+      that the method sets, outputs and states of sampled controllers and, last, those of `inputs`.
+    - `controllers`, `inputs`: sampled controllers, and inputs.
     - `members`: names and bodies of the elements, for each kind that has no attribute above; an element may have
       several entries.
     - `treatments`: treatments of elements in a run.
@@ -188,6 +212,7 @@ class CompiledMechanism:
     redundancy: Redundancy = Redundancy()
     states: tuple[ElementState, ...] = ()
     controllers: tuple[SampledController, ...] = ()
+    inputs: tuple[CompiledInput, ...] = ()
     acting: tuple[ActingForce, ...] = ()
     friction: tuple[int, ...] = ()
     first_friction: int = 0
@@ -209,6 +234,11 @@ class CompiledMechanism:
             self.redundancy.describe(self.drivers),
         ]
         return ", ".join(part for part in parts if part)
+
+    @property
+    def named_states(self) -> tuple[ElementState, ...]:
+        """The first-order states without those of inputs, which come last."""
+        return self.states[: min((item.state for item in self.inputs), default=len(self.states))]
 
     @property
     def initial_states(self) -> np.ndarray:

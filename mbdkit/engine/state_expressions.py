@@ -31,7 +31,7 @@ _POSITIONS = {"x": 0, "y": 1, "angle": 2}
 _VELOCITIES = {"vx": 0, "vy": 1, "angular_velocity": 2}
 
 
-class Input(NamedTuple):
+class ExpressionInput(NamedTuple):
     """Input of an expression: its kind, and the index of the coordinate, of the first segment, or of the state."""
 
     kind: int
@@ -48,7 +48,7 @@ class StateExpression:
     """
 
     law: CompiledLaw
-    inputs: tuple[Input, ...]
+    inputs: tuple[ExpressionInput, ...]
     slopes: tuple[CompiledLaw, ...]
     parameters: list[float]
 
@@ -59,13 +59,14 @@ class Numbering:
 
     `bodies`: index of each body by name, ground included. `springs`: index of the first segment of each force element
     on a pathway, by its key and name, such as ``forces.NAME``. `states`: index of each first-order state, and of each
-    output and state of a controller, ``controller.output``.
+    output and state of a controller, ``controller.output``. `inputs`: index of the state with the value of each input.
     """
 
     mechanism: Mechanism
     bodies: Mapping[str, int]
     springs: Mapping[str, int] = field(default_factory=dict)
     states: Mapping[str, int] = field(default_factory=dict)
+    inputs: Mapping[str, int] = field(default_factory=dict)
 
     def expression(self, text: str, name: str) -> StateExpression:
         """Compile an expression; `name` is the name of its element in error messages.
@@ -98,7 +99,7 @@ def _names(count: int) -> list[str]:
 class _Terms:
     def __init__(self, numbering: Numbering):
         self.numbering = numbering
-        self.inputs: list[Input] = []
+        self.inputs: list[ExpressionInput] = []
         self.constants: dict[str, float] = {}
 
     def written(self, kind: str, name: str, attribute: str) -> str:
@@ -107,6 +108,8 @@ class _Terms:
         match kind:
             case "states":
                 return self._input(STATE_INPUT, self.numbering.states[name])
+            case "inputs":
+                return self._input(STATE_INPUT, self.numbering.inputs[name])
             case "bodies":
                 return self._of_body(name, attribute)
             case "markers":
@@ -129,7 +132,7 @@ class _Terms:
         )
 
     def _input(self, kind: int, index: int) -> str:
-        given = Input(kind, index)
+        given = ExpressionInput(kind, index)
         if given not in self.inputs:
             self.inputs.append(given)
         return f"input_{self.inputs.index(given)}"

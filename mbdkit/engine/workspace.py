@@ -21,6 +21,7 @@ from mbdkit.engine.elimination_order import (
     schur_schedule,
     symbolic_lu,
 )
+from mbdkit.engine.input_schedule import InputSchedule
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.cross_sections import STATE
 from mbdkit.engine.kernels.engine_bundles import Engine, Reacting, Scatter, Scratch, Solver, Topology
@@ -62,6 +63,8 @@ class Workspace:
     v0: np.ndarray
     formulation: str = "index-1"
     stabilization: Stabilization = NONE
+    schedules: tuple[InputSchedule, ...] = ()
+    """Values of the inputs of the mechanism during the run; without schedules, inputs keep their initial values."""
     stepping_topology: Topology = field(init=False)
     """Topology of the integrated equations, with Baumgarte's terms if the run is stabilized by them.
 

@@ -239,10 +239,10 @@ class RunCompiler(Compiler):
         match node:
             case ast.Subscript(ast.Attribute() as whole, index) if (parts := self.path(whole)) and parts[0] == "beams":
                 return self.of_element(parts[1], parts[2], index, node)
-            case ast.Attribute(ast.Name(id="states"), attr=name) | ast.Subscript(
-                ast.Name(id="states"), ast.Constant(value=str() as name)
+            case ast.Attribute(ast.Name(id="states" | "inputs" as word), attr=name) | ast.Subscript(
+                ast.Name(id="states" | "inputs" as word), ast.Constant(value=str() as name)
             ):
-                return self.of("states", name, "value", node)
+                return self.of(word, name, "value", node)
             case ast.Attribute(ast.Attribute(ast.Name(id="controllers"), attr=name), attr=value) | ast.Attribute(
                 ast.Subscript(ast.Name(id="controllers"), ast.Constant(value=str() as name)), attr=value
             ):

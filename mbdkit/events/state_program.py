@@ -25,10 +25,11 @@ class StateCompiler(RunCompiler):
         "markers": ("x", "y", "vx", "vy"),
         "forces": ("length", "rate", "value"),
         "states": ("value",),
+        "inputs": ("value",),
     }
     wanted = (
         "an expression of the state, which has numbers, t, pi, NAME.angle and other kinematic quantities of bodies, "
-        "joints and markers, forces.NAME.length, states.NAME"
+        "joints and markers, forces.NAME.length, states.NAME, inputs.NAME"
     )
 
     @property

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from mbdkit.engine.counters import Counters
+from mbdkit.engine.input_schedule import same_time
 from mbdkit.engine.linear_systems import product
 from mbdkit.trust.criteria import BranchSuspicion
 
@@ -122,7 +123,7 @@ class Timetable:
     stop_margins
         Margin of each stop [s]. In the step that ends at a stop, motions are evaluated no later than the stop less its
         margin; in the next step, no earlier than the stop plus its margin. Each step thus uses one-sided limits of the
-        motions; see `sides`.
+        motions; see `sides`. The margin is 0 where motions are continuous, as where inputs are set.
     impacts
         Stops at which the velocity of a driver is discontinuous, so that an impulse changes the velocities. A state
         that is recorded at the end of a step is that before the impulse, at the time of the stop minus its margin. A
@@ -150,11 +151,12 @@ class Timetable:
     def sides(self, passed: int) -> tuple[float, float]:
         """Return the earliest and the latest time [s] at which motions are evaluated after `passed` stops.
 
-        They are infinite before the first stop and after the last one, respectively.
+        They are infinite before the first stop and after the last one, respectively, and beside a stop without margin.
         """
-        begin = self.stops[passed - 1] + self.stop_margins[passed - 1] if passed else -math.inf
-        end = self.stops[passed] - self.stop_margins[passed] if passed < len(self.stops) else math.inf
-        return begin, end
+        margins = self.stop_margins
+        begin = self.stops[passed - 1] + margins[passed - 1] if passed and margins[passed - 1] else -math.inf
+        is_limited = passed < len(self.stops) and margins[passed]
+        return begin, self.stops[passed] - margins[passed] if is_limited else math.inf
 
     @property
     def last_step(self) -> float:
@@ -162,6 +164,15 @@ class Timetable:
         assert self.step is not None
         rest = self.end - (self.start + (self.steps - 1) * self.step)
         return self.step if abs(rest - self.step) <= 1e-9 * self.step else rest
+
+
+def on_grid(time: float, start: float, step: float, end: float) -> float:
+    """Return the end of a whole fixed step that equals a time of a run up to rounding errors; otherwise, the time [s].
+
+    `start`, `step`, `end`: start of the run, size of its fixed steps, and end [s].
+    """
+    whole = start + round((time - start) / step) * step
+    return whole if abs(whole - time) <= same_time(start, end) else time
 
 
 Moment = tuple[np.ndarray, np.ndarray, np.ndarray]

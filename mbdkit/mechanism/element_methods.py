@@ -18,7 +18,7 @@ from mbdkit.mechanism.mechanism_data import NamedCoordinate
 from mbdkit.mechanism.model_methods import of_models
 from mbdkit.mechanism.named_elements import NamedElements
 from mbdkit.mechanism.pathways import JointAngles, TwoPoints
-from mbdkit.mechanism.state_values import Controller, FirstOrderState
+from mbdkit.mechanism.state_values import Controller, FirstOrderState, Input
 
 
 class ElementMethods(NamedElements):
@@ -215,6 +215,17 @@ class ElementMethods(NamedElements):
         >>> m.state("lagged", rate="(bodies.leg.angle - states.lagged)/0.05", unit="rad")
         """
         self.add("states", name, **keys)
+
+    @of_models(Input)
+    def input(self, name, **keys):
+        """Add an input, whose values the `inputs` of a run spec give.
+
+        >>> m = Mechanism()
+        >>> leg = m.body("leg", mass=3.0, inertia=0.05)
+        >>> m.input("pull", unit="N m", bounds=(-5.0, 5.0))
+        >>> m.torque("motor", leg, value="inputs.pull")
+        """
+        self.add("inputs", name, **keys)
 
     @of_models(Controller)
     def controller(self, name, *, states=None, **keys):

@@ -550,6 +550,30 @@ class ElementMethods(NamedElements):
             Unit of the state.
         """
 
+    def input(
+        self, name: str, *, initial: float = 0.0, unit: str = '1', bounds: Sequence[float] | None = None,
+        hold: Literal["zero", "linear"] = 'zero'
+    ) -> None:
+        """Add an input, whose values the `inputs` of a run spec give.
+
+        A number that a run receives from outside: from a table in the run spec. It is constant between the times at
+        which it is set, or changes linearly.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        initial
+            Value before the input is first set.
+        unit
+            SI unit of the input, such as `N m`; also `V` or `A`.
+        bounds
+            Smallest and largest value that the input may have; unbounded by default.
+        hold
+            Between two times at which the input is set: `zero` keeps the earlier value, `linear` goes along a
+            straight line to the later one.
+        """
+
     def controller(
         self, name: str, *, states: Mapping[str, Mapping[str, Any] | ControllerState] | None = None, period: float,
         delay: float = 0.0, outputs: Mapping[str, str | float]

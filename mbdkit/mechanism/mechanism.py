@@ -71,6 +71,8 @@ class Mechanism(ElementMethods, HtmlView):
         Named coordinates, `NamedCoordinate` by name.
     states : dict
         First-order states of the mechanism itself by name.
+    inputs : dict
+        Inputs, numbers that a run receives from outside, by name.
     controllers : dict
         Sampled controllers by name.
     is_of_run : bool
@@ -101,7 +103,7 @@ class Mechanism(ElementMethods, HtmlView):
     def __init__(self, gravity: Sequence[float] = (0.0, -9.81), *, name: str = "mechanism"):
         self.name = name
         self.gravity = _point(gravity, "model.gravity")
-        for kind in ("bodies", "beams", *ELEMENTS, "coordinates", "states", "controllers"):
+        for kind in ("bodies", "beams", *ELEMENTS, "coordinates", "states", "inputs", "controllers"):
             setattr(self, kind, {})
         self.assembly = Assembly()
         self.is_of_run = False
@@ -239,6 +241,7 @@ class Mechanism(ElementMethods, HtmlView):
         check_elements(self.elements, self, "model.")
         for kind, names in {
             "states": list(self.states),
+            "inputs": list(self.inputs),
             "controllers": list(self.controllers),
             **{f"controllers.{quoted(name)}.states": list(one.states) for name, one in self.controllers.items()},
             **{f"controllers.{quoted(name)}.outputs": list(one.outputs) for name, one in self.controllers.items()},
@@ -315,10 +318,9 @@ class Mechanism(ElementMethods, HtmlView):
                 name: coordinate.of if coordinate == NamedCoordinate(of=coordinate.of) else _plain(coordinate)
                 for name, coordinate in self.coordinates.items()
             }
-        if self.states:
-            spec["states"] = {name: _plain(state) for name, state in self.states.items()}
-        if self.controllers:
-            spec["controllers"] = {name: _plain(one) for name, one in self.controllers.items()}
+        for kind in ("states", "inputs", "controllers"):
+            if named := getattr(self, kind):
+                spec[kind] = {name: _plain(one) for name, one in named.items()}
         if self.assembly != Assembly():
             spec["assembly"] = _plain(self.assembly)
         return spec
@@ -331,8 +333,8 @@ class Mechanism(ElementMethods, HtmlView):
         ----------
         spec
             Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``,
-            ``coordinates``, ``states``, ``controllers``, ``assembly`` and those of further kinds of elements, such as
-            ``muscles``; ``name`` is optional and must be ``mechanism``.
+            ``coordinates``, ``states``, ``inputs``, ``controllers``, ``assembly`` and those of further kinds of
+            elements, such as ``muscles``; ``name`` is optional and must be ``mechanism``.
         parameters
             Named parameters: numbers, or expressions of other parameters. Numbers in `spec` may be expressions of them.
 
@@ -377,7 +379,7 @@ class Mechanism(ElementMethods, HtmlView):
         fixed = tuple(last.get(name, name) for name in data.assembly.fix)
         mechanism.assembly = data.assembly.model_copy(update={"fix": fixed})
         mechanism.coordinates = {name: _with_last(one, last) for name, one in data.coordinates.items()}
-        mechanism.states = dict(data.states)
+        mechanism.states, mechanism.inputs = dict(data.states), dict(data.inputs)
         mechanism.controllers = dict(data.controllers)
         mechanism.validate()
         return mechanism

@@ -26,7 +26,7 @@ from mbdkit.mechanism.element_kinds import (
 )
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.state_values import Controller, FirstOrderState
+from mbdkit.mechanism.state_values import Controller, FirstOrderState, Input
 from mbdkit.mechanism.values import Number, Point, Positive, sequence
 
 if TYPE_CHECKING:
@@ -126,9 +126,13 @@ class Assembly(StrictModel):
 
 
 class MechanismData(StrictModel):
-    """Data of the model `mechanism`: gravity, bodies, beams, elements, coordinates, states, controllers, assembly."""
+    """Data of the model `mechanism`: gravity, bodies, beams, elements, coordinates, states, inputs, controllers,
+    assembly.
+    """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", "markers", "coordinates", "states", "controllers")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "beams", "markers", "coordinates", "states", "inputs", "controllers",
+    )  # fmt: skip
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
@@ -147,6 +151,8 @@ class MechanismData(StrictModel):
     ``knee_angle: {of: knee.angle, scale: -1}``."""
     states: dict[str, FirstOrderState] = Field(default_factory=dict)
     """First-order states by name, such as ``i: {rate: "(u - R*states.i)/L", unit: A}``."""
+    inputs: dict[str, Input] = Field(default_factory=dict)
+    """Inputs by name: numbers that a run receives from outside, such as ``torque: {unit: N m, bounds: [-5, 5]}``."""
     controllers: dict[str, Controller] = Field(default_factory=dict)
     """Sampled controllers by name."""
     assembly: Assembly = Assembly()

@@ -19,7 +19,7 @@ from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import with_expressions
-from mbdkit.mechanism.state_values import Controller, FirstOrderState
+from mbdkit.mechanism.state_values import Controller, FirstOrderState, Input
 
 _KINDS = {
     kind: get_args(field.annotation)[1]
@@ -43,6 +43,7 @@ class NamedElements:
     markers: dict[str, Marker]
     coordinates: dict[str, NamedCoordinate]
     states: dict[str, FirstOrderState]
+    inputs: dict[str, Input]
     controllers: dict[str, Controller]
     assembly: Assembly
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ast
 import re
-from typing import Annotated, ClassVar, TypeGuard
+from typing import Annotated, ClassVar, Literal, TypeGuard
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.units import read_unit
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Positive, Table, pair
 from mbdkit.mechanism.values import motion as checked_motion
@@ -81,6 +82,51 @@ class FirstOrderState(StrictModel):
     `states.NAME`."""
     unit: str = "1"
     """Unit of the state."""
+
+
+ELECTRICAL = ("A", "V")
+"""SI units of inputs that are not units of mechanics."""
+
+
+class Input(StrictModel):
+    """A number that a run receives from outside: from a table in the run spec. It is constant between the times at
+    which it is set, or changes linearly.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("initial", "unit", "bounds", "hold")
+
+    initial: Number = 0.0
+    """Value before the input is first set."""
+    unit: str = "1"
+    """SI unit of the input, such as `N m`; also `V` or `A`."""
+    bounds: Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [smallest, largest]"))] | None = None
+    """Smallest and largest value that the input may have; unbounded by default."""
+    hold: Literal["zero", "linear"] = "zero"
+    """Between two times at which the input is set: `zero` keeps the earlier value, `linear` goes along a straight line
+    to the later one."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Input:
+        try:
+            if self.unit not in ELECTRICAL and (unit := read_unit(self.unit)).factor != 1.0:
+                raise SpecError(f"should be an SI unit such as {unit.si}, not {self.unit}")
+        except SpecError as error:
+            raise error.located(prefix="unit") from None
+        if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
+            low, high = self.bounds
+            raise SpecError(f"the smallest value, {low:g}, should be less than the largest, {high:g}", key="bounds")
+        if not self.is_within(self.initial):
+            raise SpecError(self.beyond(self.initial), key="initial")
+        return self
+
+    def is_within(self, value: float) -> bool:
+        """Return whether a value is within the bounds."""
+        return self.bounds is None or self.bounds[0] <= value <= self.bounds[1]
+
+    def beyond(self, value: float) -> str:
+        """Return a clause that says that a value is not within the bounds."""
+        assert self.bounds is not None
+        return f"should be within the bounds from {self.bounds[0]:g} to {self.bounds[1]:g}, not {value:g}"
 
 
 class ControllerState(StrictModel):

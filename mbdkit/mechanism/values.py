@@ -88,19 +88,23 @@ def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
     return value
 
 
-def columns_of(value: object, key: str = "", *, at: str = "times", of: str = "values", shown: str = "t, value") -> Any:
+def columns_of(
+    value: object, key: str = "", *, at: str = "times", of: str = "values", shown: str = "t, value", least: int = 2
+) -> Any:
     """Return the two columns of a table as tuples of floats.
 
     Parameters
     ----------
     value
-        Two columns of equal length, with at least two rows; the first column must be strictly increasing.
+        Two columns of equal length; the first column must be strictly increasing.
     key
         Key of the table, for error messages.
     at, of
         Plural nouns for the contents of the first and second columns, for error messages.
     shown
         Names of one entry of each column, for error messages.
+    least
+        Smallest number of rows.
 
     Raises
     ------
@@ -123,8 +127,8 @@ def columns_of(value: object, key: str = "", *, at: str = "times", of: str = "va
     times, values = (tuple(float(x) for x in column) for column in columns)
     if len(times) != len(values):
         raise SpecError(f"a table needs as many {of} as {at}; it has {len(values)} and {len(times)}", key=key)
-    if len(times) < 2:
-        raise SpecError(f"a table needs two points or more, not {len(times)}", key=key)
+    if len(times) < least:
+        raise SpecError(f"a table needs {'two points' if least == 2 else 'a point'} or more, not {len(times)}", key=key)
     for row in range(1, len(times)):
         if not times[row - 1] < times[row]:
             falls = all(before > after for before, after in pairwise(times))

@@ -88,6 +88,8 @@ class Traits:
         Whether velocities may jump in any step, so that the method does not locate impacts of elements.
     integrates_states
         Whether the method integrates first-order states of elements; None if its claims say so.
+    holds_states
+        Whether states that are constant during a step, such as inputs, keep their values if the method integrates none.
     why_no_checkpoint
         Reason why the state of a run cannot be stored, as a clause; empty if it can.
     """
@@ -105,6 +107,7 @@ class Traits:
     has_derivatives: bool = False
     is_time_stepping: bool = False
     integrates_states: bool | None = True
+    holds_states: bool = False
     why_no_checkpoint: str = ""
 
     def carries_multipliers(self, formulation: Formulation) -> bool:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         CompiledLaw as CompiledLaw, NativeLaw as NativeLaw, bind_law as bind_law, native_law as native_law,
     )
     from mbdkit.engine.formulation import FORMULATIONS as FORMULATIONS, Formulation as Formulation, INDEX_1 as INDEX_1
+    from mbdkit.engine.input_schedule import start_settings as start_settings
     from mbdkit.engine.joint_sums import JointSums as JointSums, joint_sums as joint_sums
     from mbdkit.engine.least_change import LeastChange as LeastChange
     from mbdkit.engine.linear_systems import (

@@ -47,8 +47,8 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.mechanism.size import mechanism_size as mechanism_size, mechanism_sizes as mechanism_sizes
     from mbdkit.mechanism.state_values import (
-        Controller as Controller, FirstOrderState as FirstOrderState, Value as Value, is_of_state as is_of_state,
-        of_state as of_state, of_time as of_time,
+        Controller as Controller, FirstOrderState as FirstOrderState, Input as Input, Value as Value,
+        is_of_state as is_of_state, of_state as of_state, of_time as of_time,
     )
     from mbdkit.mechanism.values import (
         BodyPair as BodyPair, Motion as Motion, Points as Points, curve_of as curve_of,

@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.spec.study_measures import (
         DefinedMeasure as DefinedMeasure, Measures as Measures, RunMeasures as RunMeasures, defined as defined,
     )
+    from mbdkit.spec.table_files import read_columns as read_columns
     from mbdkit.spec.varied_specs import VariedSpecs as VariedSpecs
     from mbdkit.spec.yaml_reader import write_yaml as write_yaml
     from mbdkit.spec.reading import read_text as read_text

@@ -28,8 +28,8 @@ COORDINATE_UNITS: Mapping[str, tuple[str, ...]] = {
 }
 """Units along the axis ``coordinate``, by the name of the array with this axis."""
 
-#: Axes that grow during a run: recorded rows, intervals between them, events, and impacts.
-GROWING = ("time", "interval", "event", "impact")
+#: Axes that grow during a run: recorded rows, intervals between them, events, impacts, and settings of inputs.
+GROWING = ("time", "interval", "event", "impact", "set/number")
 
 _XY = slice(0, 2)
 

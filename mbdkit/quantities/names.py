@@ -30,7 +30,8 @@ class ArchiveNames:
     - `force_units`: unit of the length of every force element, ``m`` or ``rad``.
     - `markers`, `marker_bodies`: names of the markers, and the body of each.
     - `elements`, `element_beams`: names of the elements of beams, and the beam of each.
-    - `states`, `state_units`: names of the first-order states, and the unit of each.
+    - `states`, `state_units`: names of the first-order states without those of inputs, and the unit of each.
+    - `inputs`, `input_units`: names of the inputs, and the unit of each.
     - `members`: names of the elements of each further kind, each with its bodies or other texts; see
       `CompiledMechanism.members`.
     """
@@ -50,6 +51,8 @@ class ArchiveNames:
     element_beams: Sequence[str] = ()
     states: Sequence[str] = ()
     state_units: Sequence[str] = ()
+    inputs: Sequence[str] = ()
+    input_units: Sequence[str] = ()
     members: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]] = ()
 
     def __post_init__(self) -> None:
@@ -93,7 +96,9 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         marker_bodies=tuple(body for _, body in mechanism.markers),
         elements=tuple(f"{beam}[{i}]" for beam, count in mechanism.beams for i in range(count)),
         element_beams=tuple(beam for beam, count in mechanism.beams for _ in range(count)),
-        states=tuple(state.name for state in mechanism.states),
-        state_units=tuple(state.unit for state in mechanism.states),
+        states=tuple(state.name for state in mechanism.named_states),
+        state_units=tuple(state.unit for state in mechanism.named_states),
+        inputs=tuple(item.name for item in mechanism.inputs),
+        input_units=tuple(item.unit for item in mechanism.inputs),
         members=tuple(mechanism.members.items()),
     )

@@ -29,8 +29,9 @@ from mbdkit.quantities.entries import (
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.quantities.states import States
 
-_T, _N, _E, _I = ("time",), ("interval",), ("event",), ("impact",)
+_T, _N, _E, _I, _S = ("time",), ("interval",), ("event",), ("impact",), ("set/number",)
 _TBC, _EBC = ("time", "body", "coordinate"), ("event", "body", "coordinate")
 _TJ, _TJA, _TF, _TKA = ("time", "joint"), ("time", "joint", "axis"), ("time", "force"), ("time", "marker", "axis")
 _TE, _TM = ("time", "element"), ("time", "constraint")
@@ -47,6 +48,10 @@ _MISALIGNMENT: Mapping[str, object] = {
 
 _POWER = "Power that each driver supplies to the mechanism."
 _RELATIVE = "Of the second body of each joint relative to the first."
+
+
+def _states_of(states: States) -> int:
+    return len(states.mechanism.named_states)
 
 
 def _length_unit(mechanism: Mechanism, name: str) -> str:
@@ -184,11 +189,28 @@ KINDS = (
         name_array("row_units", "state", "units of value, row by row", lambda n: n.state_units, label="units"),
         name_array("rate_row_units", "state", "units of rate, row by row",
             lambda names: [f"{unit}/s" for unit in names.state_units]),
-        computed("value", ("time", "state"), MIXED, "value of the state", lambda s: s.z, row_units="row_units"),
-        computed("rate", ("time", "state"), MIXED, "derivative of the state by time", lambda s: s.observed.state_rates,
-            row_units="rate_row_units"),
+        computed("value", ("time", "state"), MIXED, "value of the state", lambda s: s.z[:, : _states_of(s)],
+            row_units="row_units"),
+        computed("rate", ("time", "state"), MIXED, "derivative of the state by time",
+            lambda s: s.observed.state_rates[:, : _states_of(s)], row_units="rate_row_units"),
         optional=True, word="states", one="state", example="value", axis="state", is_optional=True,
         unit_of=lambda mechanism, name: mechanism.states[name].unit if name in mechanism.states else "1",
+    ),
+    quantity_group(
+        "inputs",
+        TIME,
+        name_array("input", "input", "name of the input", lambda names: names.inputs),
+        name_array("row_units", "input", "units of value, row by row", lambda names: names.input_units, label="units"),
+        computed("value", ("time", "input"), MIXED, "value of the input",
+            lambda s: s.z[:, [item.state for item in s.mechanism.inputs]], row_units="row_units"),
+        # xarray would hide arrays with the names of coordinates of the group above
+        Array("set/number", _S, "1", "number of the setting, from 1, in order of time", INTEGER),
+        Array("set/instant", _S, "s", "time at which the input was set"),
+        Array("set/name", _S, "1", "name of the input", TEXT),
+        Array("set/row_units", _S, "1", "units of value, row by row", TEXT),
+        Array("set/value", _S, MIXED, "value to which the input was set", row_units="set/row_units"),
+        optional=True, word="inputs", one="input", example="value", axis="input", is_optional=True,
+        unit_of=lambda mechanism, name: mechanism.inputs[name].unit,
     ),
     quantity_group(
         "constraints",

@@ -10,7 +10,8 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.integrators.interface import SAME_TIME
+from mbdkit.engine.input_schedule import same_time
+from mbdkit.integrators.interface import SAME_TIME, on_grid
 from mbdkit.integrators.run.sampled_control import sample_times
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
@@ -44,6 +45,7 @@ class Stops:
 
     `margins` [s] are the uncertainties of `times`. `impacts` maps each time at which velocities of drivers are
     discontinuous to the names of these drivers. `samples` are the times at which an output of a controller changes.
+    Margins are 0 at times without a discontinuity, at which inputs are set or the spec asks for the end of a step.
     """
 
     times: tuple[float, ...] = ()
@@ -61,9 +63,11 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     """
     start, end = spec.time.start, spec.time.final
     motions = spec.mechanism().motions()
-    if not motions and not spec.mechanism().controllers:
+    soft = _soft_stops(spec)
+    if not motions and not soft and not spec.mechanism().controllers:
         return Stops()
-    places = [(time, margin, True, "") for time, margin in _samples(spec)]
+    places = [(time, 0.0, False, "") for time in soft]
+    places += [(time, margin, True, "") for time, margin in _samples(spec)]
     drivers = _drivers(spec)
     for key, motion in motions:
         corners = corners_of(motion, start, end)
@@ -71,15 +75,17 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
             struck = drivers.get(key, "") if corner.jumps[1] else ""
             if struck or (len(corners) <= MOST_STOPS and (all_knots or _needs_stop(spec, corner, motion))):
                 places.append((corner.time, corner.margin, False, struck))
+    rounding = same_time(start, end)
     times: list[float] = []
     margins: list[float] = []
     impacts: dict[float, tuple[str, ...]] = {}
     samples: list[float] = []
     for time, margin, is_sample, struck in sorted(places, key=lambda item: item[0]):
-        if _is_at_end(time, margin, start, end):
+        if _is_at_end(time, margin or rounding / SAME_TIME, start, end):
             continue
-        if times and time - times[-1] <= 2.0 * (margin + margins[-1]):  # count as simultaneous
-            margins[-1] = max(margins[-1], time + margin - times[-1])
+        if times and time - times[-1] <= max(2.0 * (margin + margins[-1]), rounding):  # count as simultaneous
+            if margin or margins[-1]:  # a stop without margin belongs to a discontinuity that is close to it
+                margins[-1] = max(margins[-1], time + margin - times[-1])
         else:
             times.append(time)
             margins.append(margin)
@@ -88,6 +94,25 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
         if is_sample and times[-1] not in samples[-1:]:
             samples.append(times[-1])
     return Stops(tuple(times), tuple(margins), impacts, tuple(samples))
+
+
+def _soft_stops(spec: RunSpec) -> list[float]:
+    """Return the times in a run at which inputs are set, and those of `time.stops` [s].
+
+    Motions are continuous there. A time that equals the end of a fixed step, or else the time of a row, up to rounding
+    errors is replaced by it: a fixed step then remains whole, and a row shows the state before the change. Raises
+    SpecError if an input is set more often than ``limits.max_steps``.
+    """
+    start, end, schedules = spec.time.start, spec.time.final, spec.schedules()
+    within = [[time for time in schedule.times if start < time < end] for schedule in schedules]
+    for name, times in zip(spec.mechanism().inputs, within, strict=True):
+        if len(times) > spec.limits.max_steps:
+            message = f"the input would be set more often than limits.max_steps = {spec.limits.max_steps}"
+            raise spec.placed(SpecError(message, key=f"inputs.{quoted(name)}"))
+    every = {*spec.time.stops, *(time for times in within for time in times)}
+    for grid in (spec.output.interval, None if spec.claims.adaptive else spec.time.step):
+        every = every if grid is None else {on_grid(time, start, grid, end) for time in every}
+    return sorted(every)
 
 
 def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:

@@ -8,13 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, of_elements, recorded_by
+from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, SETTINGS, of_elements, recorded_by
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
 from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
 from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Failure, Guards, Timetable
@@ -64,6 +65,7 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
         with within_double_precision():
             require_unique_start(workspace)
             workspace.mechanism.length**2  # step guards divide by this
+            workspace.schedules = spec.schedules()
             chosen = workspace.mechanism.reacting
             if chosen is not None and (begin := chosen.item.begin) is not None:
                 workspace = treatment_start.of(begin)(workspace)
@@ -147,7 +149,12 @@ def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
     except TableauError as error:
         raise PluginError(f"integrator {spec.integrator_item.id} claims {spec.formulated.name}, but {error}") from error
     method.require_mechanism(mechanism)
-    own = [state.name for state in mechanism.states if not state.by_method]
+    changing = mechanism.topology.states[:, STATE_ROW.rate] >= 0
+    own = [
+        state.name
+        for state, changes in zip(mechanism.states, changing, strict=True)
+        if not state.by_method and (changes or not method.traits.holds_states)
+    ]
     integrates = method.traits.integrates_states
     if own and not (spec.claims.states if integrates is None else integrates):
         message = (
@@ -169,6 +176,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
         *CORRECTIONS[spec.stabilized.kind],
         *(EVENTS if spec.events else ()),
+        *(SETTINGS if mechanism.inputs else ()),
     ]
     return recorded_by(names, spec.output.recorded, frozenset(optional))
 

@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.archive.run_writer import RunWriter, SharedForces
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.input_schedule import Setting, setting_rows
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.table_rows import SPARE
@@ -279,6 +280,11 @@ class Recorder:
                 "velocity": np.array([crossing.v[:-3] for crossing in crossings]).reshape(shape),
             }
         )
+
+    def record_inputs(self, settings: Sequence[Setting]) -> None:
+        """Write the settings of inputs since the last call."""
+        if settings:
+            self.writer.append_inputs(setting_rows(self.mechanism, settings))
 
     def record_impacts(
         self,

@@ -351,6 +351,7 @@ class SimulatedRun:
             now = time.perf_counter() - begin
             self.take_steps(stepper, stretch)
             self.failure = self.recorder.record(stretch, (elapsed, now)) or self.failure
+            self._record_inputs()
             if self.watch is not None:
                 self.recorder.record_events(self.watch.taken())
             if len(stretch.time):
@@ -370,6 +371,13 @@ class SimulatedRun:
         self.failure = self.failure or stepper.failure
         if recorded < stepper.time and not stepper.finished and not unrecordable:
             self.recorder.record(stepper.last_state(), (elapsed, elapsed))
+        self._record_inputs(at_end=True)
+
+    def _record_inputs(self, *, at_end: bool = False) -> None:
+        """Record the settings of inputs since the last call and, at the end, the last values of those that change."""
+        inner = self.inner_stepper
+        if isinstance(inner, CompiledStepper | StepHost) and inner.sampler.is_needed:
+            self.recorder.record_inputs([*inner.sampler.taken(), *(inner.sampler.ends(inner.time) if at_end else ())])
 
     def check_accuracy(self, progress: Progress | None) -> None:
         """Estimate the errors of the recorded rows if the spec asks for it."""

@@ -21,6 +21,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.feature_items import Example
 from mbdkit.registry.manager import registry
+from mbdkit.spec.input_tables import read_input_files
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
@@ -48,6 +49,7 @@ class Sections(TypedDict, total=False):
     events: Mapping[str, Section]
     measures: Mapping[str, str | Mapping[str, object]]
     gradients: Sequence[str]
+    inputs: Mapping[str, Section]
     limits: Section
     check: bool
     accuracy: float | None
@@ -114,6 +116,8 @@ def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], s
 
 def _read_files(document: Document) -> None:
     model: Any = document.data.get("model")
+    if isinstance(inputs := document.data.get("inputs"), Mapping):
+        read_input_files(inputs, document.folder)
     for key, kind in element_kinds().items() if isinstance(model, Mapping) else ():
         if kind.read_files is not None and isinstance(elements := model.get(key), Mapping):
             element_files.of(kind.read_files)(elements, document.folder)

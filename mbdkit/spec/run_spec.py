@@ -27,6 +27,7 @@ from mbdkit.base.plain_data import canonical, canonical_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, Formulation
+from mbdkit.engine.input_schedule import InputSchedule
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
 from mbdkit.mechanism.mechanism_seams import run_check
@@ -38,6 +39,7 @@ from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, NAMES, FormulationChoice, formulation_of, name_of
+from mbdkit.spec.input_tables import InputTable, schedules_of
 from mbdkit.spec.item_names import CriterionName
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import (
@@ -118,6 +120,7 @@ class RunSpec(ModelSpec):
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         "parameters",
+        "inputs",
         "events",
         "measures",
         "gradients",
@@ -142,6 +145,8 @@ class RunSpec(ModelSpec):
     """Start time, end time and step."""
     output: Output = Field(default_factory=lambda: Output(every=1))
     """Recorded quantities and the recording interval."""
+    inputs: dict[str, InputTable] = Field(default_factory=dict)
+    """Values of the inputs of the mechanism over time, by name of the input."""
     events: Annotated[dict[str, Event], AfterValidator(named_events)] = Field(default_factory=dict)
     """Events by name: zero crossings of expressions in the state of the run, which are recorded or stop the run."""
     measures: RunMeasures = Field(default_factory=dict)
@@ -174,6 +179,7 @@ class RunSpec(ModelSpec):
 
     _watched: Any = PrivateAttr(default=None)
     _settings: Any = PrivateAttr(default=None)
+    _schedules: Any = PrivateAttr(default=())
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
     """The canonical JSON before and after the value of `model`; None until it is needed."""
 
@@ -315,11 +321,11 @@ class RunSpec(ModelSpec):
         `integrator`: the integrator: its name and its options. `step`: step [s]; for an adaptive method the first step,
         or None.
         """
-        time = {"start": self.time.start, "end": self.time.final, "step": step}
+        time = {"start": self.time.start, "end": self.time.final, "step": step, "stops": self.time.stops}
         data = self.sections()
         spec = type(self)(**data | {"integrator": integrator, "time": time, "choose": "nothing"})
         spec._document, spec._mechanism, spec._watched = self._document, self._mechanism, self._watched
-        spec._settings, spec._files = self._settings, self._files
+        spec._settings, spec._files, spec._schedules = self._settings, self._files, self._schedules
         return spec
 
     def with_model(self, model: BaseModel) -> RunSpec:
@@ -425,6 +431,12 @@ class RunSpec(ModelSpec):
         settings: dict[str, dict[str, RunExpression]] = self._settings
         return settings
 
+    def schedules(self) -> tuple[InputSchedule, ...]:
+        """Return the schedule of each input of the mechanism. Raises the errors of `mechanism`."""
+        self.mechanism()
+        schedules: tuple[InputSchedule, ...] = self._schedules
+        return schedules
+
     @property
     def span(self) -> tuple[float, float]:
         """Start and end of the run [s]."""
@@ -456,6 +468,7 @@ class RunSpec(ModelSpec):
         for kind in kinds:
             if kind.acts.check_run is not None:
                 run_check.of(kind.acts.check_run)(mechanism)
+        self._schedules = schedules_of(self.inputs, mechanism.inputs)
         self._watched = self._parsed(mechanism)
         self._settings = self._parsed_settings(mechanism)
 

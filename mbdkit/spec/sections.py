@@ -43,6 +43,8 @@ class Section(StrictModel):
 class Time(Section):
     """Start time, end time and step of the run; give exactly one of `end` and `steps`."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("stops",)
+
     start: float = 0.0
     """Start time [s]."""
     end: float | None = None
@@ -51,6 +53,8 @@ class Time(Section):
     """Number of steps of length `step`, instead of `end`."""
     step: Positive | None = None
     """Step [s]; for an adaptive method, the first step (optional)."""
+    stops: tuple[float, ...] = ()
+    """Further times at which steps end [s], within the run."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Time:
@@ -67,6 +71,10 @@ class Time(Section):
             raise SpecError(f"must be later than the start at {self.start!r}, not {self.end!r}", key="end")
         if not math.isfinite(self.final - self.start):
             raise PydanticCustomError("mbdkit", "is too long for double precision")
+        for index, stop in enumerate(self.stops):
+            if not self.start <= stop <= self.final:
+                outside = f"should be within the run, from {self.start:g} s to {self.final:g} s, not {stop!r}"
+                raise SpecError(outside, key=f"stops[{index}]")
         largest = max(abs(self.start), abs(self.final))
         if self.step is not None and largest + self.step / 2 == largest:
             raise SpecError(

@@ -126,7 +126,7 @@ class StepAttempts:
             size = end - t if self._is_external else float(fitted_size(t, begin.size, end))
             is_last = t + size >= end or size == end - t
             if is_last and stop is not None:
-                return Planned(t, end - t, table.sides(begin.passed)[1], True, False)
+                return Planned(t, end - t, min(table.sides(begin.passed)[1], stop), True, False)
             return Planned(t, size, table.end if is_last else t + size, False, is_last)
         assert table.step is not None
         n = begin.whole + 1
@@ -135,7 +135,7 @@ class StepAttempts:
         if stop is not None:
             is_end = abs(stop - end) <= SAME_TIME * table.stop_margins[begin.passed]
             if stop < end or is_end:
-                before = table.sides(begin.passed)[1]  # so that a row there shows the left-hand limit
+                before = min(table.sides(begin.passed)[1], stop)  # so that a row there shows the left-hand limit
                 is_on_grid = is_end and stop not in table.impacts
                 plan = Planned(t, stop - t, end if is_on_grid else before, True, is_end)
         if plan is None:

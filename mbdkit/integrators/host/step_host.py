@@ -56,8 +56,8 @@ class StepHost:
         if isinstance(self.method, StepMethod) and method.tolerances is not None:
             self.control = HostControl(method.tolerances, self.method.error_order, workspace, timetable)
         self.use(EquationsOfMotion(workspace, z0))
-        self.sampler = Sampler(workspace)
-        if workspace.mechanism.controllers:  # the initial states include the first sample, whose outputs may be delayed
+        self.sampler = Sampler(workspace, timetable.samples)
+        if self.sampler.is_needed:  # the initial states include the first changes, but outputs may be delayed
             self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
         begin = StepState(self.equations.q0.copy(), self.equations.v0.copy(), z=z0)
         self.now = Reached(
@@ -147,8 +147,8 @@ class StepHost:
                 self._watch.forget_energy()
                 state = replace(state, v=new[: self.equations.n], low=(state.low[0], 0.0, *state.low[2:]))
                 energy, why = energy + np.array([impact.energy, 0.0]), "impact"
-            if stop in table.samples:
-                z = self.sampler.passed(stop, *_with_ground(state), state.z)
+            if self.sampler.is_needed:
+                z = self.sampler.passed(stop, *_with_ground(state), state.z, table.stop_margins[now.passed - 1])
                 state = replace(state, z=z, low=state.low[:2])
         if why == "projection" and math.isfinite(now.size):
             self.equations.first_step = now.size

@@ -13,7 +13,6 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.kernels.bundle_types import STATE, kept
 from mbdkit.engine.kernels.system import OK
-from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import (
@@ -115,10 +114,9 @@ class CompiledStepper:
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
         self.impacts: list[DriverImpulse] = []
         self.inserted: list[float] = []
-        self.sampler = Sampler(workspace)
-        self._samples = frozenset(timetable.samples)
-        # The initial states include the first sample already; this call stores its outputs, which may be delayed.
-        if workspace.mechanism.controllers:
+        self.sampler = Sampler(workspace, timetable.samples)
+        # The initial states include the first changes already; this call stores outputs, which may be delayed.
+        if self.sampler.is_needed:
             self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
@@ -250,9 +248,9 @@ class CompiledStepper:
         passed = int(progress.passed[0])
         self.workspace.clamp_motions(*table.sides(passed))
         stop = table.stops[passed - 1]
-        if stop in self._samples:
-            c.z[:] = self.sampler.passed(stop, c.q, c.v, c.z)
-            c.z_low[self.workspace.mechanism.topology.states[:, STATE_ROW.rate] < 0] = 0.0
+        if self.sampler.is_needed:
+            c.z[:] = self.sampler.passed(stop, c.q, c.v, c.z, table.stop_margins[passed - 1])
+            c.z_low[self.sampler.held] = 0.0
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
             try:
                 impact, v = impulse(self.workspace, float(progress.restart[0]), c.q, c.v, stop)

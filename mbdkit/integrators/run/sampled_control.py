@@ -1,7 +1,8 @@
-"""Sampled controllers: the values that they hold between samples, and how these change at a sample.
+"""Sampled controllers and inputs: the values that they hold, and how these change at a stop.
 
-The outputs and states of controllers are first-order states with the rate 0. Steps end at the times of samples and at
-the times at which outputs begin to apply. The values change there, before the next step.
+The outputs and states of controllers are first-order states with the rate 0, and so are inputs, or their rates if they
+change linearly. Steps end at the times of samples, at the times at which outputs begin to apply, and at the times at
+which inputs are set. The values change there, before the next step: first those of inputs, which samples then use.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import SampledController
+from mbdkit.engine.input_schedule import InputSchedule, Setting, same_time
 from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.native.calls import call_law
 from mbdkit.engine.workspace import Workspace
 
@@ -22,36 +25,92 @@ SAME = 1e-6
 
 
 class Sampler:
-    """Updates the values that controllers hold.
+    """Updates the values that controllers hold, and those of inputs.
 
     Parameters
     ----------
     workspace
-        The mechanism and its start; its working arrays are used.
+        The mechanism, its start and the schedules of its inputs; its working arrays are used.
+    samples
+        Stops at which outputs of controllers change [s], other than the start.
+
+    Attributes
+    ----------
+    schedules
+        The schedule of each input. It may be replaced by a longer one to set the input at later stops.
+    set_states
+        Indices of the first-order states of inputs that were set at the last stop.
     """
 
-    def __init__(self, workspace: Workspace):
+    def __init__(self, workspace: Workspace, samples: Iterable[float] = ()):
         self._workspace, self._controllers = workspace, workspace.mechanism.controllers
         self._pending = [np.zeros((_pending(controller), len(controller.outputs))) for controller in self._controllers]
+        self._samples = frozenset((workspace.t0, *samples))
         self._last = -math.inf
+        self._inputs = workspace.mechanism.inputs
+        self.schedules = list(workspace.schedules or [InputSchedule()] * len(self._inputs))
+        self._settings: list[Setting] = []
+        self._latest = [-1] * len(self._inputs)  # index of the last setting of each input
+        self.set_states: list[int] = []
+        #: Whether there are values to update.
+        self.is_needed = bool(self._controllers or self._inputs)
+        held = np.flatnonzero(workspace.mechanism.topology.states[:, STATE_ROW.rate] < 0)
+        #: Indices of the first-order states that change at stops.
+        self.held = np.union1d(held, [item.state for item in self._inputs]).astype(np.int64)
 
-    def passed(self, stop: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the first-order states after the samples at a time; a repeated call has no effect.
+    def passed(self, stop: float, q: np.ndarray, v: np.ndarray, z: np.ndarray, margin: float = 0.0) -> np.ndarray:
+        """Return the first-order states after the changes at a time; a repeated call has no effect.
 
         Parameters
         ----------
         stop
-            The time [s].
+            The time [s]: the start or a stop.
         q, v
             (3 (B + 1),) positions and velocities.
         z
-            (Z,) first-order states before the samples.
+            (Z,) first-order states before the changes.
+        margin
+            Margin of the stop [s]. Inputs that are set up to this time after it are set at the stop.
         """
         after = z.copy()
         if stop <= self._last:
             return after
+        self._set_inputs(stop, stop + margin, after)
         self._last = stop
-        is_evaluated = False
+        return self._sampled(stop, q, v, after) if stop in self._samples else after
+
+    def _set_inputs(self, stop: float, until: float, z: np.ndarray) -> None:
+        """Set inputs in the first-order states `z`; those at the start are set in any case."""
+        is_start = math.isinf(self._last)
+        self.set_states = []
+        for number, (item, schedule) in enumerate(zip(self._inputs, self.schedules, strict=True)):
+            index = schedule.last(until + same_time(until))
+            if index > self._latest[number]:
+                self._latest[number] = index
+                self.set_states += [item.state, item.slope] if item.is_linear else [item.state]
+                z[item.state] = schedule.at(index, stop) if is_start else schedule.values[index]
+                if item.is_linear:
+                    z[item.slope] = schedule.slopes[index]
+            elif not is_start:
+                continue
+            self._settings.append(Setting(stop, number, float(z[item.state])))
+
+    def taken(self) -> list[Setting]:
+        """Return the settings of inputs since the last call, in order of time; first, the values at the start."""
+        taken, self._settings = self._settings, []
+        return taken
+
+    def ends(self, time: float) -> list[Setting]:
+        """Return the values at the end of the run, at `time` [s], of inputs that are then changing linearly."""
+        ends = []
+        for number, (index, schedule) in enumerate(zip(self._latest, self.schedules, strict=True)):
+            if index >= 0 and schedule.slopes[index] != 0.0 and time > self._last:
+                ends.append(Setting(time, number, schedule.at(index, time)))
+        return ends
+
+    def _sampled(self, stop: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the first-order states after the samples of controllers at a time."""
+        after, is_evaluated = z.copy(), False
         for controller, pending in zip(self._controllers, self._pending, strict=True):
             number = self._number(stop, controller, 0.0)
             if number is not None:
@@ -87,13 +146,17 @@ class Sampler:
 
     def stored(self) -> dict[str, Any]:
         """Return the state of the sampler as plain values."""
-        return {"pending": [values.tolist() for values in self._pending], "last": self._last}
+        settings = [[setting.time, float(setting.number), setting.value] for setting in self._settings]
+        pending = [values.tolist() for values in self._pending]
+        return {"pending": pending, "last": self._last, "latest": self._latest, "settings": settings}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore a stored state."""
         for own, given in zip(self._pending, state["pending"], strict=True):
             own[...] = np.array(given, dtype=float).reshape(own.shape)
         self._last = float(state["last"])
+        self._latest[:] = map(int, state["latest"])
+        self._settings = [Setting(time, int(number), value) for time, number, value in state["settings"]]
 
 
 def _pending(controller: SampledController) -> int:
@@ -118,6 +181,6 @@ def sample_times(periods: Iterable[tuple[float, float]], start: float, end: floa
 
 
 def states_at_start(workspace: Workspace) -> np.ndarray:
-    """Return the first-order states at the start of a run (Z,), after the first samples."""
+    """Return the first-order states at the start of a run (Z,), with inputs set and after the first samples."""
     z = workspace.mechanism.initial_states
     return Sampler(workspace).passed(workspace.t0, workspace.q0, workspace.v0, z) if len(z) else z

@@ -12,9 +12,10 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.input_schedule import same_time
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable
+from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable, on_grid
 from mbdkit.integrators.run.impulse import ReactingMemory, reacting_memory
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
@@ -151,8 +152,10 @@ def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, 
     table = companion.timetable
     moved, at_stop = times.copy(), np.zeros(len(times), dtype=bool)
     for stop, margin in zip(table.stops, table.stop_margins, strict=True):
-        near = np.abs(times - stop) <= SAME_TIME * margin
-        moved[near], at_stop[near] = stop + (margin if companion.after_stops else -margin), True
+        near = np.abs(times - stop) <= max(SAME_TIME * margin, same_time(*times[[0, -1]]))
+        at_stop |= near
+        if margin:  # otherwise, rows at the stop show the state before it
+            moved[near] = stop + (margin if companion.after_stops else -margin)
     return moved, at_stop
 
 
@@ -229,8 +232,11 @@ def finer(timetable: Timetable, times: np.ndarray, factor: int) -> Timetable:
     assert timetable.step is not None
     step = timetable.step / factor
     start, end = timetable.start, float(times[-1])
+    table = until(timetable, end)
+    stops = zip(table.stops, table.stop_margins, strict=True)
     return replace(
-        until(timetable, end),
+        table,
+        stops=tuple(stop if margin else on_grid(stop, start, step, end) for stop, margin in stops),
         step=step,
         steps=max(1, int(np.ceil((end - start) / step - 1e-9))),
         every=factor * timetable.every,

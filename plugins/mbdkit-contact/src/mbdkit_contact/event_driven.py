@@ -309,12 +309,4 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
     held = events.contacts.held
     parameters = top.law_parameters.copy()
     parameters[top.states[held.states, STATE_ROW.parameter]] = held.of(state.memory)
-    started = replace(mechanism, topology=top._replace(law_parameters=parameters))
-    return Workspace(
-        started,
-        workspace.t0,
-        workspace.q0,
-        workspace.v0,
-        formulation=workspace.formulation,
-        stabilization=workspace.stabilization,
-    )
+    return replace(workspace, mechanism=replace(mechanism, topology=top._replace(law_parameters=parameters)))

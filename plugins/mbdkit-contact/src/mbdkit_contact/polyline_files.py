@@ -5,19 +5,15 @@ The loaded spec has the points, so that neither archives nor studies need the fi
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from mbdkit.plugin import SpecError, did_you_mean, listed, quoted, read_data, read_unit, shown
+from mbdkit.plugin import SpecError, quoted, read_unit
 from mbdkit.plugin.seams import element_files
-from mbdkit.plugin.specs import spec_error
+from mbdkit.plugin.specs import read_columns, spec_error
 from mbdkit_contact.contact import PolylineFile
-
-LARGEST_FILE = 16 * 2**20
-"""Largest size of a file with points [bytes]."""
 
 
 @element_files
@@ -66,29 +62,5 @@ def _points(given: Mapping[str, object], folder: Path) -> list[list[float]]:
             raise SpecError(f"should be a unit of length such as mm, not {unit}")
     except SpecError as error:
         raise error.located(prefix="unit") from None
-    path = folder / table.file
-    content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
-    try:
-        lines = content.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise SpecError("this file is not valid UTF-8 text", file=path) from None
-    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    if not numbered:
-        raise SpecError("this file is empty; it should have a line of headings, and a point in each further line",
-                        file=path)  # fmt: skip
-    delimiter = max(",;\t", key=numbered[0][1].count)
-    rows = [next(csv.reader([line], delimiter=delimiter)) for _, line in numbered]
-    headings = [heading.strip() for heading in rows[0]]
-    for column in (table.x, table.y):
-        if headings.count(column) != 1:
-            known = did_you_mean(column, headings) or f"; columns: {listed([shown(one) for one in headings], 'and')}"
-            raise SpecError(f"there should be one column '{column}'{known}", file=path, line=numbered[0][0])
-    places = [headings.index(column) for column in (table.x, table.y)]
-    points = []
-    for (line, _), row in zip(numbered[1:], rows[1:], strict=True):
-        try:
-            points.append([unit.factor * float(row[i]) for i in places])
-        except (ValueError, IndexError):
-            message = f"the columns '{table.x}' and '{table.y}' should have numbers here"
-            raise SpecError(message, file=path, line=line) from None
-    return points
+    columns = read_columns(folder / table.file, (table.x, table.y))
+    return [[unit.factor * value for value in point] for point in zip(*columns, strict=True)]

@@ -32,6 +32,7 @@ _TRAITS = Traits(
     suits_stiff=True,
     is_time_stepping=True,
     integrates_states=False,
+    holds_states=True,
 )
 
 

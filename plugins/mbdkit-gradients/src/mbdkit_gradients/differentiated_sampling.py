@@ -1,4 +1,4 @@
-"""Derivatives of the outputs and states that sampled controllers hold between samples.
+"""Derivatives of the outputs and states that sampled controllers hold between samples, and of inputs.
 
 The chain rule is applied at each sample. The times of samples do not depend on parameters.
 """
@@ -37,7 +37,7 @@ class Differentiated(Protocol):
 
 
 class DifferentiatedSampler:
-    """Updates the derivatives of the outputs and states that controllers hold.
+    """Updates the derivatives of the outputs and states that controllers hold, and of inputs.
 
     Parameters
     ----------
@@ -67,12 +67,13 @@ class DifferentiatedSampler:
         StepError
             If the accelerations at the stop are not unique.
         """
-        controllers = self._steps.workspace.mechanism.controllers
-        if stop <= self._last or not controllers:
+        controllers, z = self._steps.workspace.mechanism.controllers, np.asarray(self._steps.run.z)
+        if stop <= self._last or not self._sampler.is_needed:
             return
         self._last = stop
-        laws, number_of = self._steps.laws, self._sampler._number
-        z = np.asarray(self._steps.run.z)
+        laws, number_of, of_inputs = self._steps.laws, self._sampler._number, self._sampler.set_states
+        z[of_inputs] = 0.0  # the values to which inputs are set depend on no parameter
+        z[of_inputs, 0] = after[of_inputs]
         changed, is_evaluated = z.copy(), False
         for controller, pending in zip(controllers, self._pending, strict=True):
             number = number_of(stop, controller, 0.0)

@@ -28,6 +28,7 @@ from mbdkit_predict.exported_elements import chosen_equilibria, symbolic_element
 from mbdkit_predict.symbols import BranchError, Symbol, column, every_branch
 from tests.engine import random_mechanisms
 from tests.engine.strategies import Drawn, mechanisms
+from tests.runs.rotor_with_inputs import rotor
 from tests.runs.rubbing_joints import pendulum, slide
 from tests.witness.eccentric_wheel import wheel
 
@@ -404,3 +405,17 @@ def test_elements_of_a_stranger_export_themselves() -> None:
     assert (chosen.kind, chosen.name, chosen.rate, chosen.force) == ("wheels", "front", 2, 1)
     with pytest.raises(SpecError, match="needs both"):
         chosen_equilibria(mechanism, ["wheels.front.force"])
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_inputs_are_exported_as_states(hold: str) -> None:
+    # expected: the rate of a linear input is its slope, and the torque is the input
+    system = rotor(hold).to_casadi()
+    assert system.state_names == ("inputs.torque", "inputs.torque.slope")[: 1 + (hold == "linear")]
+    z = np.array([2.0, 3.0])[: len(system.state_names)]
+    q, m = np.zeros(3), np.zeros(2)
+    rates = np.array(system.rates(q, q, q, m, z, [], [], 0.0)).ravel()
+    assert rates.tolist() == ([3.0, 0.0] if hold == "linear" else [0.0])
+    residual = np.array(system.residual(q, q, q, m, z, [], [], 0.0)).ravel()
+    assert residual[2] == -2.0
+    assert "inputs.torque.value" in system.quantity_names

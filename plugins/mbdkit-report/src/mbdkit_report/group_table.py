@@ -132,7 +132,8 @@ def group_table(run: Run, group: str) -> GroupTable:
 def _arrays(run: Run, group: str) -> list[Array]:
     """Return the arrays with rows that a run recorded in a group, without the array of times."""
     every = run.kinds[group].arrays if group in run.kinds else ()
-    arrays = [array for array in every if array.grows and run.records(array.path)]
+    axis = next((array.dims[0] for array in every if array.name == "time"), "")
+    arrays = [array for array in every if array.grows and array.dims[0] == axis and run.records(array.path)]
     return [array for array in arrays if array.name != "time"] if len(arrays) > 1 else []
 
 

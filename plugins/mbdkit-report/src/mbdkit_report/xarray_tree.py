@@ -40,16 +40,19 @@ def to_datatree(file: h5py.File, rows: Mapping[str, int]) -> xarray.DataTree:
         raise MbdkitError("to_xarray needs the package xarray: pip install xarray") from error
 
     nodes: dict[str, xarray.Dataset] = {"/": xarray.Dataset(attrs=_attributes(file))}
-    for name, group in file.items():
+    groups = list(file.values())
+    for group in groups:
+        datasets = {name: item for name, item in group.items() if isinstance(item, h5py.Dataset)}
+        groups += [item for item in group.values() if isinstance(item, h5py.Group)]
         variables = {
-            item: xarray.Variable(
+            name: xarray.Variable(
                 dims(dataset),
                 (dataset.asstr() if is_text(dataset) else dataset)[: rows.get(dims(dataset)[0])],
                 _attributes(dataset),
             )
-            for item, dataset in group.items()
+            for name, dataset in datasets.items()
         }
-        nodes[f"/{name}"] = xarray.Dataset(variables, attrs=_attributes(group))
+        nodes[group.name] = xarray.Dataset(variables, attrs=_attributes(group))
     return xarray.DataTree.from_dict(nodes)
 
 

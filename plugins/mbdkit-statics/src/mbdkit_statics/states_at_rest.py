@@ -44,7 +44,9 @@ WEIGHTS = (1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280)
 
 
 class StatesAtRest:
-    """The first-order states of a mechanism at given positions.
+    """The first-order states of a mechanism at given positions; inputs have their initial values.
+
+    The states of inputs come last. Derivatives are those of and with respect to the others, F of all Z states.
 
     Parameters
     ----------
@@ -68,7 +70,7 @@ class StatesAtRest:
                 key="model.controllers",
             )
         self._workspace, self._p = workspace, equations
-        self.names = tuple(state.name for state in mechanism.states)
+        self.names = tuple(state.name for state in mechanism.named_states)
         self.z = mechanism.initial_states.copy()
 
     def rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -92,18 +94,19 @@ class StatesAtRest:
         StepError
             If there are no such states, or if the position does not determine them.
         """
-        rest, z, before = np.zeros_like(q), self.z.copy(), np.inf
+        rest, z, before, free = np.zeros_like(q), self.z.copy(), np.inf, slice(len(self.names))
         for _ in range(MOST_ITERATIONS):
-            rate, slope = self.rates(t, q, rest, z), self.by_states(t, q, rest, z)[1]
+            rate, slope = self.rates(t, q, rest, z)[free], self.by_states(t, q, rest, z)[1]
             try:
                 change = -np.linalg.solve(slope, rate)
             except np.linalg.LinAlgError:
                 break
             if not np.all(np.isfinite(change)):
                 break
-            z = z + change
-            size = np.maximum(np.abs(z), LEAST * np.max(np.abs(z)))
-            now = float(np.max(np.divide(np.abs(change), size, out=np.zeros_like(z), where=change != 0.0)))
+            z[free] += change
+            size = np.maximum(np.abs(z[free]), LEAST * np.max(np.abs(z)))
+            shares = np.divide(np.abs(change), size, out=np.zeros_like(change), where=change != 0.0)
+            now = float(np.max(shares, initial=0.0))
             if now <= SMALL or (now >= STALLED * before and now <= NEGLIGIBLE):
                 self.z = z
                 return z
@@ -116,21 +119,22 @@ class StatesAtRest:
         )
 
     def by_states(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of the forces (n, Z) and of the rates (Z, Z) with respect to the states."""
-        n, size = len(q), np.maximum(np.abs(z), 1.0)
+        """Return the derivatives of the forces (n, F) and of the rates (F, F) with respect to the states."""
+        n, size, count = len(q), np.maximum(np.abs(z), 1.0), len(self.names)
         both = self._differences(
             lambda x: np.concatenate([self.forces(t, q, v, x), self.rates(t, q, v, x)]), z, DISTANCE * size
         )
-        return both[:n], both[n:]
+        return both[:n, :count], both[n : n + count, :count]
 
     def rates_by_motion(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of the rates with respect to the positions, and with respect to the velocities, both
-        (Z, n).
+        (F, n).
         """
         length = self._workspace.mechanism.length
         size = DISTANCE * np.tile([length, length, 1.0], len(q) // 3)
         by_position = self._differences(lambda x: self.rates(t, x, v, z), q, size)
-        return by_position, self._differences(lambda x: self.rates(t, q, x, z), v, size)
+        by_velocity = self._differences(lambda x: self.rates(t, q, x, z), v, size)
+        return by_position[: len(self.names)], by_velocity[: len(self.names)]
 
     @staticmethod
     def _differences(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray, distance: np.ndarray) -> np.ndarray:

@@ -70,7 +70,8 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
     """
     mechanism.validate()
     further = [kind for kind in mechanism.elements if kind not in ("joints", "forces", "markers")]
-    if kind := "states" if mechanism.states else next(iter(further), ""):
+    further = [*(kind for kind in ("states", "inputs") if getattr(mechanism, kind)), *further]
+    if kind := next(iter(further), ""):
         what = "first-order states" if kind == "states" else kind
         raise SpecError(f"{what} have no symbolic form", key=f"model.{kind}")
     if force := force_of_reaction(mechanism.joints):

@@ -326,3 +326,27 @@ def test_controllers_are_refused() -> None:
     for analysis in (mbdkit.equilibrium, mbdkit.modes):
         with pytest.raises(SpecError, match="does not include sampled controllers \\(c\\)"):
             analysis(spec)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+@pytest.mark.parametrize("lagging", [False, True])
+def test_an_equilibrium_holds_inputs_at_their_initial_values(hold: str, lagging: bool) -> None:
+    # expected: the torque balances the weight, directly or through a first-order lag
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=1 / 12, position=(0.0, -0.5), angle=-math.pi / 2)
+    m.revolute("pin", m.ground, "rod", points=((0.0, 0.0), (-0.5, 0.0)))
+    m.input("torque", unit="N m", initial=2.0, hold=hold)
+    m.state("lag", rate="(inputs.torque - states.lag)/0.1")
+    m.torque("motor", "rod", value="states.lag" if lagging else "inputs.torque")
+    found = mbdkit.equilibrium(m)
+    assert math.cos(found["rod"][2]) == pytest.approx(2.0 / (0.5 * G), rel=1e-12)
+    assert dict(zip(found.states, found.state, strict=True)) == pytest.approx({"lag": 2.0})
+
+
+def test_inputs_have_no_symbolic_form() -> None:
+    m = mbdkit.Mechanism()
+    m.body("ball", mass=1.0, inertia=0.1)
+    m.input("torque", unit="N m")
+    m.torque("motor", "ball", value="inputs.torque")
+    with pytest.raises(SpecError, match="inputs have no symbolic form"):
+        m.to_sympy()

@@ -21,7 +21,7 @@ from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets
 from mbdkit.archive.layout import TIMINGS
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.plugin.archives import COUNTERS
-from mbdkit.spec import RunSpec
+from mbdkit.spec import RunSpec, load_spec
 from mbdkit_studies.compute import batch, pool, run_blocks, unfinished_block
 from mbdkit_studies.compute import compute_block as compute_block_module
 from mbdkit_studies.compute.compute_block import compute_block
@@ -34,6 +34,7 @@ from mbdkit_studies.report.runs_table import export_runs
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.blocks import Block
 from mbdkit_studies.store.study_blocks import StudyBlocks
+from tests.runs.rotor_with_inputs import OFF_GRID, given, rotor
 
 
 @pytest.fixture(scope="module")
@@ -541,3 +542,18 @@ def test_saved_runs_are_removed_with_the_study_and_when_their_block_is_complete(
     (folder.runs / ".block-000000.piece-7").touch()  # the process was killed before it could remove this file
     assert mbdkit.study(ONE_BLOCK, out=folder.path).computed == 0
     assert [path.name for path in folder.runs.iterdir()] == ["block-000000.h5"]
+
+
+def test_runs_with_inputs_are_stored_with_what_was_set(tmp_path: Path) -> None:
+    spec = load_spec(
+        rotor("linear", 9.81), inputs=given(OFF_GRID), integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.05}
+    )
+    ends = [0.5, 1.0]
+    study = mbdkit.ensemble(spec, {"time.end": ends}, out=tmp_path / "study", store="all")
+    for number, end in enumerate(ends):
+        with study.run(number) as stored, mbdkit.run(spec, time={"end": end, "step": 0.05}) as single:
+            assert stored.data_sha256 == single.data_sha256 == data_sha256(stored.file)
+            np.testing.assert_array_equal(stored.inputs["torque"].set.time, single.inputs["torque"].set.time)
+    for path in (study.folder / "runs").glob("*.h5"):
+        with Block(path) as block:
+            assert block.is_sound()

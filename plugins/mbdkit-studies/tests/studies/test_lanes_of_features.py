@@ -28,6 +28,7 @@ from tests.laws.thrown_mass import thrown
 from tests.runs import leg_with_states
 from tests.runs.coincident_ends import passing
 from tests.runs.oscillator import TEXTS, oscillator
+from tests.runs.rotor_with_inputs import rotor
 from tests.runs.slow_pin import pin
 
 
@@ -93,6 +94,22 @@ def test_runs_of_a_batch_that_differ_in_states_or_controllers_only_are_not_mixed
     alone = [mbdkit.run(spec).data_sha256 for spec in specs]
     assert [run.data_sha256 for run in simulate_batch(specs)] == alone
     assert len(set(alone)) == len(alone)
+
+
+def test_constant_inputs_are_run_in_lanes_and_tables_alone() -> None:
+    specs = []
+    for hold, initial in (("zero", 0.5), ("zero", 0.75), ("linear", 0.5)):
+        m = rotor(hold, 9.81)
+        m.inputs["torque"] = m.inputs["torque"].model_copy(update={"initial": initial})
+        specs.append(load_spec(m, integrator={"name": "rk4"}, time={"end": 0.2, "step": 0.01}))
+    assert not any(map(why_alone, specs))
+    alone = [mbdkit.run(spec) for spec in specs]
+    together = list(simulate_batch(specs))
+    assert [run.data_sha256 for run in together] == [run.data_sha256 for run in alone]
+    assert together[1].arrays["inputs/set/value"].tolist() == [0.75]
+    with_table = load_spec(specs[0], inputs={"torque": {"table": [[-1.0], [2.0]]}})
+    assert why_alone(with_table) == "their inputs are set by tables"
+    assert next(iter(simulate_batch([with_table]))).data_sha256 == mbdkit.run(with_table).data_sha256
 
 
 @pytest.mark.parametrize("kind", [chain, ladder, driven_frame, slides])

@@ -19,9 +19,16 @@ from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.engine.consistent_start import CompiledForStarts
 from mbdkit.kernels import WIDTH, Observed, StagePivots
 from mbdkit.plugin import Finding, Method, Recorded, RunSpec, States, findings, judge
-from mbdkit.plugin.archives import FLOAT, ArchiveNames, FinishedRun, archive_names
+from mbdkit.plugin.archives import FLOAT, TEXT, ArchiveNames, FinishedRun, archive_names
 from mbdkit.plugin.doubts import EnergyRecord, LawRanges, StateWatchers, evidence_of_run, has_ranges, steps_are_rows
-from mbdkit.plugin.equations import CompiledMechanism, MechanismAtStart, Starts, Workspace, joint_sums
+from mbdkit.plugin.equations import (
+    CompiledMechanism,
+    MechanismAtStart,
+    Starts,
+    Workspace,
+    joint_sums,
+    start_settings,
+)
 from mbdkit.plugin.mechanisms import mechanism_sizes
 from mbdkit.plugin.methods import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.plugin.runs import (
@@ -100,6 +107,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
         (spec.formulated.solves_multipliers, f"their formulation is {spec.formulated.name}"),
         (spec.stabilized.kind != "none", f"their stabilization is {spec.stabilized.kind}"),
         (bool(spec.events), "they have events"),
+        (bool(spec.inputs), "their inputs are set by tables"),
         (spec.is_to_be_chosen, "`accuracy` chooses a method or step for each of them"),
         (spec.estimates_errors, "their errors are estimated"),
         (spec.limits.wall_time is not None, "their wall time is limited"),
@@ -116,8 +124,8 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     if functionals and not steps_are_rows(spec):
         return "their measures contain extrema or `at`, and they do not record every step"
     mechanism = spec.mechanism()
-    if functionals and (mechanism.state_names() or mechanism.controllers):
-        return "their measures contain extrema or `at`, and their mechanism has first-order states"
+    if functionals and (mechanism.state_names() or mechanism.controllers or mechanism.inputs):
+        return "their measures contain extrema or `at`, and their mechanism has first-order states or inputs"
     method = make_method(spec)
     if method.traits.lanes is None or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
@@ -205,7 +213,7 @@ class LaneRuns:
         """
         settings = (
             spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
-            spec.integrator, spec.measures,
+            spec.integrator, spec.measures, spec.inputs,
         )  # fmt: skip
         if self._settings is None or any(a is not b for a, b in zip(settings, self._settings[0], strict=True)):
             self._settings = settings, None if why_alone(spec, self._measures) else make_method(spec)
@@ -352,7 +360,7 @@ class _Group:
         self.names: ArchiveNames = archive_names(mechanism)
         self.layout = recorded_arrays(spec, first.method, mechanism)
         self.recorded = {one.key: one for one in self.layout if isinstance(one, Recorded)}
-        self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
+        self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows and one.dtype != TEXT}
         self.hash = ArrayHash(self.names, self.layout)
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
@@ -375,6 +383,7 @@ class _Group:
                 continue
             own = {key: values[lane, :rows] for key, values in arrays.items()}
             own |= {key: values[lane, : rows - 1] for key, values in intervals.items()}
+            own |= start_settings(member.start.mechanism, member.table.start)
             stops, mechanism = member.spec.limits.law_range == "stop", member.spec.mechanism()
             ranges = LawRanges.of(mechanism, member.start.mechanism, stops=stops)
             if ranges is not None:

@@ -53,7 +53,9 @@ HISTORIES = frozenset(
 KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
 """Values of `store` for which a study keeps recorded rows."""
 
-COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"))
+COUNTS = (
+    ("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"), ("set/number", "inputs"),
+)  # fmt: skip
 """Axes of a run archive that grow during a run, each with the group in which a block stores its length by run."""
 
 
@@ -83,7 +85,7 @@ _HASHES = {
     "data_sha256": "hash of all its arrays, kept or not",
 }
 
-_AXIS = {"time": "row", "interval": "interval", "event": "event", "impact": "impact"}
+_AXIS = {"time": "row", "interval": "interval", "event": "event", "impact": "impact", "set/number": "set/number"}
 """Names in a block of the axes that grow during a run.
 
 The scale along such an axis numbers the rows, because the recorded times differ between runs.
@@ -260,7 +262,7 @@ class _Writer:
 
     def scale(self, under: str, group: str, name: str, numbers: Sequence[int], what: str) -> None:
         """Write `numbers` as the dimension scale `name` of a group, which is created if it does not exist."""
-        self.file.require_group(f"{under}{group}")
+        self.file.require_group(f"{under}{group}/{name}".rpartition("/")[0])
         create(
             self.file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under
         )
@@ -357,10 +359,12 @@ class _Writer:
         }
         lengths = {dim: [len(result.arrays[key]) if key else 0 for result in results] for dim, key in growing.items()}
         for group in groups:
-            self.scale(under, group, "run", numbers, "number of the run in the study, from 1")
+            homes = dict.fromkeys(_home(one) for one in first.layout if one.group == group)
+            for home in homes:
+                self.scale(under, group, f"{home}run", numbers, "number of the run in the study, from 1")
             for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
                 whole = range(1, max(lengths[dim]) + 1)
-                self.scale(under, group, _AXIS[dim], whole, f"number of the {_AXIS[dim]}, from 1")
+                self.scale(under, group, _AXIS[dim], whole, f"number of the {_word(dim)}, from 1")
         for one in sorted(first.layout, key=lambda one: not one.is_scale):
             if not one.grows and one.group in groups:
                 create(self.file, one, np.array(texts[one.path], object), under=under)
@@ -373,7 +377,7 @@ class _Writer:
             return
         for dim, group in COUNTS:
             if any(one.grows and one.dims[0] == dim for one in first.layout):
-                counted = Array(f"{group}/rows", ("run",), "1", f"number of {_AXIS[dim]}s of the run", INTEGER)
+                counted = Array(f"{group}/rows", ("run",), "1", f"number of {_word(dim)}s of the run", INTEGER)
                 write_column(self.file, counted, np.array(lengths[dim]), under=under)
         largest = np.array([result.misalignment_max for result in results]).reshape(count, -1)
         array = Array(
@@ -392,12 +396,22 @@ class _Writer:
         for index, result in enumerate(found):
             mine = result.arrays[one.key]
             values[index, : len(mine)] = mine
-        dims = ("run", _AXIS[one.dims[0]], *one.dims[1:])
+        dims = (f"{_home(one)}run", _AXIS[one.dims[0]], *one.dims[1:])
         stored = Array(one.path, dims, one.units, one.long_name, one.dtype, one.row_units)
         if one.dtype == TEXT:
             create(self.file, stored, values, under=under)
         else:
             write_column(self.file, stored, values, compress=self.heading.compress, under=under)
+
+
+def _home(array: Array) -> str:
+    """Return the path of the subgroup of an array below its group, with a slash at the end; empty without one."""
+    home, slash, _ = array.name.rpartition("/")
+    return home + slash
+
+
+def _word(dim: str) -> str:
+    return "setting" if dim == "set/number" else _AXIS[dim]
 
 
 def _structure(result: FinishedRun) -> tuple[str, str, str]:
