@@ -37,6 +37,8 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.runs.resuming import resume as resume
     from mbdkit.runs.simulation import run as run
+    from mbdkit.runs.stepping.open_simulation import Simulation as Simulation, open as open
+    from mbdkit.runs.stepping.simulation_state import SimulationState as SimulationState
     from mbdkit.spec import RunSpec as RunSpec
     from mbdkit_biomech.inverse_dynamics.gradient.inverse_gradient import inverse_gradient as inverse_gradient
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse as inverse
@@ -106,5 +108,8 @@ higher_layers.run_errors = _of_higher_layer("mbdkit.archive.accuracy_summary", "
 higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")
 higher_layers.run_frame = _of_higher_layer("mbdkit_report.group_table", "to_frame", "Run.to_frame")
 higher_layers.run_datatree = _of_higher_layer("mbdkit_report.xarray_tree", "to_datatree", "Run.to_xarray")
+higher_layers.prepared_run = _of_higher_layer(
+    "mbdkit_studies.lanes.prepared_run", "PreparedRun", "Simulation.reset with numbers"
+)
 higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.spec.measures", "built_in_measures")
 higher_layers.html_of = _of_higher_layer("mbdkit_report.notebook.result_views", "html_of")

@@ -116,21 +116,13 @@ class Checkpoint:
 
     def encoded(self) -> bytes:
         """Return the bytes of the checkpoint."""
-        values = {**vars(self), "arrays": {path: vars(rows) for path, rows in self.arrays.items()}}
-        arrays: list[np.ndarray] = []
-        text = json.dumps(_without_arrays(values, arrays)).encode()
-        body = b"".join([len(text).to_bytes(8, "little"), text, *(array.tobytes() for array in arrays)])
-        return _MAGIC + hashlib.sha256(body).digest() + body
+        return encoded_state({**vars(self), "arrays": {path: vars(rows) for path, rows in self.arrays.items()}})
 
     @classmethod
     def decoded(cls, content: bytes) -> Checkpoint | None:
         """Return the checkpoint encoded in these bytes; None if they are damaged or not a valid checkpoint."""
-        digest, body = content[len(_MAGIC) : _HEADER], content[_HEADER:]
-        if not content.startswith(_MAGIC) or hashlib.sha256(body).digest() != digest:
-            return None
         try:
-            end = 8 + int.from_bytes(body[:8], "little")
-            values = _with_arrays(json.loads(body[8:end]), _Reader(body, end))
+            values = decoded_state(content)
             return cls(
                 head={
                     **{name: str(values["head"][name]) for name in _HEAD},
@@ -176,6 +168,26 @@ class Checkpoint:
                 f"{path.name} is damaged, so this run cannot be resumed; start it again from the beginning", file=part
             )
         return checkpoint
+
+
+def encoded_state(state: StoredState) -> bytes:
+    """Return a state as bytes: the SHA-256 of the rest, the values as JSON, and the contents of the arrays."""
+    arrays: list[np.ndarray] = []
+    text = json.dumps(_without_arrays(state, arrays)).encode()
+    body = b"".join([len(text).to_bytes(8, "little"), text, *(array.tobytes() for array in arrays)])
+    return _MAGIC + hashlib.sha256(body).digest() + body
+
+
+def decoded_state(content: bytes) -> Any:
+    """Return the state that `encoded_state` has returned as these bytes; None if they are damaged.
+
+    Raises ValueError, KeyError, TypeError or RecursionError if they are forged.
+    """
+    digest, body = content[len(_MAGIC) : _HEADER], content[_HEADER:]
+    if not content.startswith(_MAGIC) or hashlib.sha256(body).digest() != digest:
+        return None
+    end = 8 + int.from_bytes(body[:8], "little")
+    return _with_arrays(json.loads(body[8:end]), _Reader(body, end))
 
 
 def _sync_folder(folder: Path) -> None:

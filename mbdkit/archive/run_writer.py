@@ -165,6 +165,9 @@ class RunWriter(ABC):
     def abandon(self) -> None:
         """Discard the run; no effect once it is finished."""
 
+    def use_spec(self, spec: ModelSpec) -> None:  # noqa: B027
+        """Store another spec of the same mechanism, which repeats the run, in place of that with which it began."""
+
     def append(self, rows: Mapping[str, np.ndarray]) -> None:
         """Append recorded rows; the values are copied.
 

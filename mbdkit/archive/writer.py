@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import h5py
 import numpy as np
@@ -28,6 +28,9 @@ from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import sizes_of
 from mbdkit.trust.criteria import Judgement
+
+if TYPE_CHECKING:
+    from mbdkit.spec.model_spec import ModelSpec
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
 FLUSH_INTERVAL = 1.0
@@ -97,6 +100,19 @@ class ArchiveWriter(RunWriter):
     def path(self) -> Path | None:
         """Final name of the archive; None in memory."""
         return None if self._target is None else self._target.path
+
+    def use_spec(self, spec: ModelSpec) -> None:
+        """See `RunWriter.use_spec`."""
+        given = self.origin
+        before = {**self._root_attributes(None), **given.texts}
+        self.origin = replace(Origin.of(spec, given.provenance), created_utc=given.created_utc)
+        if self._file is None:
+            return
+        after = {**self._root_attributes(None), **self.origin.texts}
+        changed = {name: value for name, value in after.items() if before.get(name) != value}
+        for name in changed.keys() & self._file.attrs.keys():
+            del self._file.attrs[name]
+        self._add(self._file, "", changed)
 
     def rows(self, dim: str) -> int:
         """Return the number of rows, written or buffered."""

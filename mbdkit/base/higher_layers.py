@@ -54,5 +54,8 @@ run_datatree: Callable[[Any, Any], Any]
 html_of: Callable[[object], str] = repr
 """Returns an object as HTML, as notebooks show it."""
 
+prepared_run: Callable[[Any], Any]
+"""Returns the `PreparedRun` of a run spec."""
+
 built_in_measures: Callable[[], Any]
 """Returns the names of the built-in measures of studies, each with what it needs in addition to the run."""

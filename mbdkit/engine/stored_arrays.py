@@ -118,3 +118,22 @@ def solver_of(workspace: Workspace, state: object) -> Solver:
     if pivoted[0] < workspace.mechanism.needs_pivots:
         raise ValueError("this mechanism needs pivots")
     return workspace.solver._replace(pivoted=pivoted, pattern=pattern, factors=factors, scatter=scatter)
+
+
+def restore_solver(workspace: Workspace, state: object) -> None:
+    """Let a workspace use stored pivots and factors; raise ValueError if they are invalid."""
+    now = stored_solver(workspace.solver)
+    if isinstance(state, Mapping) and all(
+        _is_same(now[part], state.get(part)) for part in ("pivoted", "pattern", "scatter")
+    ):
+        restore(workspace.solver.factors._asdict(), state["factors"])
+    else:
+        workspace.use_solver(solver_of(workspace, state))
+
+
+def _is_same(one: object, other: object) -> bool:
+    if isinstance(one, Mapping):
+        return (
+            isinstance(other, Mapping) and one.keys() == other.keys() and all(_is_same(one[k], other[k]) for k in one)
+        )
+    return isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and np.array_equal(one, other)

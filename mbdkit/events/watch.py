@@ -242,7 +242,8 @@ class Watch:
             part = self._several_steps()
             if len(part.time) or not parts:
                 parts.append(part)
-            if self.finished or self.failure is not None or time.perf_counter() > until:
+            is_over = self.finished or self.failure is not None or self.stepper.at_goal
+            if is_over or time.perf_counter() > until:
                 return joined(parts)
 
     def rows_before_error(self) -> Stretch | None:
@@ -255,7 +256,7 @@ class Watch:
         if ahead is None or pace.single > 0 or self._fired or not ahead.is_possible:
             pace.single = max(0, pace.single - 1)
             return self.step()
-        wanted = min(pace.steps, ahead.most)
+        wanted = min(pace.steps, ahead.most, self.stepper.steps_to_goal)
         states = ahead.take(wanted)
         ends = states.every(ahead.parts)
         taken = clear = len(ends.time) - 1
@@ -313,6 +314,12 @@ class Watch:
             "latest": self._latest,
             "ahead": vars(self._pace),
         }
+
+    def begin_again(self) -> None:
+        """Forget that the run has ended and what it has not given yet; see `Stepper.begin_again`."""
+        self.stopped = self._failure = None
+        for kept in (self._found, self._nodes, self._steps):
+            kept.clear()
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""

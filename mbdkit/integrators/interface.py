@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -164,6 +164,23 @@ class Timetable:
         assert self.step is not None
         rest = self.end - (self.start + (self.steps - 1) * self.step)
         return self.step if abs(rest - self.step) <= 1e-9 * self.step else rest
+
+
+class Goal(NamedTuple):
+    """Where an open run pauses: after a number of whole fixed steps, at a stop of its plan, or at a stop of its own."""
+
+    time: float
+    """The time [s]."""
+    reached: float
+    """The time less the margin of the stop there [s]."""
+    whole: int = -1
+    """Number of fixed steps after which the run pauses; -1 if it pauses at a stop."""
+    pause: float = math.inf
+    """Time of the additional stop [s]; infinite if there is none."""
+
+
+ENDLESS = Goal(math.inf, math.inf)
+"""The goal of a run that does not pause."""
 
 
 def on_grid(time: float, start: float, step: float, end: float) -> float:
@@ -402,8 +419,51 @@ class Advancing(Protocol):
 class Stepper(Advancing, Protocol):
     """Advances one run with a method; returned by `mbdkit.integrators.start.start_method`.
 
-    The attribute and methods below refer to the step taken by the last `advance`, and require ``Timetable.single``.
+    `last_step` and the methods after it refer to the step taken by the last `advance`, and require
+    ``Timetable.single``.
     """
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether steps have a fixed size; otherwise, they are controlled."""
+        ...
+
+    @property
+    def whole(self) -> int:
+        """Number of whole fixed steps that are complete."""
+        ...
+
+    @property
+    def passed(self) -> int:
+        """Number of stops that the run has passed."""
+        ...
+
+    @property
+    def first_size(self) -> float | None:
+        """Size of the first step [s], if no stop comes earlier; None if a library chooses it."""
+        ...
+
+    def begin_again(self) -> None:
+        """Forget that the run has ended and what it has not given yet, before the state of a checkpoint is restored."""
+        ...
+
+    def aim(self, goal: Goal) -> None:
+        """Let `advance` go no further than a goal."""
+        ...
+
+    @property
+    def at_goal(self) -> bool:
+        """Whether the goal is reached."""
+        ...
+
+    @property
+    def steps_to_goal(self) -> int:
+        """Largest number of steps that do not go beyond the goal, if it is a number of fixed steps."""
+        ...
+
+    def hold(self, values: Mapping[int, float]) -> None:
+        """Set first-order states by index before the next step, which uses no values of the previous one."""
+        ...
 
     @property
     def last_step(self) -> StepTaken | None:

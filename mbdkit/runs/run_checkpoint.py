@@ -19,7 +19,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
-from mbdkit.engine.stored_arrays import fill, restore, solver_of, stored_solver
+from mbdkit.engine.stored_arrays import fill, restore, restore_solver, solver_of, stored_solver
 from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.methods.kinds import Method
@@ -56,6 +56,14 @@ class Parts:
 
     def stored(self) -> StoredState:
         """Return the state of these objects as plain values; arrays are not copied."""
+        return {
+            **self.motion(),
+            "recorder": self.recorder.stored(),
+            "integrals": None if self.integrals is None else self.integrals.stored(),
+        }
+
+    def motion(self) -> StoredState:
+        """Return the part of the state on which later steps depend."""
         workspace = self.workspace
         return {
             "workspace": {
@@ -69,8 +77,6 @@ class Parts:
                 else _stored_stepper(self.stepper)
             ),
             "watch": None if self.watch is None else self.watch.stored(),
-            "recorder": self.recorder.stored(),
-            "integrals": None if self.integrals is None else self.integrals.stored(),
         }
 
     def restore(self, state: StoredState) -> None:
@@ -80,16 +86,7 @@ class Parts:
         damage, such a state was modified on purpose.
         """
         try:
-            kept, workspace = state["workspace"], self.workspace
-            workspace.use_solver(solver_of(workspace, kept["solver"]))
-            fill(workspace.scratch.sides, kept["sides"])
-            workspace.pivotings = int(kept["pivotings"])
-            if isinstance(self.stepper, StepHost):
-                stored_python_steps.restore_stepper(self.stepper, state["stepper"])
-            else:
-                _restore_stepper(self.stepper, state["stepper"])
-            if self.watch is not None:
-                self.watch.restore(state["watch"])
+            self.restore_motion(state)
             self.recorder.restore(state["recorder"])
             if self.integrals is not None:
                 self.integrals.restore(state["integrals"])
@@ -97,6 +94,19 @@ class Parts:
             raise SpecError(
                 f"this run cannot be resumed: the state of its checkpoint does not fit its spec ({one_line(error)})"
             ) from error
+
+    def restore_motion(self, state: StoredState) -> None:
+        """Restore what `motion` has returned; raise an exception of the kinds above if it is not valid."""
+        kept, workspace = state["workspace"], self.workspace
+        restore_solver(workspace, kept["solver"])
+        fill(workspace.scratch.sides, kept["sides"])
+        workspace.pivotings = int(kept["pivotings"])
+        if isinstance(self.stepper, StepHost):
+            stored_python_steps.restore_stepper(self.stepper, state["stepper"])
+        else:
+            _restore_stepper(self.stepper, state["stepper"])
+        if self.watch is not None:
+            self.watch.restore(state["watch"])
 
 
 @dataclass(frozen=True)

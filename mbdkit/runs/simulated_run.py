@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.host.step_host import StepHost
-from mbdkit.integrators.interface import Advancing, Failure, Stretch
+from mbdkit.integrators.interface import Advancing, ConsecutiveSteps, Failure, Nodes, Stretch
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.impulse import DriverImpulse, ReactingMemory, reacting_memory
 from mbdkit.integrators.run.sampled_control import states_at_start
@@ -62,7 +62,7 @@ from mbdkit.trust.criteria import judge
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
-    from mbdkit.events.watch import Watch
+    from mbdkit.events.watch import Found, Watch
 
 _LOG = logger_of("mbdkit.runs.simulation")  # the start and the end of a run go to the same logger
 
@@ -117,11 +117,20 @@ class Request:
     becomes_run: bool = True
 
 
+class Taken(NamedTuple):
+    """What some steps have given: rows, nodes of integrals, the steps themselves, and crossings of events."""
+
+    stretch: Stretch
+    nodes: Nodes | None = None
+    steps: Sequence[ConsecutiveSteps] = ()
+    found: Sequence[Found] = ()
+
+
 class SimulatedRun:
     """A run in progress: the method, the mechanism, and the recorder that writes the archive.
 
     - `spec`: the validated spec of the run.
-    - `workspace`: the mechanism at its start.
+    - `workspace`, `start`: the mechanism at its start, and the changes made by assembly.
     - `method`: the method of integration.
     - `writer`: receives the rows and writes them to an open archive, or to arrays in memory.
     - `request`: what is asked of the run.
@@ -134,6 +143,7 @@ class SimulatedRun:
         self,
         spec: RunSpec,
         workspace: Workspace,
+        start: AssembledState,
         method: Method,
         writer: RunWriter,
         request: Request,
@@ -141,7 +151,7 @@ class SimulatedRun:
         choice: Choice | None,
         functionals: Sequence[Functional],
     ):
-        self.spec, self.workspace, self.method, self.writer = spec, workspace, method, writer
+        self.spec, self.workspace, self.start_state, self.method = spec, workspace, start, method
         self.request, self.findings, self.choice, self.interrupted = request, findings, choice, False
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
@@ -149,33 +159,56 @@ class SimulatedRun:
         self.run: Run | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
-        between = None if steps_are_rows(spec) else workspace
-        stops = spec.limits.law_range == "stop"
-        ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
-        watchers = StateWatchers(spec, workspace.mechanism, self.size)
-        self.recorder = Recorder(workspace, writer, self.guards, ranges, watchers, finer=spec.finer)
-        self.table = timetable(spec, self.guards)
-        self.integrals: RunIntegrals | None = None
-        if functionals:
-            self.integrals = RunIntegrals(workspace, functionals, self.table, suits_stiff=method.traits.suits_stiff)
+        self._functionals = functionals
+        self.failure: Failure | None = None
+        self.begin_record(writer)
         ends = self.integrals is not None and self.integrals.continuous is not None
         self.table = timetable(spec, self.guards, nodes=self.keeps_nodes, ends=ends)
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
-        self.failure: Failure | None = None
         self.cause: BaseException | None = None
         self.accuracy: Accuracy | None = None
         #: Gradients of the measures as JSON; empty if there are none.
         self.gradients = ""
+        #: Why the run was interrupted, if not by `interrupt`; see ``status_reason`` of archives.
+        self.interrupted_because = ""
+
+    def begin_record(self, writer: RunWriter) -> None:
+        """Begin to record the run with a writer that has no rows."""
+        spec, workspace = self.spec, self.workspace
+        between = None if steps_are_rows(spec) else workspace
+        stops = spec.limits.law_range == "stop"
+        ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
+        watchers = StateWatchers(spec, workspace.mechanism, self.size)
+        self.writer = writer
+        self.recorder = Recorder(workspace, writer, self.guards, ranges, watchers, finer=spec.finer)
         if spec.estimates_errors:
             self.recorder.kept = []
+        self.table = timetable(spec, self.guards)
+        self.integrals: RunIntegrals | None = None
+        if self._functionals:
+            suits_stiff = self.method.traits.suits_stiff
+            self.integrals = RunIntegrals(workspace, self._functionals, self.table, suits_stiff=suits_stiff)
+
+    def begin_record_again(self) -> None:
+        """Discard what was recorded, and begin the record anew."""
+        table = self.table
+        self.writer.abandon()
+        self.begin_record(self.request.begun(self.spec, self.method, (self.workspace, self.start_state)))
+        self.table = table
+
+    def use_spec(self, spec: RunSpec) -> None:
+        """Record the run as one of another spec, which repeats it."""
+        if spec is not self.spec:
+            self.spec = spec
+            self.writer.use_spec(spec)
 
     def integrate(self, progress: Progress | None) -> None:
         """Record the initial state, integrate to the end, and check the accuracy; raise what `progress` raises."""
         reporter = None if progress is None else _Reporter(progress, self.interrupt)
         if self.request.continuation is None:
             self.record_start()
-        with self._blaming_the_plugin():
+        with self.blaming_the_plugin():
             if self.failure is None:
                 self.start()
         before = (
@@ -232,6 +265,7 @@ class SimulatedRun:
 
     def start(self) -> None:
         """Create the stepper of the method, or note why this fails in `failure`."""
+        self.stepper = self.watch = None
         final = self.choice.final if self.choice is not None else None
         if final is not None and final.is_run and not (self.table.nodes or self.table.single):
             self.stepper = Replay(final)
@@ -255,10 +289,25 @@ class SimulatedRun:
         integrals = self.integrals is not None and self.integrals.needs_nodes
         return integrals or (ranges is not None and ranges.needs_nodes)
 
-    def take_steps(self, stepper: Advancing, stretch: Stretch) -> None:
-        """Pass the states of the latest steps, at their ends and within them, to integrals and range checks."""
+    def taken(self, stepper: Advancing, stretch: Stretch) -> Taken:
+        """Return what the latest steps have given."""
         nodes = stepper.taken_nodes() if self.keeps_nodes else None
-        steps = [] if self.watch is None else self.watch.taken_steps()
+        if self.watch is None:
+            return Taken(stretch, nodes)
+        return Taken(stretch, nodes, self.watch.taken_steps(), self.watch.taken())
+
+    def record(self, taken: Taken, elapsed: tuple[float, float]) -> None:
+        """Pass the states of steps, at their ends and within them, to integrals and range checks, and record the rows.
+
+        `elapsed`: wall time since the first step at the start and at the end of these steps [s].
+        """
+        self._pass_on(taken)
+        self.failure = self.recorder.record(taken.stretch, elapsed) or self.failure
+        if self.watch is not None:
+            self.recorder.record_events(taken.found)
+
+    def _pass_on(self, taken: Taken) -> None:
+        stretch, nodes, steps = taken.stretch, taken.nodes, taken.steps
         if self.integrals is not None:
             begin = time.perf_counter()
             if self.integrals.continuous is not None and self.watch is not None:
@@ -270,14 +319,14 @@ class SimulatedRun:
                 self.integrals.add(nodes)
             self.timings["integrals_s"] += time.perf_counter() - begin
         if nodes is not None and self.recorder.ranges is not None:
-            compiled = stepper if self.watch is None else self.watch.stepper
+            compiled = self.inner_stepper
             # For explicit methods, only the first stage, at the start of the step, is a state of the motion.
             stages = compiled.method.stages if isinstance(compiled, CompiledStepper) else 1
             every = stages if self.method.traits.is_explicit else 1
             self.recorder.ranges.add_between(nodes.part(slice(None, None, every)))
 
     @contextmanager
-    def _blaming_the_plugin(self) -> Iterator[None]:
+    def blaming_the_plugin(self) -> Iterator[None]:
         """Convert any exception of a third-party integrator, including errors of mbdkit, into a failure of the run.
 
         Exceptions of other integrators are passed on.
@@ -341,7 +390,7 @@ class SimulatedRun:
         elapsed = time.perf_counter() - begin if self.request.continuation is not None else 0.0
         recorded = self.recorder.last_time
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
-            with self._blaming_the_plugin():
+            with self.blaming_the_plugin():
                 stretch = stepper.advance()
             if self.failure is not None:
                 rows = stepper.rows_before_error()
@@ -349,11 +398,8 @@ class SimulatedRun:
                     break
                 stretch = rows
             now = time.perf_counter() - begin
-            self.take_steps(stepper, stretch)
-            self.failure = self.recorder.record(stretch, (elapsed, now)) or self.failure
+            self.record(self.taken(stepper, stretch), (elapsed, now))
             self._record_inputs()
-            if self.watch is not None:
-                self.recorder.record_events(self.watch.taken())
             if len(stretch.time):
                 recorded = float(stretch.time[-1])
             elapsed = now
@@ -429,6 +475,8 @@ class SimulatedRun:
         if self.failure is not None:
             advice = step_advice(self.spec, self.failure.code)
             status, reason = "failed", shown(f"{self.failure.code}: {self.failure.sentence}{advice}")
+        elif self.interrupted_because:
+            status, reason = "interrupted", self.interrupted_because
         elif stepper is not None and not stepper.finished:
             at = f"t = {stepper.time:.6g} s of {self.spec.time.final:.6g} s"
             status, reason = "interrupted", f"interrupted: stopped by the user at {at}."

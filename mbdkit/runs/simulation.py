@@ -143,7 +143,7 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     in_arrays = path is None and not tables
-    begun = _begun_arrays if in_arrays else partial(begun_archive, path=path, overwrite=overwrite)
+    begun = begun_arrays if in_arrays else partial(begun_archive, path=path, overwrite=overwrite)
     request = Request(
         begun=begun, begin=begin, measured_in=measured_in, path=path, starts=starts, measures=measures,
         tables=tables or {},
@@ -182,7 +182,7 @@ def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Se
         See `simulate`.
     """
     request = Request(
-        begun=_begun_arrays, begin=time.perf_counter(), measured_in=measured_in, starts=starts, measures=measures,
+        begun=begun_arrays, begin=time.perf_counter(), measured_in=measured_in, starts=starts, measures=measures,
         becomes_run=False,
     )  # fmt: skip
     simulation = _ended(spec, request, None)
@@ -196,7 +196,7 @@ def _finished(simulation: SimulatedRun) -> Run:
     return simulation.run
 
 
-def _begun(spec: RunSpec, request: Request, choice: Choice | None = None) -> SimulatedRun:
+def begun_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> SimulatedRun:
     """Return the simulation of a spec; `choice` says how method and step were chosen, and is None if the user gave
     them.
     """
@@ -216,12 +216,12 @@ def _begun(spec: RunSpec, request: Request, choice: Choice | None = None) -> Sim
     loads = largest_loads_of(spec, peaks_of(archive_names(workspace.mechanism)))
     functionals = functionals_of(spec, (*request.measures, *loads))
     noted: list[bool] = []
-    noting = _not_noted if request.begun is _begun_arrays else interrupts_noted
+    noting = _not_noted if request.begun is begun_arrays else interrupts_noted
     with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed after Ctrl-C
         writer = request.begun(spec, method, (workspace, start))
         try:
             simulation = SimulatedRun(
-                spec, workspace, method, writer, request, (*cautions, *moves), choice, functionals
+                spec, workspace, start, method, writer, request, (*cautions, *moves), choice, functionals
             )
         except BaseException:
             writer.abandon()
@@ -238,7 +238,7 @@ def _ended(spec: RunSpec, request: Request, progress: Progress | None) -> Simula
     with one_thread_of_linear_algebra():
         if spec.is_to_be_chosen:
             return _with_accuracy(spec, request, progress)
-        with _finished_or_abandoned(_begun(spec, request)) as simulation:
+        with _finished_or_abandoned(begun_run(spec, request)) as simulation:
             simulation.integrate(progress)
             simulation.finish()
             return simulation
@@ -255,7 +255,7 @@ def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -
     choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
-        with _finished_or_abandoned(_begun(choice.applied_to(spec), request, choice)) as simulation:
+        with _finished_or_abandoned(begun_run(choice.applied_to(spec), request, choice)) as simulation:
             simulation.integrate(progress)
             tried.append((simulation.merit(), choice))
             best = max(tried, key=lambda attempt: attempt[0])[1]
@@ -267,7 +267,7 @@ def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -
         if following is None:
             # Only one archive is written at a time, so that the best attempt has to be repeated. Equal settings give
             # equal results.
-            with _finished_or_abandoned(_begun(best.applied_to(spec), request, best)) as simulation:
+            with _finished_or_abandoned(begun_run(best.applied_to(spec), request, best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [attempted for _, attempted in tried]
                 simulation.finish()
@@ -307,7 +307,8 @@ def begun_archive(
     )
 
 
-def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
+def begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
+    """Return a writer that stores the rows of a run in memory."""
     workspace, assembled = start
     return ArrayWriter(
         archive_names(workspace.mechanism),

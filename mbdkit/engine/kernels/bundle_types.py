@@ -14,6 +14,7 @@ axes. Compiled code then computes the addresses of elements with constants, whic
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated, Any, TypeVar, get_args
 
 import numpy as np
@@ -65,15 +66,21 @@ def kept(bundle: Any, *roles: str) -> dict[str, np.ndarray]:
     bundle, the arrays that its own class declares. Names of nested fields are joined by dots.
     """
     arrays: dict[str, np.ndarray] = {}
-    cls: Any = type(bundle)
-    for name, value, kind in zip(bundle._fields, bundle, fields_of(cls), strict=True):
-        is_wanted = any(role in getattr(kind, "__metadata__", ()) for role in roles)
+    cls: type[tuple[Any, ...]] = type(bundle)
+    for name, value, is_wanted in zip(bundle._fields, bundle, _wanted(cls, roles), strict=True):
         if isinstance(value, tuple):
             inner = _leaves(value) if is_wanted else kept(value, *roles)
             arrays |= {f"{name}.{inside}": array for inside, array in inner.items()}
         elif is_wanted:
             arrays[name] = value
     return arrays
+
+
+@cache
+def _wanted(bundle: type[tuple[Any, ...]], roles: tuple[str, ...]) -> tuple[bool, ...]:
+    """Return whether each field of a bundle is declared with one of the roles."""
+    declared = (getattr(kind, "__metadata__", ()) for kind in fields_of(bundle))
+    return tuple(any(role in words for role in roles) for words in declared)
 
 
 def _leaves(bundle: Any) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.engine.kernels.accelerations import solve_accelerations, transferred
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
 from mbdkit.engine.kernels.applied_forces import potential_energy, state_rates, take_states
-from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealTensor, RealVector
+from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealTensor, RealVector, example_of
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.engine_bundles import Scratch, Topology, load_engine
@@ -24,6 +24,7 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.table_rows import PAIR, SECTION, SPARE, SPRING
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import kernel, subkernel
 
 
@@ -155,6 +156,40 @@ class SelfStress(NamedTuple):
         return SelfStress(*(values[part] for values in self))
 
 
+@subkernel
+def _evaluate(h, times, q, v, z, out, stress, near):
+    """Evaluate states one after another; see `observe`."""
+    top, w, solver = h.top, h.w, h.solver
+    for r in range(len(times)):
+        prepare(top, w, times[r], q[r])
+        lam = out.lam[r]
+        take_states(top, w, z[r])
+        status = solve_accelerations(top, w, solver, q[r], v[r], out.acc[r], lam, True)
+        if status != OK:
+            return status, r
+        state_rates(top, w, v[r], out.state_rates[r])
+        # The order matters: the next two calculations use the factors and the Jacobian of this solution for the
+        # accelerations.
+        out.singularity_distance[r] = singularity_distance(top, w, solver, near)
+        # Self-stress: a unit multiplier of the redundant direction minus the equivalent multipliers of all other rows.
+        for i in range(len(top.spare)):
+            transferred(top, w, solver, i, stress.lam[r, i])
+            dx, dy = spare_direction(top, w.cs, i)
+            for k in range(len(top.pairs)):
+                for row in range(2):
+                    stress.lam[r, i, k, row] = -stress.lam[r, i, k, row]
+            stress.lam[r, i, top.spare[i, SPARE.pair], 0] += dx
+            stress.lam[r, i, top.spare[i, SPARE.pair], 1] += dy
+        if len(top.spare) > 0:  # restore the rows that the solution combined
+            constraint_rows(top, w, q[r], v[r])
+        describe(top, w, q[r], v[r], out, r)
+        if len(top.spare) == 0:  # otherwise, `observe_joints` evaluates the joints once the reactions are distributed
+            joint_values(top, w, q[r], lam, out.reactions[r], out.joints[r])
+        for i in range(len(top.spare)):
+            reactions_of(top, w, stress.lam[r, i], stress.reactions[r, i])
+    return OK, len(times)
+
+
 @kernel
 def observe(
     engine: int, times: RealVector, q: RealMatrix, v: RealMatrix, z: RealMatrix, out: Observed, stress: SelfStress,
@@ -186,36 +221,29 @@ def observe(
     row : int
         Number of states evaluated; on failure, the index of the state that failed.
     """
-    h = load_engine(engine)
-    top, w, solver = h.top, h.w, h.solver
-    for r in range(len(times)):
-        prepare(top, w, times[r], q[r])
-        lam = out.lam[r]
-        take_states(top, w, z[r])
-        status = solve_accelerations(top, w, solver, q[r], v[r], out.acc[r], lam, True)
-        if status != OK:
-            return status, r
-        state_rates(top, w, v[r], out.state_rates[r])
-        # The order matters: the next two calculations use the factors and the Jacobian of this solution for the
-        # accelerations.
-        out.singularity_distance[r] = singularity_distance(top, w, solver, near)
-        # Self-stress: a unit multiplier of the redundant direction minus the equivalent multipliers of all other rows.
-        for i in range(len(top.spare)):
-            transferred(top, w, solver, i, stress.lam[r, i])
-            dx, dy = spare_direction(top, w.cs, i)
-            for k in range(len(top.pairs)):
-                for row in range(2):
-                    stress.lam[r, i, k, row] = -stress.lam[r, i, k, row]
-            stress.lam[r, i, top.spare[i, SPARE.pair], 0] += dx
-            stress.lam[r, i, top.spare[i, SPARE.pair], 1] += dy
-        if len(top.spare) > 0:  # restore the rows that the solution combined
-            constraint_rows(top, w, q[r], v[r])
-        describe(top, w, q[r], v[r], out, r)
-        if len(top.spare) == 0:  # otherwise, `observe_joints` evaluates the joints once the reactions are distributed
-            joint_values(top, w, q[r], lam, out.reactions[r], out.joints[r])
-        for i in range(len(top.spare)):
-            reactions_of(top, w, stress.lam[r, i], stress.reactions[r, i])
-    return OK, len(times)
+    return _evaluate(load_engine(engine), times, q, v, z, out, stress, near)
+
+
+class PinnedStates(NamedTuple):
+    """States that are evaluated again and again; see `observe` for the arrays."""
+
+    time: RealVector
+    q: RealMatrix
+    v: RealMatrix
+    z: RealMatrix
+    out: Observed
+    stress: SelfStress
+    near: RealMatrix
+
+
+load_states = bundle_loader(lambda: example_of(PinnedStates))
+
+
+@kernel
+def observe_pinned(engine: int, states: int) -> tuple[int, int]:
+    """Evaluate the `PinnedStates` at an address; see `observe`, whose call takes five times as long."""
+    s = load_states(states)
+    return _evaluate(load_engine(engine), s.time, s.q, s.v, s.z, s.out, s.stress, s.near)
 
 
 @kernel

@@ -60,6 +60,8 @@ class StepAttempts:
         self._energies = energies
         self._begin: Reached
         self._made: Step
+        #: Time of a soft stop besides those of the timetable, at which an open run pauses [s].
+        self.pause = math.inf
         self._judged = math.inf, 0.0  # size of the next step, and error of this one over its tolerance
         self._retrying, self._rejected = False, 0
 
@@ -117,25 +119,33 @@ class StepAttempts:
         gap = plan.begin + wanted * plan.size - end.begin
         return end if gap <= SAME_TIME * margin_of_stops(self.timetable) else None
 
+    def next_stop(self, begin: Reached) -> tuple[float | None, float, bool]:
+        """Return the next stop after `begin` [s], its margin [s], and whether it is the pause of an open run."""
+        table, n = self.timetable, begin.passed
+        stop, margin = (table.stops[n], table.stop_margins[n]) if n < len(table.stops) else (None, 0.0)
+        if begin.begin < self.pause < (math.inf if stop is None else stop):
+            return self.pause, 0.0, True
+        return stop, margin, False
+
     def _next(self, begin: Reached) -> Planned:
         """Return the plan of the step that starts at `begin`."""
         table, t = self.timetable, begin.begin
-        stop = table.stops[begin.passed] if begin.passed < len(table.stops) else None
+        stop, margin, _ = self.next_stop(begin)
         if not self.is_fixed:
             end = table.end if stop is None else stop
             size = end - t if self._is_external else float(fitted_size(t, begin.size, end))
             is_last = t + size >= end or size == end - t
             if is_last and stop is not None:
-                return Planned(t, end - t, min(table.sides(begin.passed)[1], stop), True, False)
+                return Planned(t, end - t, stop - margin, True, False)
             return Planned(t, size, table.end if is_last else t + size, False, is_last)
         assert table.step is not None
         n = begin.whole + 1
         end = table.start + n * table.step if n < table.steps else table.end
         plan: Planned | None = None
-        if stop is not None:
-            is_end = abs(stop - end) <= SAME_TIME * table.stop_margins[begin.passed]
+        if stop is not None and (stop != end or margin):  # a soft stop on the grid leaves the step unchanged
+            is_end = abs(stop - end) <= SAME_TIME * margin
             if stop < end or is_end:
-                before = min(table.sides(begin.passed)[1], stop)  # so that a row there shows the left-hand limit
+                before = stop - margin  # so that a row there shows the left-hand limit
                 is_on_grid = is_end and stop not in table.impacts
                 plan = Planned(t, stop - t, end if is_on_grid else before, True, is_end)
         if plan is None:
@@ -178,12 +188,15 @@ class StepAttempts:
         if is_part and self.is_fixed:
             restart = end
         elif not is_part and plan.is_at_stop and theta == 1.0:
-            whole, passed = whole + plan.is_whole, passed + 1
-            restart, why, end = table.stops[begin.passed], "stop", plan.reached
+            stop, _, is_pause = self.next_stop(begin)
+            whole, passed = whole + plan.is_whole, passed + (not is_pause)
+            restart, why, end = stop, "stop", plan.reached
         elif not is_part:
             whole += 1
             is_over = plan.is_whole if not self.is_fixed else whole == table.steps
             end = table.end if is_over and theta == 1.0 else end
+            if self.is_fixed and theta == 1.0 and not is_over and self.next_stop(begin)[:2] == (end, 0.0):
+                passed, why = passed + 1, "stop"
         there = Reached(
             done=done, whole=whole, passed=passed, restart=restart, time=end, state=new, energy=energy, energy_low=low,
             interval=begin.interval.after(h, iterations, rejected, taken.correction), is_event=is_part, why=why,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +23,18 @@ from mbdkit.integrators.host.host_energies import HostEnergies, HostNodes
 from mbdkit.integrators.host.host_last_step import LastStep
 from mbdkit.integrators.host.host_rows import HostRows
 from mbdkit.integrators.host.step_attempts import Attempt, StepAttempts
-from mbdkit.integrators.interface import SAME_TIME, Failure, Moment, Nodes, StepEvidence, StepTaken, Stretch, Timetable
+from mbdkit.integrators.interface import (
+    ENDLESS,
+    SAME_TIME,
+    Failure,
+    Goal,
+    Moment,
+    Nodes,
+    StepEvidence,
+    StepTaken,
+    Stretch,
+    Timetable,
+)
 from mbdkit.integrators.loop.step_watch import StepWatch
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
 from mbdkit.integrators.run.reached import IntervalSoFar, Reached, RecordedRow
@@ -66,6 +78,8 @@ class StepHost:
             size=math.inf if self.control is None else self.control.first,
         )  # fmt: skip
         self.time = timetable.start
+        self.goal = ENDLESS
+        self._held: dict[int, float] = {}  # first-order states that are set before the next step
         self.impacts: list[DriverImpulse] = []
         self._last: LastStep | None = None
         self._recorded: list[RecordedRow] = []
@@ -92,6 +106,50 @@ class StepHost:
         """State of the guards."""
         return self._watch.guards
 
+    @property
+    def is_fixed(self) -> bool:
+        """See `Stepper.is_fixed`."""
+        return self._attempts.is_fixed
+
+    @property
+    def whole(self) -> int:
+        """See `Stepper.whole`."""
+        return self.now.whole
+
+    @property
+    def passed(self) -> int:
+        """See `Stepper.passed`."""
+        return self.now.passed
+
+    @property
+    def first_size(self) -> float | None:
+        """See `Stepper.first_size`."""
+        return self.timetable.step if self.control is None else self.control.first
+
+    def begin_again(self) -> None:
+        """See `Stepper.begin_again`."""
+        self.finished, self.failure, self.goal, self._last, self._held = False, None, ENDLESS, None, {}
+        self._nodes.taken()
+
+    def aim(self, goal: Goal) -> None:
+        """See `Stepper.aim`."""
+        self.goal, self._attempts.pause = goal, goal.pause
+
+    @property
+    def at_goal(self) -> bool:
+        """See `Stepper.at_goal`."""
+        return self.now.whole >= self.goal.whole if self.goal.whole >= 0 else self.time >= self.goal.reached
+
+    @property
+    def steps_to_goal(self) -> int:
+        """See `Stepper.steps_to_goal`."""
+        return 1
+
+    def hold(self, values: Mapping[int, float]) -> None:
+        """See `Stepper.hold`."""
+        self._held = {**self._held, **values}
+        self.now = self.now._replace(why="start" if self.now.why == "start" else "stop")
+
     def continue_from(self, reached: Reached, next_row: int = 1, library: bytes | None = None) -> None:
         """Continue from a point of the run, that of a checkpoint.
 
@@ -102,7 +160,8 @@ class StepHost:
         self._go_to(reached)
         if reached.why != "start":
             self.equations.first_step = None
-        self.workspace.clamp_motions(*self.timetable.sides(reached.passed - (reached.why == "stop")))
+        is_at_stop = reached.why == "stop" and self._is_at_listed_stop(reached)
+        self.workspace.clamp_motions(*self.timetable.sides(reached.passed - is_at_stop))
         if isinstance(self.method, ExternalMethod) and not reached.why:
             counted = vars(self.counters).copy()
             self._open(reached.begin, reached.state)
@@ -134,21 +193,28 @@ class StepHost:
             gained = np.array([state.work or 0.0, state.dissipated or 0.0])
             self.now = now._replace(state=state, energy=now.energy + gained, event=None)
 
+    def _is_at_listed_stop(self, now: Reached) -> bool:
+        """Return whether a point is at a stop of the timetable; an open run also pauses elsewhere."""
+        return now.passed > 0 and self.timetable.stops[now.passed - 1] == now.begin
+
     def _begin_anew(self, why: Why) -> None:
         now, table, t = self.now, self.timetable, self.now.begin
         state, energy = now.state, now.energy
         if why == "stop":
             self.workspace.clamp_motions(*table.sides(now.passed))
-            stop = table.stops[now.passed - 1]
             state = StepState(state.q, state.v, memory=state.memory, low=state.low, z=state.z)
-            if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
-                impact, new = impulse(self.workspace, t, *_with_ground(state), stop)
+            is_listed = self._is_at_listed_stop(now)
+            if is_listed and t in table.impacts and not (self.impacts and self.impacts[-1].time == t):
+                impact, new = impulse(self.workspace, t, *_with_ground(state), t)
                 self.impacts.append(impact)
                 self._watch.forget_energy()
                 state = replace(state, v=new[: self.equations.n], low=(state.low[0], 0.0, *state.low[2:]))
                 energy, why = energy + np.array([impact.energy, 0.0]), "impact"
             if self.sampler.is_needed:
-                z = self.sampler.passed(stop, *_with_ground(state), state.z, table.stop_margins[now.passed - 1])
+                z, margin = state.z.copy(), table.stop_margins[now.passed - 1] if is_listed else 0.0
+                z[[*self._held]] = [*self._held.values()]
+                self._held = {}
+                z = self.sampler.passed(t, *_with_ground(state), z, margin)
                 state = replace(state, z=z, low=state.low[:2])
         if why == "projection" and math.isfinite(now.size):
             self.equations.first_step = now.size
@@ -157,9 +223,9 @@ class StepHost:
         self._open(t, state)
 
     def _open(self, t: float, state: StepState) -> None:
-        table, passed = self.timetable, self.now.passed
         if isinstance(self.method, ExternalMethod):
-            end = table.stops[passed] if passed < len(table.stops) else table.end
+            stop = self._attempts.next_stop(self.now)[0]
+            end = self.timetable.end if stop is None else stop
             if self.equations.first_step is not None:
                 self.equations.first_step = min(self.equations.first_step, end - t)
             called(f"{self._attempts.name}.open", self.method.open, self.equations, t, state, end)
@@ -193,7 +259,7 @@ class StepHost:
                 near = f"; {near}" if near and error.code in ("singular", "step-too-small") else ""
                 self.failure = Failure(error.code, f"{error} {where}{near}; {self.method.advice}.")
                 break
-            if table.single or time.perf_counter() > until:
+            if table.single or self.at_goal or time.perf_counter() > until:
                 break
         return self.rows.stretch(rows)
 

@@ -11,13 +11,15 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.counters import Counters
-from mbdkit.engine.kernels.bundle_types import STATE, kept
+from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import (
+    ENDLESS,
     SAME_TIME,
     Failure,
+    Goal,
     Moment,
     Nodes,
     Pace,
@@ -43,11 +45,13 @@ from mbdkit.integrators.run.run_state import (
     RunState,
     new_run_state,
 )
-from mbdkit.integrators.run.sampled_control import Sampler
+from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.run.splitting import Change, margin_of_stops
 from mbdkit.integrators.run.step_control import Control, first_step
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from mbdkit.integrators.run.run_plan import RunPlan
     from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
@@ -71,6 +75,7 @@ class CompiledStepper:
     - `workspace`: the mechanism and its start, with formulation and stabilization.
     - `timetable`: times of the run, and which states are recorded.
     - `control`: step-size control; None: fixed steps.
+    - `first_size`: size of the first step [s], if no stop comes earlier.
     - `inserted`: stops that `stop_at` has added to those of the timetable [s].
     - `can_take_back`: whether steps can be taken back by restoring the arrays of the run and of the method.
     """
@@ -81,11 +86,14 @@ class CompiledStepper:
         self, method: CompiledMethod, workspace: Workspace, timetable: Timetable, control: Control | None = None
     ):
         self.method, self.workspace, self.timetable = method, workspace, timetable
+        self._planned = timetable  # without stops that are inserted later
         self.controlled, self._control = control is not None, control
         self.counters = Counters()
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
+        self.goal = ENDLESS
+        self._unhandled = OK  # status of `takes_steps_to_goal` that `advance` has to handle
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         stages = method.stages if timetable.nodes else 0
         nodes = stages * -(-rows // max(1, stages))
@@ -104,6 +112,7 @@ class CompiledStepper:
             span = timetable.end - timetable.start
             size = min(span, size if size is not None else first_step(workspace, span, control))
         assert size is not None
+        self.first_size = size
         progress = self.run_state.progress
         progress.time[0], progress.next_row[0], progress.next_size[0] = timetable.start, 1.0, size
         method.start(self.run_state, size)
@@ -114,14 +123,12 @@ class CompiledStepper:
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
         self.impacts: list[DriverImpulse] = []
         self.inserted: list[float] = []
-        self.sampler = Sampler(workspace, timetable.samples)
-        # The initial states include the first changes already; this call stores outputs, which may be delayed.
-        if self.sampler.is_needed:
-            self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
+        self._take_first_samples()
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
         self._last_rows = self.collect(0)
+        self._at_start = [x.copy() for x in self._arrays()]
         self.drive(self.pinned_plan, 0)  # compiles or loads the step loop before the first step is timed
 
     def drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
@@ -169,6 +176,111 @@ class CompiledStepper:
         """Number of steps left before ``limits.max_steps``."""
         return self.timetable.max_steps - self._accepted
 
+    @property
+    def is_fixed(self) -> bool:
+        """See `Stepper.is_fixed`."""
+        return not self.controlled
+
+    @property
+    def whole(self) -> int:
+        """See `Stepper.whole`."""
+        return int(self.run_state.progress.whole[0])
+
+    @property
+    def passed(self) -> int:
+        """See `Stepper.passed`."""
+        return int(self.run_state.progress.passed[0])
+
+    def begin_again(self) -> None:
+        """See `Stepper.begin_again`."""
+        self.finished, self.failure, self.goal, self.last_step = False, None, ENDLESS, None
+        self._unhandled = OK
+        self.run_state.first_row[0] = 0
+        self.run_state.nodes[1] = 0
+        if self.inserted:
+            self.inserted.clear()
+            self.timetable = self._planned
+            self._new_plan()
+
+    def aim(self, goal: Goal) -> None:
+        """See `Stepper.aim`."""
+        self.goal = goal
+        self.run_state.progress.pause[0] = goal.pause
+
+    @property
+    def at_goal(self) -> bool:
+        """See `Stepper.at_goal`."""
+        progress = self.run_state.progress
+        if self.goal.whole >= 0:
+            return bool(progress.whole[0] >= self.goal.whole and not progress.pending[0])
+        return bool(progress.time[0] >= self.goal.reached)
+
+    @property
+    def steps_to_goal(self) -> int:
+        """See `Stepper.steps_to_goal`."""
+        whole = self.goal.whole
+        return whole - int(self.run_state.progress.whole[0]) if whole >= 0 else self.steps_left
+
+    def hold(self, values: Mapping[int, float]) -> None:
+        """See `Stepper.hold`."""
+        c = self.run_state
+        for state, value in values.items():
+            c.z[state] = value
+        c.z_low[self.sampler.held] = 0.0
+        c.base_state[0] = MODIFIED
+        self.method.forget()
+
+    def takes_steps_to_goal(self) -> bool:
+        """Take fixed steps to the goal in one call of compiled code, and leave their rows in the buffer.
+
+        Returns False if something else has to be done before the goal is reached, for which `advance` is to be called.
+        The counters are not updated.
+        """
+        c, whole, method = self.pinned_state.bundle, self.goal.whole, self.method
+        progress = c.progress
+        steps = min(whole - progress.whole.item(), self.timetable.max_steps - progress.accepted.item())
+        if steps <= 0 or progress.after_stop[0] or method.is_extended:
+            return False
+        status, rows = step_loop.drive(
+            self.pinned_state.address, method.pinned.address, method.attempt.address, self._dense,
+            self.pinned_plan.address, steps, 0,
+        )  # fmt: skip
+        c.first_row[0] = rows
+        if status != OK:
+            self._unhandled = status
+            return False
+        self.time = progress.time.item()
+        return bool(progress.whole[0] == whole) and not progress.pending[0]
+
+    def restart(self) -> bool:
+        """Return to the start, with the inputs that the workspace has now; False if a new stepper is needed for that.
+
+        Explicit methods that have chosen no pivots can return to the start.
+        """
+        workspace, c = self.workspace, self.run_state
+        if self.method.prepares or workspace.pivotings or workspace.solver.pivoted[0] or self.timetable.nodes:
+            return False
+        for now, then in zip(self._arrays(), self._at_start, strict=True):
+            now[...] = then
+        workspace.clamp_motions(*self._planned.sides(0))
+        self.begin_again()
+        self._take_first_samples()
+        for z in (c.z, c.from_z, c.before_z):
+            z[:] = states_at_start(workspace)
+        self.count()
+        return True
+
+    def _arrays(self) -> tuple[np.ndarray, ...]:
+        roles = STATE, RECORD
+        return *kept(self.run_state, *roles).values(), *self.method.kept(*roles).values()
+
+    def _take_first_samples(self) -> None:
+        """Let the sampler store the outputs of the first samples; the initial states include the first changes."""
+        workspace = self.workspace
+        self.sampler = Sampler(workspace, self.timetable.samples)
+        if self.sampler.is_needed:
+            self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
+
     def advance(self) -> Stretch:
         """See `Stepper.advance`."""
         if not self.timetable.single:
@@ -197,14 +309,16 @@ class CompiledStepper:
         stretches: list[Stretch] = []
         is_paused = False
         while True:
-            left = min(budget - self._attempts() + before, self.steps_left)
+            left = min(budget - self._attempts() + before, self.steps_left, self.steps_to_goal)
             if left <= 0 and not self.is_pending and stretches:
                 status = OK
                 break
             if not is_paused:
                 self.begin_after_stop()  # not earlier: the recorded state at a stop is that before its impulse
-            status, rows = OK, 0
-            if self.failure is None and (self.steps_left > 0 or self.is_pending):
+            status, rows = OK, int(self.run_state.first_row[0])
+            if self._unhandled != OK:
+                status, self._unhandled = self._unhandled, OK
+            elif self.failure is None and (self.steps_left > 0 or self.is_pending):
                 status, rows = (
                     self._drive_extended() if self.method.is_extended else self.drive(self.pinned_plan, max(left, 0))
                 )
@@ -217,6 +331,8 @@ class CompiledStepper:
             elif status != step_loop.AT_STOP:
                 break
             status = OK
+            if self.at_goal:
+                break
         if not self.timetable.single:
             self.pace.timed(self._attempts() - before, begin)
         self.conclude(status)
@@ -247,10 +363,13 @@ class CompiledStepper:
         self.method.forget()
         passed = int(progress.passed[0])
         self.workspace.clamp_motions(*table.sides(passed))
-        stop = table.stops[passed - 1]
+        stop, at = table.stops[passed - 1] if passed else -np.inf, float(progress.restart[0])
+        margin = table.stop_margins[passed - 1] if stop == at else 0.0  # otherwise, an open run has paused
         if self.sampler.is_needed:
-            c.z[:] = self.sampler.passed(stop, c.q, c.v, c.z, table.stop_margins[passed - 1])
+            c.z[:] = self.sampler.passed(at, c.q, c.v, c.z, margin)
             c.z_low[self.sampler.held] = 0.0
+        if stop != at:
+            return
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
             try:
                 impact, v = impulse(self.workspace, float(progress.restart[0]), c.q, c.v, stop)
@@ -451,6 +570,7 @@ class CompiledStepper:
     def collect(self, rows: int) -> Stretch:
         """Return the rows that the step loop has written."""
         c, some = self.run_state, slice(rows)
+        c.first_row[0] = 0
         states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy(), c.row_z[some].copy()
         return self._stretch(states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
 

@@ -84,9 +84,28 @@ def _has_ended(plan, progress):
 
 
 @subkernel
-def _next_stop(plan, progress):
+def _is_pause(plan, progress):
+    """Return whether the next stop is the pause of the run, and not one of the plan."""
     n = progress.passed[0]
-    return plan.times.stops[n] if n < len(plan.times.stops) else np.inf
+    return n >= len(plan.times.stops) or progress.pause[0] < plan.times.stops[n]
+
+
+@subkernel
+def _next_stop(plan, progress):
+    return progress.pause[0] if _is_pause(plan, progress) else plan.times.stops[progress.passed[0]]
+
+
+@subkernel
+def _margin(plan, progress):
+    """Return the margin of the next stop; 0 at a soft one, where nothing but held values is discontinuous."""
+    return 0.0 if _is_pause(plan, progress) else plan.times.margins[progress.passed[0]]
+
+
+@subkernel
+def _is_soft(plan, number, time):
+    """Return whether the stop of the plan with this number is a soft one at `time`."""
+    times = plan.times
+    return 0 <= number < len(times.stops) and times.margins[number] == 0.0 and times.stops[number] == time
 
 
 @subkernel
@@ -99,10 +118,7 @@ def _end_of_whole_step(plan, progress):
 @subkernel
 def _is_end_of_whole_step(plan, progress, stop):
     """Return whether the next stop and the end of a fixed step are equal up to rounding errors."""
-    n = progress.passed[0]
-    return n < len(plan.times.stops) and (
-        abs(stop - _end_of_whole_step(plan, progress)) <= SAME_TIME * plan.times.margins[n]
-    )
+    return abs(stop - _end_of_whole_step(plan, progress)) <= SAME_TIME * _margin(plan, progress)
 
 
 @subkernel
@@ -116,12 +132,16 @@ def _chosen_step(plan, progress):
         h = fitted_size(t, min(progress.next_size[0], plan.control.max_size[0]), target)
         return t, h, stop < times.end[0] and h == stop - t
     # a product, since the rounding errors of a sum would grow with the number of steps
-    is_rest = progress.after_stop[0] != 0 or progress.after_part[0] != 0
-    t = progress.restart[0] if is_rest else times.start[0] + progress.whole[0] * times.step[0]
-    if stop < _end_of_whole_step(plan, progress) or _is_end_of_whole_step(plan, progress, stop):
+    whole, end = times.start[0] + progress.whole[0] * times.step[0], _end_of_whole_step(plan, progress)
+    is_split = progress.after_stop[0] != 0 and not _is_soft(plan, progress.passed[0] - 1, whole)
+    is_rest = is_split or progress.after_part[0] != 0
+    t = progress.restart[0] if is_rest else whole
+    # the step before a soft stop on the grid is the same without the stop, which is known only later in an open run
+    is_kept = _is_soft(plan, progress.passed[0], end) and not _is_pause(plan, progress)
+    if not is_kept and (stop < end or _is_end_of_whole_step(plan, progress, stop)):
         return t, stop - t, True
     if is_rest:
-        return t, _end_of_whole_step(plan, progress) - t, False
+        return t, end - t, False
     return t, times.step[0] if progress.whole[0] < times.steps[0] - 1 else times.last_step[0], False
 
 
@@ -356,7 +376,9 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
 
 @subkernel
 def _begins_at_impact(plan, progress):
-    return progress.after_stop[0] != 0 and plan.times.impacts[progress.passed[0] - 1] != 0
+    n = progress.passed[0] - 1
+    is_at_stop = progress.after_stop[0] != 0 and n >= 0 and plan.times.stops[n] == progress.restart[0]
+    return is_at_stop and plan.times.impacts[n] != 0
 
 
 @subkernel
@@ -391,15 +413,18 @@ def _pass_stop(plan, progress):
     The time is that before the stop, so that a row there shows the left-hand limit. Rows of the fixed grid keep the
     time of the grid, on either side of the stop, except at impacts, where the velocities of both sides differ.
     """
-    stop, n = _next_stop(plan, progress), progress.passed[0]
+    stop, is_pause = _next_stop(plan, progress), _is_pause(plan, progress)
     complete = plan.control.controlled[0] != 0 or _is_end_of_whole_step(plan, progress, stop)
-    progress.time[0], progress.time_low[0] = stop - plan.times.margins[n], 0.0
+    progress.time[0], progress.time_low[0] = stop - _margin(plan, progress), 0.0
     if complete:
-        if not plan.control.controlled[0] and plan.times.impacts[n] == 0:
+        if not plan.control.controlled[0] and (is_pause or plan.times.impacts[progress.passed[0]] == 0):
             progress.time[0] = _end_of_whole_step(plan, progress)
         progress.whole[0] += 1
     progress.restart[0] = stop
-    progress.passed[0] += 1
+    if is_pause:
+        progress.pause[0] = np.inf
+    else:
+        progress.passed[0] += 1
     return complete
 
 
@@ -430,6 +455,10 @@ def _advance_time(plan, progress):
             progress.time[0] = plan.times.end[0]
     else:
         progress.time[0] = reached if last else plan.times.start[0] + progress.whole[0] * plan.times.step[0]
+        if not last and _is_soft(plan, progress.passed[0], progress.time[0]):
+            progress.restart[0] = progress.time[0]
+            progress.passed[0] += 1
+            progress.after_stop[0] = 1
     return last, True
 
 
@@ -473,7 +502,7 @@ def look_inside(run: int, method: int, dense: int, t: float, h: float, theta: fl
 
 @kernel
 def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: int, path: int) -> tuple[int, int]:
-    """Attempt up to `budget` steps; return (status, rows written).
+    """Attempt up to `budget` steps; return (status, rows in the buffer).
 
     Parameters
     ----------
@@ -490,7 +519,7 @@ def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: in
     """
     c, planned = load_run_state(run), load_plan(plan)
     progress, every = c.progress, planned.recording.every[0]
-    rows = attempts = 0
+    rows, attempts = c.first_row[0], 0
     while True:
         if progress.pending[0] == 0:
             if _has_ended(planned, progress) or attempts >= budget or rows >= len(c.row_time):

@@ -51,6 +51,8 @@ class Progress(NamedTuple):
     tried_size: np.ndarray
     restart: np.ndarray
     """Start of the next step after a stop or a part of a step [s]."""
+    pause: np.ndarray
+    """Time of a soft stop besides those of the plan, at which an open run pauses [s]; infinite if there is none."""
     accepted: np.ndarray
     """Number of accepted steps."""
     rejected: np.ndarray
@@ -103,7 +105,8 @@ INTERVAL_FIELDS = Interval._fields[1:]
 
 def new_progress() -> Progress:
     """Return the progress at the start of a run."""
-    reals, counts = np.zeros((10, 1)), np.zeros((9, 1), dtype=np.int64)
+    reals, counts = np.zeros((11, 1)), np.zeros((9, 1), dtype=np.int64)
+    reals[10] = np.inf
     return Progress(*reals, *counts)
 
 
@@ -196,6 +199,8 @@ class RunState(NamedTuple):
     progress: Annotated[Progress, STATE]
     interval: Interval
     guards: Annotated[GuardState, STATE]
+    first_row: np.ndarray
+    """(1,) number of recorded rows in the buffer that have not been collected yet."""
     row_time: np.ndarray
     """Recorded rows: (R,) times, (R, 3 (B + 1)) positions and velocities, (R, Z) first-order states, (R, 2) energies,
     (R, 9) intervals, (R, P, 2) multipliers."""
@@ -259,6 +264,7 @@ def new_run_state(
         before_q=q.copy(), before_v=v.copy(), before_z=z.copy(),
         worst=np.zeros(pairs), counts=np.zeros(5, dtype=np.int64), report=np.zeros(3),
         progress=new_progress(), interval=new_interval(), guards=new_guard_state(workspace.mechanism),
+        first_row=np.zeros(1, dtype=np.int64),
         row_time=np.zeros(rows), row_q=np.zeros((rows, size)), row_v=np.zeros((rows, size)),
         row_z=np.zeros((rows, len(z))), row_energy=np.zeros((rows, 2)),
         row_interval=np.zeros((rows, len(INTERVAL_FIELDS))),

@@ -90,6 +90,11 @@ class CompiledMethod(ABC):
     def start(self, run_state: RunState, h: float) -> None:  # noqa: B027
         """Prepare for steps of about `h` from the state in `run_state`; raises SingularSystemError."""
 
+    @property
+    def prepares(self) -> bool:
+        """Whether `start` does something."""
+        return type(self).start is not CompiledMethod.start
+
     def renew(self, run_state: RunState, t: float, h: float) -> bool:
         """Choose new pivots for the matrices of the method itself; return whether another attempt at the step can
         succeed.

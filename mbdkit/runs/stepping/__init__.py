@@ -1,0 +1,1 @@
+"""Simulations that a program advances step by step."""

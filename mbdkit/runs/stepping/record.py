@@ -1,0 +1,171 @@
+"""The record of an open simulation: what its steps have given, until it is written."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from mbdkit.integrators.interface import Stretch
+from mbdkit.integrators.loop.step_loop import ROW_MARGIN
+from mbdkit.runs.simulated_run import SimulatedRun, Taken
+from mbdkit.runs.stepping.input_history import InputHistory
+from mbdkit.runs.stepping.simulation_state import SimulationState
+
+FLUSH_INTERVAL = 1.0
+"""Smallest wall time between two writes of the record [s]."""
+
+
+class _Link:
+    """What some steps have given, with a reference to what the steps before have given.
+
+    Records that share their first steps, as after `Simulation.restore`, share their first links.
+    """
+
+    __slots__ = ("before", "elapsed", "taken")
+
+    def __init__(self, before: _Link | None, taken: Taken | None, elapsed: tuple[float, float]):
+        self.before, self.taken, self.elapsed = before, taken, elapsed
+
+
+class Record:
+    """What the steps of an open simulation have given.
+
+    It is passed on to the recorder of the run as late as possible, because the simulation may return to an earlier
+    state.
+
+    - `run`: the run, whose recorder receives the record.
+    - `seconds`, `cpu_seconds`: wall time and processor time of the steps so far [s].
+    """
+
+    def __init__(self, run: SimulatedRun):
+        self.run = run
+        self._of_states: WeakKeyDictionary[SimulationState, _Link] = WeakKeyDictionary()
+        self.clear()
+
+    def clear(self) -> None:
+        """Discard the record, none of which has been passed on."""
+        self._first = self._last = self._passed = _Link(None, None, (0.0, 0.0))
+        self._is_begun, self._written = False, 0
+        self.seconds, self._begin_cpu = 0.0, time.process_time()
+        self._flushed = time.monotonic()
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Processor time since the simulation was opened [s]."""
+        return time.process_time() - self._begin_cpu
+
+    @property
+    def is_untouched(self) -> bool:
+        """Whether nothing has been passed on to the recorder."""
+        return not self._is_begun
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the record begins at the start of the run; if not, the run is repeated when it is finished."""
+        return self._since_passed() is not None
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the record should be written again."""
+        return time.monotonic() - self._flushed > FLUSH_INTERVAL
+
+    def add(self, taken: Taken, seconds: float) -> None:
+        """Append what some steps have given, `seconds` after the first step."""
+        self._last = _Link(self._last, taken, (self._last.elapsed[1], seconds))
+
+    def remember(self, state: SimulationState) -> None:
+        """Let `restore` return to the present record for a state."""
+        self._of_states[state] = self._last
+
+    def restore(self, state: SimulationState) -> None:
+        """Return to the record at a state. If it is not known, the run is repeated when it is finished."""
+        unknown = _Link(None, None, (0.0, 0.0))
+        self._last = self._of_states.get(state, unknown)
+        if self._is_begun and self._since_passed() is None:
+            self._passed = self._first
+            if self._since_passed() is not None:
+                self.run.begin_record_again()
+                self._is_begun, self._written = False, 0
+
+    def adopt(self, other: Record, state: SimulationState) -> None:
+        """Take over the record of another simulation at a state, for a simulation in the same state."""
+        if other.is_whole and state in other._of_states:
+            self._first, self._last, self._passed = other._first, other._of_states[state], other._first
+
+    def _since_passed(self) -> list[_Link] | None:
+        """Return the links after the last one that was passed on; None if the record does not contain that one."""
+        links: list[_Link] = []
+        link: _Link | None = self._last
+        while link is not None and link is not self._passed:
+            links.append(link)
+            link = link.before
+        return None if link is None else links[::-1]
+
+    def flush(self, history: InputHistory, end: float | None = None) -> None:
+        """Pass the record on to the recorder: all of it if the run ends at `end` [s], otherwise up to the last row.
+
+        The last row may change when the run ends there.
+        """
+        links = self._since_passed()
+        if links is None:
+            return
+        run = self.run
+        if not self._is_begun:
+            run.record_start()
+            self._is_begun = True
+        if end is not None:
+            links = [*self._with_end(links, end)]
+        else:
+            rows = [number for number, link in enumerate(links) if len(_rows(link).time)]
+            links = links[: rows[-1]] if rows else []
+        for link in links:
+            if run.failure is not None:
+                break
+            assert link.taken is not None
+            run.record(link.taken, link.elapsed)
+            self._passed = link
+        self._passed.before = None  # what was passed on is not needed again, except by states that refer to it
+        until = run.recorder.last_time if end is None else end
+        settings = history.settings(self._written, until, is_over=end is not None)
+        run.recorder.record_inputs(settings)
+        self._written += len(settings)
+        self._flushed = time.monotonic()
+
+    def _with_end(self, links: list[_Link], end: float) -> Iterator[_Link]:
+        """Yield the links, with the state at the end of the run [s] as their last row."""
+        run = self.run
+        stepper = run.stepper
+        assert stepper is not None
+        rows = [number for number, link in enumerate(links) if len(_rows(link).time)]
+        last = links[rows[-1]] if rows else None
+        row = None if last is None else _rows(last)
+        recorded = run.recorder.last_time if row is None else row.time[-1]
+        interval = None if stepper.failure is not None else run.table.interval
+        if run.failure is not None or (recorded >= stepper.time and (row is None or interval is None)):
+            yield from links
+            return
+        final = stepper.last_state()
+        if row is not None and interval is not None and row.time[-1] >= end - ROW_MARGIN * interval:
+            # such a row is one of the end, with the counts of the steps since the row before
+            final = replace(final, intervals=row.intervals[-1:].copy(), corrections=_last(row.corrections))
+            final.intervals[:, 0] = final.time
+            assert last is not None
+            assert last.taken is not None
+            shorter = last.taken._replace(stretch=row.rows(slice(0, -1)))
+            links[rows[-1]] = _Link(last.before, shorter, last.elapsed)
+        yield from links
+        elapsed = links[-1].elapsed[1] if links else self._passed.elapsed[1]
+        yield _Link(None, Taken(final), (elapsed, elapsed))
+
+
+def _rows(link: _Link) -> Stretch:
+    assert link.taken is not None
+    return link.taken.stretch
+
+
+def _last(values: np.ndarray | None) -> np.ndarray | None:
+    return None if values is None else values[-1:].copy()
