@@ -104,7 +104,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.integrators.lanes.lane_control import (
         ENDED as ENDED, accelerate as accelerate, new_lane_control as new_lane_control,
     )
-    from mbdkit.integrators.lanes.lane_run import BY_LANE as BY_LANE, new_lane_run as new_lane_run
+    from mbdkit.integrators.lanes.lane_mechanisms import (
+        fill_lane as fill_lane, suits_lanes as suits_lanes, topology_of as topology_of,
+    )
+    from mbdkit.integrators.lanes.lane_run import new_lane_run as new_lane_run
     from mbdkit.integrators.stages.relative import (
         BASE as BASE, BASE_RATES as BASE_RATES, Relative as Relative, V_STAGE as V_STAGE, Y as Y,
         end_of_step as end_of_step, new_relative as new_relative,

@@ -130,7 +130,8 @@ def drive(c, take_step):
 
 
 @subkernel
-def _take_explicit_step(c, m, t, h, n):
+def take_explicit_step(c, m, t, h, n):
+    """Take step `n` of an explicit method; after the first step, its first stage may be the last one before."""
     stages = len(m.b)
     first = 0
     if n > 0 and m.status[0] != 0:
@@ -148,4 +149,4 @@ def _take_explicit_step(c, m, t, h, n):
 @kernel
 def drive_explicit(address: int) -> int:
     """Take the steps of an explicit method; see `drive`."""
-    return drive(load_lane_run(address), _take_explicit_step)
+    return drive(load_lane_run(address), take_explicit_step)

@@ -15,6 +15,7 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, Timetable
 from mbdkit.integrators.start import start_method
+from mbdkit.kernels import suits_lanes, topology_of
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
@@ -25,8 +26,6 @@ from mbdkit_studies.lanes.lane_stepper import (
     LaneResults,
     LaneStepper,
     PivotsAtStart,
-    suits_lanes,
-    topology_of,
 )
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
 from tests.integrators.running import driven_chain, workspace_of

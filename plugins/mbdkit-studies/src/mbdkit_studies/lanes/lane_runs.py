@@ -17,7 +17,7 @@ import numpy as np
 
 from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.engine.consistent_start import CompiledForStarts
-from mbdkit.kernels import WIDTH, Observed, StagePivots
+from mbdkit.kernels import WIDTH, Observed, StagePivots, suits_lanes, topology_of
 from mbdkit.plugin import Finding, Method, Recorded, RunSpec, States, findings, judge
 from mbdkit.plugin.archives import FLOAT, TEXT, ArchiveNames, FinishedRun, archive_names
 from mbdkit.plugin.doubts import EnergyRecord, LawRanges, StateWatchers, evidence_of_run, has_ranges, steps_are_rows
@@ -49,8 +49,6 @@ from mbdkit_studies.lanes.lane_stepper import (
     LaneResults,
     LaneStepper,
     PivotsAtStart,
-    suits_lanes,
-    topology_of,
 )
 
 _LOG = logger_of(__name__)

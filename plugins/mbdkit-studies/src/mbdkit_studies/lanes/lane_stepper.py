@@ -12,13 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.native.machine_code import IN_PYTHON
 from mbdkit.integrators.loop.step_watch import guard_evidence
 from mbdkit.integrators.run.run_plan import smallest_step
 from mbdkit.integrators.run.step_control import control_data, first_size
 from mbdkit.integrators.start import step_control
 from mbdkit.kernels import (
-    BY_LANE,
     ENDED,
     FACTORIZATIONS,
     ITERATIONS,
@@ -32,6 +30,7 @@ from mbdkit.kernels import (
     StagePivots,
     Topology,
     accelerate,
+    fill_lane,
     load_stage_pivots,
     new_guard_state,
     new_lane_control,
@@ -39,7 +38,6 @@ from mbdkit.kernels import (
     new_lanes,
 )
 from mbdkit.plugin import Method
-from mbdkit.plugin.archives import archive_names
 from mbdkit.plugin.equations import CompiledMechanism, Counters, MechanismAtStart, SingularSystemError, Workspace
 from mbdkit.plugin.methods import Control, StepEvidence, Timetable, guard_limits
 
@@ -82,38 +80,6 @@ class LaneResults:
 
 AtStart = MechanismAtStart | Workspace
 """A mechanism at its consistent initial state."""
-
-
-def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
-    """Return a key that is equal for mechanisms with the same names that differ only in floating-point numbers.
-
-    Runs of mechanisms with equal keys can be advanced together in lanes.
-    """
-    shapes = tuple((x.shape, x.tobytes() if x.dtype.kind == "i" else b"") for x in mechanism.topology)
-    return shapes, mechanism.order, archive_names(mechanism), mechanism.friction, mechanism.has_power
-
-
-def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) -> bool:
-    """Return whether a run of index-1 equations without stabilization can be advanced in lanes.
-
-    First-order states are supported with explicit methods only, and `output.interval` with controlled step size only.
-    Events, stops, sampled controllers, friction in joints, redundant directions within a pair of rows, and mechanisms
-    that need the pivoted solver are not supported.
-    """
-    is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
-    return (
-        not IN_PYTHON
-        and method.traits.lanes is not None
-        and (method.traits.is_explicit or not mechanism.states)
-        and (is_fixed or method.traits.tolerances is not None)
-        and not table.single
-        and not table.stops
-        and not mechanism.controllers
-        and not mechanism.friction
-        and not mechanism.following
-        and not mechanism.needs_pivots
-        and len(mechanism.topology.spare) == 0
-    )
 
 
 class LaneStepper:
@@ -161,7 +127,8 @@ class LaneStepper:
         mechanisms = [start.mechanism for start in starts]
         topologies = [one.topology for one in mechanisms]
         if any(new is not loaded for new, loaded in zip(topologies, self._topologies, strict=True)):
-            _fill(c.top, topologies)
+            for lane, topology in enumerate(topologies):
+                fill_lane(c.top, lane, topology)
             self._topologies = [*topologies]
         _put(c.q, [start.q0 for start in starts])
         _put(c.v, [start.v0 for start in starts])
@@ -279,16 +246,6 @@ def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
     """Copy one array for each lane into an array of lanes."""
     for lane, array in enumerate(arrays):  # faster than `stack`, which checks the shapes
         lanes[..., lane] = array
-
-
-def _fill(top: Topology, topologies: Sequence[Topology]) -> None:
-    """Copy the numbers of one mechanism into each lane; integers are the same for all lanes."""
-    for name, lanes in zip(Topology._fields, top, strict=True):
-        arrays = [getattr(topology, name) for topology in topologies]
-        if name in BY_LANE:
-            lanes[...] = arrays
-        elif isinstance(lanes, Lanes):
-            _put(lanes, arrays)
 
 
 FEW_ROWS = 64
