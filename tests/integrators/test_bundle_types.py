@@ -19,6 +19,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.native.bundle import LOADERS, PinnedBundle
 from mbdkit.expressions import operations
 from mbdkit.runs.preparation import build
+from mbdkit.runs.simulation_batch import SimulationBatch
 from mbdkit.spec import load_spec
 
 COMPILED = {"subkernel", "inlined", "kernel", "entry", "law_function"}
@@ -92,6 +93,8 @@ def test_bundles_of_runs_have_the_types_that_kernels_are_compiled_for(pinned: li
     for name in ("taylor", "gauss"):
         joint: dict[str, Any] = {"integrator": {"name": name}, "formulation": "joint-coordinates"}
         mbdkit.run("double-pendulum", **joint, events={}, time={"end": 0.02, "step": 0.01}).check()
+    fixed: dict[str, Any] = {"integrator": {"name": "rk4"}, "events": {}, "time": {"end": 0.02, "step": 0.01}}
+    SimulationBatch(load_spec("double-pendulum", (), **fixed), 2).close()
     expected = expected_types()
     assert {type(bundle).__name__ for bundle in pinned} == set(expected)
     for bundle in pinned:

@@ -1,0 +1,248 @@
+"""Batches of simulations of one spec: they advance together by fixed steps, between which states can be set."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.workspace import Workspace
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.events.quantities import QuantityEvaluator
+from mbdkit.integrators.lanes.lane_batch import BatchState, advance_explicit, new_lane_batch
+from mbdkit.integrators.lanes.lane_mechanisms import fill_lane, suits_lanes, topology_of
+from mbdkit.integrators.lanes.lane_run import LaneRun, new_lane_run
+from mbdkit.integrators.run.run_plan import guard_limits
+from mbdkit.integrators.run.step_guards import new_guard_state
+from mbdkit.runs.law_ranges import has_ranges
+from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.spec import RunSpec
+
+
+def why_not_batched(spec: RunSpec) -> str:
+    """Return the reason why simulations of a spec cannot be a `SimulationBatch`, as a clause; empty if they can."""
+    method = make_method(spec)
+    if method.traits.lanes is None or not method.traits.is_explicit or method.traits.tolerances is not None:
+        return f"{spec.integrator_item.id} is not an explicit method with fixed steps"
+    reasons = (
+        (spec.formulated.solves_multipliers, f"the formulation is {spec.formulated.name}"),
+        (spec.stabilized.kind != "none", f"the stabilization is {spec.stabilized.kind}"),
+        (bool(spec.events), "the spec has events"),
+        (spec.limits.energy_jump is not None, "`limits.energy_jump` watches the energies of each step"),
+        (spec.limits.law_range is not None and has_ranges(spec.mechanism()), "the ranges of its laws are watched"),
+    )
+    if reason := next((clause for holds, clause in reasons if holds), ""):
+        return reason
+    workspace, _ = build(spec)
+    mechanism, table = workspace.mechanism, replace(timetable(spec, guards(spec, 1.0)), interval=None)
+    if new_guard_state(mechanism).has_loops[0]:
+        return "its joints close a loop"
+    if mechanism.extensions or not suits_lanes(method, mechanism, table):
+        return "its mechanism has controllers, discontinuous functions of time or elements that lanes do not support"
+    return ""
+
+
+class SimulationBatch:
+    """N simulations of one spec in lanes of SIMD vectors, with the bits of single simulations.
+
+    All simulations take steps of `time.step` with the explicit method of the spec. Between two calls of `advance`, the
+    first-order states may be set, and simulations started again. A simulation whose state is no longer finite, or
+    whose joints fall apart, is lost until it is started again.
+
+    Parameters
+    ----------
+    spec
+        The spec, for which `why_not_batched` returns no reason.
+    number
+        Number of simulations N.
+    apart
+        Whether the numbers of the mechanisms may differ; each vector then needs arrays of its own.
+    threads
+        Number of threads that advance vectors; by default, one for each processor that this process may use.
+
+    Attributes
+    ----------
+    mechanism : CompiledMechanism
+        The mechanism of the spec.
+    z : (Z, N) array
+        Copies of the first-order states; `set_states` changes them.
+
+    Raises
+    ------
+    SpecError
+        If the spec cannot be batched, or its start is wrong.
+    """
+
+    def __init__(self, spec: RunSpec, number: int, *, apart: bool = False, threads: int | None = None):
+        if reason := why_not_batched(spec):
+            raise SpecError(f"simulations of this spec cannot be batched: {reason}")
+        self.spec, self.number, self.apart = spec, number, apart
+        self._workspace, _ = build(spec)
+        self.mechanism = self._workspace.mechanism
+        self._topology = topology_of(self.mechanism)
+        self._vectors = -(-number // WIDTH)
+        count = min(threads or _processors(), self._vectors)
+        self._ends = [self._vectors * i // count for i in range(count + 1)]
+        self._pool = ThreadPoolExecutor(max(1, count - 1))
+        self._batch = new_lane_batch(self._vectors)
+        self._runs = self._new_runs()
+        self._pinned = [PinnedBundle(run) for run in self._runs]
+        self._batch.runs[:] = [pinned.address for pinned in self._pinned]
+        self._bundle = PinnedBundle(self._batch)
+        every = range(self._vectors * WIDTH)
+        size = self.mechanism.size
+        self._place(every, np.broadcast_to(self._workspace.q0, (len(every), size)), self._workspace.v0)
+
+    def _new_runs(self) -> list[LaneRun]:
+        method = make_method(self.spec)
+        assert method.traits.lanes is not None
+        bundle, workspace = method.traits.lanes().bundle, self._workspace
+        example = new_lane_run(bundle(method, workspace, None, None), workspace, 1)
+        self._state = BatchState.like(example, self._vectors)
+        table, mechanism = timetable(self.spec, guards(self.spec, size_at_start(self.spec, workspace))), self.mechanism
+        limits = guard_limits(mechanism, table.guards).squared_misalignment
+        runs = []
+        for number in range(self._vectors):
+            if self.apart or number in self._ends:
+                work = new_lane_run(bundle(method, workspace, None, None), workspace, 1)
+                for lane in range(WIDTH):
+                    self._fill(work, lane, mechanism)
+                work.squared_misalignment[:] = limits[:, None]
+                work.times.start[0], work.times.step[0] = table.start, table.step
+            runs.append(self._state.run(number, work))
+        return runs
+
+    def _fill(self, run: LaneRun, lane: int, mechanism: CompiledMechanism) -> None:
+        fill_lane(run.top, lane, mechanism.topology)
+        run.w.source[: mechanism.size - 3, lane] = mechanism.topology.mass[:-1].ravel()
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
+
+    def advance(self, steps: int) -> None:
+        """Advance all simulations by a number of steps."""
+        ends, address = self._ends, self._bundle.address
+        further = [
+            self._pool.submit(advance_explicit, address, *ends[i : i + 2], steps) for i in range(1, len(ends) - 1)
+        ]
+        advance_explicit(address, ends[0], ends[1], steps)
+        for part in further:
+            part.result()
+
+    def start(
+        self, which: Sequence[int], q: np.ndarray, v: np.ndarray, mechanisms: Sequence[CompiledMechanism] | None = None
+    ) -> None:
+        """Start some simulations at the start time of the spec.
+
+        Parameters
+        ----------
+        which
+            The K simulations, from 0.
+        q, v : (K, 3 (B + 1)) arrays
+            Consistent positions and velocities, ground last.
+        mechanisms
+            The mechanism of each, if their numbers differ.
+
+        Raises
+        ------
+        SpecError
+            If a mechanism differs in more than its numbers from that of the spec.
+        """
+        for i, mechanism in zip(which, mechanisms or (), strict=bool(mechanisms)):
+            if topology_of(mechanism) != self._topology:
+                raise SpecError("mechanisms in one batch may differ in numbers only", key="parameters")
+            self._fill(self._runs[i // WIDTH], i % WIDTH, mechanism)
+        self._place(which, q, v)
+
+    def _place(self, which: Sequence[int], q: np.ndarray, v: np.ndarray) -> None:
+        vector, lane = np.divmod(np.asarray(which, dtype=np.int64), WIDTH)
+        for array in (*self._state[:-1], self._batch.taken[:, None]):
+            array[vector, ..., lane] = 0.0
+        self._state.q[vector, :, lane], self._state.v[vector, :, lane] = q, v
+        self._state.z[vector, :, lane] = self.mechanism.initial_states
+        if self._batch.observed[0]:
+            for number in np.unique(vector).tolist():
+                advance_explicit(self._bundle.address, number, number + 1, 0)
+
+    def _by_simulation(self, lanes: np.ndarray) -> np.ndarray:
+        """Return values (G, ..., WIDTH) as an array (N, ...)."""
+        last = lanes.ndim - 1
+        moved = np.asarray(lanes).transpose(0, last, *range(1, last))
+        return moved.reshape(self._vectors * WIDTH, *moved.shape[2:])[: self.number]
+
+    @property
+    def lost(self) -> np.ndarray:
+        """(N,) whether each simulation is lost."""
+        return np.asarray(self._by_simulation(self._state.lost)[:, 0] != 0.0)
+
+    @property
+    def time(self) -> np.ndarray:
+        """(N,) times [s]."""
+        times = self._runs[0].times
+        return np.asarray(times.start[0, 0] + self._by_simulation(self._batch.taken) * times.step[0, 0])
+
+    def set_states(self, places: Sequence[int], values: np.ndarray) -> None:
+        """Set the first-order states with these indices to `values` (N, len(places))."""
+        padded = np.zeros((self._vectors * WIDTH, len(places)))
+        padded[: self.number] = values
+        self._state.z[:, places] = padded.reshape(self._vectors, WIDTH, -1).transpose(0, 2, 1)
+
+    def reader(self, expressions: Sequence[str]) -> Callable[[], np.ndarray]:
+        """Return a function that returns the values (N, K) of K expressions of events, in SI units.
+
+        Raises
+        ------
+        SpecError
+            If an expression is wrong.
+        """
+        mechanism, parameters = self.spec.mechanism(), self.spec.numbers
+        parsed = [RunExpression.parse(text, mechanism, parameters, crosses=False) for text in expressions]
+        quantities = list(dict.fromkeys(quantity for one in parsed for quantity in one.quantities))
+        evaluator = _LaneEvaluator(self._workspace, quantities, self._observed)
+        places = {quantity: index for index, quantity in enumerate(quantities, 1)}
+        functions = [one.compiled(places, of_arrays=True).value for one in parsed]
+
+        def read() -> np.ndarray:
+            state = self._state
+            columns = evaluator.columns(self.time, *(self._by_simulation(x) for x in (state.q, state.v, state.z)))
+            values = np.empty((self.number, len(functions)))
+            with np.errstate(all="ignore"):
+                for k, function in enumerate(functions):
+                    values[:, k] = function(columns)
+            return values
+
+        read()
+        return read
+
+    def _observed(self) -> Observed:
+        if not self._batch.observed[0]:
+            self._batch.observed[0] = 1
+            self.advance(0)
+        return Observed(*(self._by_simulation(values)[:, 0] for values in self._state.observed))
+
+
+def _processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
+class _LaneEvaluator(QuantityEvaluator):
+    """Evaluates quantities from the values that kernels have computed in lanes."""
+
+    def __init__(self, workspace: Workspace, quantities: Sequence[Any], observed: Callable[[], Observed]):
+        super().__init__(workspace, quantities)
+        self._of_lanes = observed
+
+    def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
+        return self._of_lanes()
