@@ -102,6 +102,7 @@ class Request:
     - `measured_in`: function that evaluates expressions of measures in a comparison run.
     - `path`, `starts`, `measures`, `tables`: see `mbdkit.runs.simulation.simulate`.
     - `continuation`: the state to continue from, if any.
+    - `is_open`: whether a program decides when the run ends, so that its number of rows is not known.
     - `becomes_run`: whether the caller gets a `Run`, which Ctrl-C ends early and which shows the rows until then;
       otherwise, only the arrays in its writer are used.
     """
@@ -114,6 +115,7 @@ class Request:
     measures: Sequence[str] = ()
     tables: Mapping[str, ResultTable] = field(default_factory=dict)
     continuation: Continuation | None = None
+    is_open: bool = False
     becomes_run: bool = True
 
 

@@ -212,7 +212,8 @@ def begun_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> 
     _log(moves)
     if _LOG.isEnabledFor(logging.DEBUG):
         _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
-    check_disk_space(spec, workspace.mechanism, request.path)
+    if not request.is_open:
+        check_disk_space(spec, workspace.mechanism, request.path)
     loads = largest_loads_of(spec, peaks_of(archive_names(workspace.mechanism)))
     functionals = functionals_of(spec, (*request.measures, *loads))
     noted: list[bool] = []

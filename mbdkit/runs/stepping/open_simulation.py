@@ -32,7 +32,7 @@ from mbdkit.runs.run_checkpoint import why_without
 from mbdkit.runs.simulated_run import Request, SimulatedRun
 from mbdkit.runs.simulation import begun_archive, begun_arrays, begun_run, measured_in, simulate
 from mbdkit.runs.stepping.input_history import InputHistory
-from mbdkit.runs.stepping.reader import PresentState, PresentValues
+from mbdkit.runs.stepping.present_values import PresentState, PresentValues
 from mbdkit.runs.stepping.record import Record
 from mbdkit.runs.stepping.simulation_state import SimulationState, copied
 from mbdkit.runs.stored_python_steps import MemoryNotStoredError
@@ -47,10 +47,6 @@ class Prepared(Protocol):
 
     def spec_with(self, parameters: Numbers | None, initial: Numbers | None) -> RunSpec:
         """Return the spec with other numbers."""
-
-
-FLUSH_EVERY = 256
-"""Number of calls of `advance` after which the record of a simulation with an archive is written, if it is due."""
 
 
 class Inputs(MutableMapping[str, float]):
@@ -158,7 +154,12 @@ class Simulation:
         path = self._archive
         writer = begun_arrays if path is None else partial(begun_archive, path=path, overwrite=self._overwrite)
         request = Request(
-            begun=writer, begin=time.perf_counter(), measured_in=measured_in, path=path, starts=self._starts
+            begun=writer,
+            begin=time.perf_counter(),
+            measured_in=measured_in,
+            path=path,
+            starts=self._starts,
+            is_open=True,
         )
         with one_thread_of_linear_algebra():
             return begun_run(spec, request)
@@ -171,7 +172,6 @@ class Simulation:
         self._numbers = {one.name: number for number, one in enumerate(self.mechanism_inputs)}
         self._history = InputHistory(run.workspace.mechanism.inputs, run.workspace.schedules, run.workspace.t0)
         self._before: SimulationState | None = None
-        self._calls = 0
         self._start_stepper()
 
     def _start_stepper(self) -> None:
@@ -304,10 +304,11 @@ class Simulation:
             what = "not a finite time" if not math.isfinite(t) else f"not later than the time reached, {self.time!r} s"
             raise SpecError(f"the time to advance to, {t!r} s, is {what}")
         begin = time.perf_counter()
-        history, stepper = self._history, self.stepper
+        history = self._history
         if self._before is not None and not history.is_pending:
             self._return(self._before)  # to the start of the whole step
         self._before = None
+        stepper = self.stepper
         table = stepper.timetable
         goal = goal_at(table, t, stepper.passed, is_fixed=self._is_fixed)
         if history.is_pending:
@@ -316,7 +317,7 @@ class Simulation:
         if goal.pause < math.inf:
             if self._is_fixed:
                 self._go_to_grid(goal)
-                self._before = None if self.ended else self.state()
+                self._before = None if self.ended else self._state_between(t)
             else:
                 history.pauses.append(goal.time)
         if not self.ended:
@@ -325,9 +326,10 @@ class Simulation:
                 self._go(begin)
         self.time = stepper.time if self.ended else goal.time
         self._record.seconds += time.perf_counter() - begin
-        self._calls += 1
-        if self._archive is not None and self._calls % FLUSH_EVERY == 0:
-            self._flush_if_due()
+        if self._archive is not None and self._record.is_due:
+            self._drain()
+            with one_thread_of_linear_algebra():
+                self._record.flush(history)
         if self._failed or self._run.failure is not None:
             raise RunError(self.ended)
         return self.time
@@ -351,6 +353,12 @@ class Simulation:
             self.stepper.aim(Goal(end, end, whole))
             self._go(time.perf_counter())
             self.time = end
+
+    def _state_between(self, t: float) -> SimulationState:
+        try:
+            return self.state()
+        except SpecError as error:
+            raise SpecError(f"{t!r} s is between the ends of two fixed steps, and {error.message}") from None
 
     def _go(self, begin: float) -> None:
         """Advance to the goal of the stepper, and keep what the steps give."""
@@ -383,13 +391,6 @@ class Simulation:
             stepper.count()
             if rows := int(stepper.run_state.first_row[0]):
                 self._keep(stepper.collect(rows), time.perf_counter())
-
-    def _flush_if_due(self) -> None:
-        """Write what was recorded to the archive if that was not done for a second."""
-        if self._record.is_due:
-            self._drain()
-            with one_thread_of_linear_algebra():
-                self._record.flush(self._history)
 
     # ---- values ----------------------------------------------------------------------------------------------------
 
