@@ -37,7 +37,7 @@ Knee of `leg-four-bar`
     That of the model `four-bar-knee` on a thigh that moves: rods `acl` and `pcl`, joints A and B on the shank, C and D
     on the thigh. Knee flexion is the angle between thigh and shank.
 
-Further joints, forces (springs, torques, laws), markers, muscles and contacts are added by name, as in the model
+Further joints, forces (springs, torques, laws), markers, inputs, muscles and contacts are added by name, as in the model
 `mechanism`, with points in the frames of the bodies, whose origins are the centres of mass, or by `at`, `from` and `to`
 in global coordinates at the start.
 """
@@ -51,7 +51,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, Number, Point, Positive, SpecError, listed, quoted
-from mbdkit.plugin.mechanisms import Force, Marker, MechanismData, NamedCoordinate, PinFriction
+from mbdkit.plugin.mechanisms import Force, Input, Marker, MechanismData, NamedCoordinate, PinFriction
 from mbdkit.plugin.seams import model_builder
 from mbdkit_biomech.models._knee_linkage import MovingFrame, xy
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
@@ -68,7 +68,7 @@ class LegOptions(LegPose):
     """Parameters of `leg`."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        *("legs", "left", "muscles", "symmetric_muscles", "contacts"),
+        *("legs", "left", "inputs", "muscles", "symmetric_muscles", "contacts"),
         *("thigh_length", "shank_length"),
     )
 
@@ -107,6 +107,8 @@ class LegOptions(LegPose):
     """Force elements by name."""
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Further points on bodies, by name; the positions and velocities of these points are recorded."""
+    inputs: dict[str, Input] = Field(default_factory=dict)
+    """Inputs by name, such as the torque of a motor."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
     """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share the
     moments of the actuators."""
@@ -213,6 +215,7 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[BodySegments, LegPose, H
             "joints": joints | o.joints,
             "forces": o.forces,
             "markers": markers | o.markers,
+            "inputs": o.inputs,
             "muscles": muscles,
             "contacts": o.contacts,
             "coordinates": coordinates | root,
