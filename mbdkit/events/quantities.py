@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -46,10 +46,13 @@ class _WatchedStates(States):
 class QuantityEvaluator:
     """Evaluates quantities at states. The engine is called only if a quantity is not an entry of the state.
 
-    `workspace`: the mechanism and the solver of the run. `quantities`: the quantities to evaluate.
+    `workspace`: the mechanism and the solver of the run. `quantities`: the quantities to evaluate. `observe`: function
+    that replaces the engine; it receives the arguments of `columns`.
     """
 
-    def __init__(self, workspace: Workspace, quantities: Sequence[Quantity]):
+    def __init__(
+        self, workspace: Workspace, quantities: Sequence[Quantity], observe: Callable[..., Observed] | None = None
+    ):
         self.mechanism = workspace.mechanism
         names = archive_names(self.mechanism)
         units = dict(zip(names.joints, names.joint_units, strict=True))
@@ -57,6 +60,7 @@ class QuantityEvaluator:
         self._takers = [(quantity.taker(names), quantity.is_vector) for quantity in quantities]
         self._observer = StateObserver(workspace)
         self._buffers: dict[int, Observed] = {}
+        self._observe = observe or self._observed
 
     @property
     def kept(self) -> np.ndarray:
@@ -77,7 +81,7 @@ class QuantityEvaluator:
     def columns(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
         """Return arrays (K,) of the time and all quantities; see `values`."""
         states = _WatchedStates(
-            self.mechanism, time, q, v, lambda: self._observed(time, q, v, z), travels=self._travels, z=z
+            self.mechanism, time, q, v, lambda: self._observe(time, q, v, z), travels=self._travels, z=z
         )
         taken = ((take(states), is_vector) for take, is_vector in self._takers)
         return [time, *(elementary.hypot(*values.T) if is_vector else values for values, is_vector in taken)]

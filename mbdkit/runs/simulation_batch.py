@@ -1,4 +1,4 @@
-"""Batches of simulations of one spec: they advance together by fixed steps, between which states can be set."""
+"""Batches of simulations of one spec: they advance together by fixed steps, between which inputs can be set."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.levels import WIDTH
-from mbdkit.engine.workspace import Workspace
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.integrators.lanes.lane_batch import BatchState, advance_explicit, new_lane_batch
@@ -32,12 +31,15 @@ from mbdkit.spec import RunSpec
 def why_not_batched(spec: RunSpec) -> str:
     """Return the reason why simulations of a spec cannot be a `SimulationBatch`, as a clause; empty if they can."""
     method = make_method(spec)
-    if method.traits.lanes is None or not method.traits.is_explicit or method.traits.tolerances is not None:
+    traits = method.traits
+    if traits.lanes is None or not traits.is_explicit or traits.tolerances is not None:
         return f"{spec.integrator_item.id} is not an explicit method with fixed steps"
     reasons = (
+        (traits.tableau is None or traits.tableau.is_first_same_as_last, "the method reuses the last stage of a step"),
         (spec.formulated.solves_multipliers, f"the formulation is {spec.formulated.name}"),
         (spec.stabilized.kind != "none", f"the stabilization is {spec.stabilized.kind}"),
         (bool(spec.events), "the spec has events"),
+        (bool(spec.inputs), "its inputs are set by tables"),
         (spec.limits.energy_jump is not None, "`limits.energy_jump` watches the energies of each step"),
         (spec.limits.law_range is not None and has_ranges(spec.mechanism()), "the ranges of its laws are watched"),
     )
@@ -55,9 +57,9 @@ def why_not_batched(spec: RunSpec) -> str:
 class SimulationBatch:
     """N simulations of one spec in lanes of SIMD vectors, with the bits of single simulations.
 
-    All simulations take steps of `time.step` with the explicit method of the spec. Between two calls of `advance`, the
-    first-order states may be set, and simulations started again. A simulation whose state is no longer finite, or
-    whose joints fall apart, is lost until it is started again.
+    All simulations take steps of `time.step` with the explicit method of the spec. Between two calls of `advance`,
+    inputs may be set, and simulations started again. A simulation whose state is no longer finite, or whose joints fall
+    apart, is lost until it is started again.
 
     Parameters
     ----------
@@ -74,8 +76,8 @@ class SimulationBatch:
     ----------
     mechanism : CompiledMechanism
         The mechanism of the spec.
-    z : (Z, N) array
-        Copies of the first-order states; `set_states` changes them.
+    inputs : (N, I) array
+        Values of its inputs from the next `advance` on; those of a simulation that is started are the initial ones.
 
     Raises
     ------
@@ -92,16 +94,16 @@ class SimulationBatch:
         self._topology = topology_of(self.mechanism)
         self._vectors = -(-number // WIDTH)
         count = min(threads or _processors(), self._vectors)
-        self._ends = [self._vectors * i // count for i in range(count + 1)]
+        self._parts = [*pairwise(self._vectors * i // count for i in range(count + 1))]
         self._pool = ThreadPoolExecutor(max(1, count - 1))
         self._batch = new_lane_batch(self._vectors)
         self._runs = self._new_runs()
         self._pinned = [PinnedBundle(run) for run in self._runs]
         self._batch.runs[:] = [pinned.address for pinned in self._pinned]
         self._bundle = PinnedBundle(self._batch)
-        every = range(self._vectors * WIDTH)
-        size = self.mechanism.size
-        self._place(every, np.broadcast_to(self._workspace.q0, (len(every), size)), self._workspace.v0)
+        self._inputs, self._before = np.zeros((2, self._vectors * WIDTH, len(self.mechanism.inputs)))
+        self.inputs = self._inputs[:number]
+        self.start(range(self._vectors * WIDTH), self._workspace.q0, self._workspace.v0)
 
     def _new_runs(self) -> list[LaneRun]:
         method = make_method(self.spec)
@@ -113,7 +115,7 @@ class SimulationBatch:
         limits = guard_limits(mechanism, table.guards).squared_misalignment
         runs = []
         for number in range(self._vectors):
-            if self.apart or number in self._ends:
+            if self.apart or any(number == first for first, _ in self._parts):
                 work = new_lane_run(bundle(method, workspace, None, None), workspace, 1)
                 for lane in range(WIDTH):
                     self._fill(work, lane, mechanism)
@@ -131,14 +133,24 @@ class SimulationBatch:
         self._pool.shutdown()
 
     def advance(self, steps: int) -> None:
-        """Advance all simulations by a number of steps."""
-        ends, address = self._ends, self._bundle.address
-        further = [
-            self._pool.submit(advance_explicit, address, *ends[i : i + 2], steps) for i in range(1, len(ends) - 1)
-        ]
-        advance_explicit(address, ends[0], ends[1], steps)
-        for part in further:
-            part.result()
+        """Advance all simulations by a number of steps; inputs that are held linearly reach their values at the end."""
+        state, times, taken = self._state, self._runs[0].times, self._batch.taken
+        values, before = (x.reshape(self._vectors, WIDTH, -1) for x in (self._inputs, self._before))
+        for k, item in enumerate(self.mechanism.inputs):
+            state.z[:, item.state] = (before if item.is_linear else values)[..., k]
+            if item.is_linear:
+                now, until = (times.start[0] + n * times.step[0] for n in (taken, taken + float(steps)))
+                state.z[:, item.slope] = (values - before)[..., k] / (until - now)
+                state.z_low[:, [item.state, item.slope]] = 0.0
+        self._before[...] = self._inputs
+        self._call(steps)
+
+    def _call(self, steps: int) -> None:
+        address = self._bundle.address
+        further = [self._pool.submit(advance_explicit, address, *part, steps) for part in self._parts[1:]]
+        advance_explicit(address, *self._parts[0], steps)
+        for future in further:
+            future.result()
 
     def start(
         self, which: Sequence[int], q: np.ndarray, v: np.ndarray, mechanisms: Sequence[CompiledMechanism] | None = None
@@ -163,14 +175,13 @@ class SimulationBatch:
             if topology_of(mechanism) != self._topology:
                 raise SpecError("mechanisms in one batch may differ in numbers only", key="parameters")
             self._fill(self._runs[i // WIDTH], i % WIDTH, mechanism)
-        self._place(which, q, v)
-
-    def _place(self, which: Sequence[int], q: np.ndarray, v: np.ndarray) -> None:
+        own = mechanisms or [self.mechanism]
         vector, lane = np.divmod(np.asarray(which, dtype=np.int64), WIDTH)
         for array in (*self._state[:-1], self._batch.taken[:, None]):
             array[vector, ..., lane] = 0.0
         self._state.q[vector, :, lane], self._state.v[vector, :, lane] = q, v
-        self._state.z[vector, :, lane] = self.mechanism.initial_states
+        self._state.z[vector, :, lane] = [mechanism.initial_states for mechanism in own]
+        self._inputs[which] = self._before[which] = [[item.initial for item in mechanism.inputs] for mechanism in own]
         if self._batch.observed[0]:
             for number in np.unique(vector).tolist():
                 advance_explicit(self._bundle.address, number, number + 1, 0)
@@ -192,12 +203,6 @@ class SimulationBatch:
         times = self._runs[0].times
         return np.asarray(times.start[0, 0] + self._by_simulation(self._batch.taken) * times.step[0, 0])
 
-    def set_states(self, places: Sequence[int], values: np.ndarray) -> None:
-        """Set the first-order states with these indices to `values` (N, len(places))."""
-        padded = np.zeros((self._vectors * WIDTH, len(places)))
-        padded[: self.number] = values
-        self._state.z[:, places] = padded.reshape(self._vectors, WIDTH, -1).transpose(0, 2, 1)
-
     def reader(self, expressions: Sequence[str]) -> Callable[[], np.ndarray]:
         """Return a function that returns the values (N, K) of K expressions of events, in SI units.
 
@@ -206,10 +211,10 @@ class SimulationBatch:
         SpecError
             If an expression is wrong.
         """
-        mechanism, parameters = self.spec.mechanism(), self.spec.numbers
-        parsed = [RunExpression.parse(text, mechanism, parameters, crosses=False) for text in expressions]
+        mechanism, numbers = self.spec.mechanism(), self.spec.numbers
+        parsed = [RunExpression.parse(text, mechanism, numbers, crosses=False) for text in expressions]
         quantities = list(dict.fromkeys(quantity for one in parsed for quantity in one.quantities))
-        evaluator = _LaneEvaluator(self._workspace, quantities, self._observed)
+        evaluator = QuantityEvaluator(self._workspace, quantities, self._observed)
         places = {quantity: index for index, quantity in enumerate(quantities, 1)}
         functions = [one.compiled(places, of_arrays=True).value for one in parsed]
 
@@ -222,27 +227,16 @@ class SimulationBatch:
                     values[:, k] = function(columns)
             return values
 
-        read()
+        read()  # which shows whether kernels have to observe states
         return read
 
-    def _observed(self) -> Observed:
+    def _observed(self, *state: np.ndarray) -> Observed:
         if not self._batch.observed[0]:
             self._batch.observed[0] = 1
-            self.advance(0)
+            self._call(0)
         return Observed(*(self._by_simulation(values)[:, 0] for values in self._state.observed))
 
 
 def _processors() -> int:
     """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-
-
-class _LaneEvaluator(QuantityEvaluator):
-    """Evaluates quantities from the values that kernels have computed in lanes."""
-
-    def __init__(self, workspace: Workspace, quantities: Sequence[Any], observed: Callable[[], Observed]):
-        super().__init__(workspace, quantities)
-        self._of_lanes = observed
-
-    def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
-        return self._of_lanes()

@@ -1,4 +1,4 @@
-"""Batches of simulations have the bits of single runs, and follow states that are set between their steps."""
+"""Batches of simulations have the bits of single runs, also if inputs are set between their steps."""
 
 from __future__ import annotations
 
@@ -70,32 +70,51 @@ def test_a_batch_has_the_bits_of_a_run(kind: str, formulation: str) -> None:
     assert not batch.lost.any()
 
 
-def held(controlled: bool) -> Mechanism:
-    """Return a double pendulum with two torques, of a controller or of states that its caller sets."""
+def driven(hold: str = "zero") -> Mechanism:
+    """Return a double pendulum with a torque at each joint, which its caller sets."""
     m = Mechanism()
     m.body("a", mass=1.0, inertia=0.08, position=(0.5, 0.0))
     m.body("b", mass=1.0, inertia=0.08, position=(1.5, 0.0))
     m.revolute("J1", m.ground, "a", at=(0.0, 0.0))
     m.revolute("J2", "a", "b", at=(1.0, 0.0))
-    if controlled:
-        m.controller("u", period=0.02, outputs={"one": "3*sin(9*t)", "two": "cos(5*t)"})
-    for name in ("one", "two") if not controlled else ():
-        m.state(name, rate=0.0)
-    value = "controllers.u" if controlled else "states"
-    m.torque("first", "a", value=f"{value}.one")
-    m.torque("second", "b", value=f"{value}.two", reaction_body="a")
+    m.input("shoulder", unit="N*m", initial=0.5)
+    m.input("elbow", unit="N*m", hold=hold)
+    m.torque("first", "a", value="inputs.shoulder")
+    m.torque("second", "b", value="inputs.elbow", reaction_body="a")
     return m
 
 
-def test_states_that_are_set_act_as_the_outputs_of_a_sampled_controller() -> None:
-    run = mbdkit.run(spec_of(held(controlled=True)))
-    batch = SimulationBatch(spec_of(held(controlled=False)), NUMBER)
-    read = batch.reader(["J2.angle", "a.angular_velocity", "t"])
+READ = ["t", "J1.angle", "b.x", "a.angular_velocity", "joints.J1.force_x", "inputs.shoulder", "inputs.elbow"]
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+@pytest.mark.parametrize("formulation", ["joint-coordinates", "index-1"])
+def test_inputs_have_the_effect_that_they_have_in_a_single_simulation(hold: str, formulation: str) -> None:
+    spec = spec_of(driven(hold), formulation)
+    batch, single = SimulationBatch(spec, NUMBER, threads=2), mbdkit.open(spec)
+    read, read_single, rng = batch.reader(READ), single.reader(READ), np.random.default_rng(2)
+    for call in range(16):
+        torques = rng.uniform(-2.0, 2.0, (NUMBER, 2))
+        batch.inputs[:, call % 2 :] = torques[:, call % 2 :]  # the first input is set in every other call
+        for name, value in list(zip(("shoulder", "elbow"), torques[7].tolist(), strict=True))[call % 2 :]:
+            single.inputs[name] = value
+        batch.advance(4)
+        single.advance(0.02)
+        assert read()[7].tolist() == read_single().tolist()
+    assert len(np.unique(read()[:, 1])) == NUMBER
+
+
+def test_held_inputs_act_as_the_outputs_of_a_sampled_controller() -> None:
+    controlled = Mechanism.from_spec(driven().to_spec() | {"inputs": {}, "forces": {}})
+    controlled.controller("u", period=0.02, outputs={"one": "3*sin(9*t)", "two": "cos(5*t)"})
+    controlled.torque("first", "a", value="controllers.u.one")
+    controlled.torque("second", "b", value="controllers.u.two", reaction_body="a")
+    run, batch = mbdkit.run(spec_of(controlled)), SimulationBatch(spec_of(driven()), NUMBER)
+    read = batch.reader(["J2.angle", "a.angular_velocity"])
     for row in range(0, 80, 4):
-        expected = [run.joints["J2"].angle[row], run.bodies["a"].angular_velocity[row], run.time[row]]
+        expected = [run.joints["J2"].angle[row], run.bodies["a"].angular_velocity[row]]
         assert read() == pytest.approx(np.tile(expected, (NUMBER, 1)), rel=1e-11, abs=1e-12)
-        time = batch.time
-        batch.set_states([0, 1], np.column_stack([3.0 * np.sin(9.0 * time), np.cos(5.0 * time)]))
+        batch.inputs[:] = np.column_stack([3.0 * np.sin(9.0 * batch.time), np.cos(5.0 * batch.time)])
         batch.advance(4)
 
 
@@ -123,16 +142,14 @@ def pendulum(mass: float) -> Mechanism:
 
 
 def test_a_simulation_that_is_lost_starts_again() -> None:
-    batch = SimulationBatch(spec_of(held(controlled=False)), NUMBER)
+    batch = SimulationBatch(spec_of(driven()), NUMBER)
     start, read = Starts().at_start(batch.spec.mechanism()), batch.reader(["a.angle"])
-    torques = np.zeros((NUMBER, 2))
-    torques[5] = 1e308
-    batch.set_states([0, 1], torques)
+    batch.inputs[5] = 1e308
     batch.advance(4)
     assert np.flatnonzero(batch.lost).tolist() == [5]
     assert np.isfinite(np.delete(read(), 5)).all()
     batch.start([5], start.q0[None], start.v0[None])
-    batch.set_states([0, 1], 0.0 * torques)
+    assert batch.inputs[5].tolist() == [0.5, 0.0]
     batch.advance(4)
     assert not batch.lost.any()
     assert np.isfinite(read()).all()
@@ -141,6 +158,7 @@ def test_a_simulation_that_is_lost_starts_again() -> None:
 @pytest.mark.parametrize(("given", "reason"), [
     ({"integrator": {"name": "gauss"}}, "mbdkit:gauss is not an explicit method with fixed steps"),
     ({"integrator": {"name": "dop853", "adaptive": True}}, "mbdkit:dop853 is not an explicit method with fixed steps"),
+    ({"integrator": {"name": "dopri5"}}, "the method reuses the last stage of a step"),
     ({"stabilization": {"name": "projection"}}, "the stabilization is projection"),
     ({"events": {"low": {"when": "r1.y + 2"}}}, "the spec has events"),
     ({"limits": {"energy_jump": 0.1}}, "`limits.energy_jump` watches the energies of each step"),
@@ -154,5 +172,7 @@ def test_reasons_against_batches(given: dict[str, object], reason: str) -> None:
 
 
 def test_loops_and_controllers_are_not_batched() -> None:
+    controlled = driven()
+    controlled.controller("u", period=0.02, outputs={"one": "sin(t)"})
     assert why_not_batched(spec_of(loop(np.random.default_rng(0)))) == "its joints close a loop"
-    assert "controllers" in why_not_batched(spec_of(held(controlled=True)))
+    assert "controllers" in why_not_batched(spec_of(controlled))
