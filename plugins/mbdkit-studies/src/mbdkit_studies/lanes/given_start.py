@@ -52,7 +52,7 @@ def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: St
         mechanism has beams, or if joints would move with the start.
     """
     mechanism = spec.mechanism()
-    q, v = _GivenStart(mechanism, spec, starts).state(values)
+    q, v = GivenStart(mechanism, spec, starts).state(values)
     model = mechanism.to_spec()
     states = np.hstack([q.reshape(-1, 3), v.reshape(-1, 3)]).tolist()
     places = dict(zip(mechanism.bodies, states, strict=True))
@@ -73,7 +73,9 @@ def _check_equal_but_for_start(one: Mechanism, other: Mechanism) -> None:
             raise SpecError("joints placed by `at`, `from` or `to` move with the start; give `points`", key="initial")
 
 
-class _GivenStart:
+class GivenStart:
+    """Finds states of a mechanism in which quantities have given values; see `spec_started_at` for the arguments."""
+
     def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts):
         if mechanism.beams:
             raise SpecError("initial values cannot be given for mechanisms with beams", key="initial")

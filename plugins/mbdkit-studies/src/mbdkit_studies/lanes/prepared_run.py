@@ -6,14 +6,16 @@ import json
 from collections.abc import Mapping
 from typing import Unpack
 
+import numpy as np
+
 from mbdkit.plugin import Run, RunSpec, SpecError, did_you_mean, listed, simulate
 from mbdkit.plugin.archives import utc_now
-from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra
+from mbdkit.plugin.equations import CompiledMechanism, Starts, one_thread_of_linear_algebra, with_ground
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.runs import run_in_memory
 from mbdkit.plugin.specs import RunSource, Sections, VariedSpecs, load_spec, variable_path
 from mbdkit_report import keys_ending_in
-from mbdkit_studies.lanes.given_start import spec_started_at
+from mbdkit_studies.lanes.given_start import GivenStart, spec_started_at
 from mbdkit_studies.lanes.lane_runs import LaneRuns
 
 LONG = 15_000
@@ -49,11 +51,35 @@ class PreparedRun:
         self._varied = VariedSpecs(spec.canonical_json())
         self._lanes = LaneRuns(Starts(), ())
         self._is_long = False
+        self._given: tuple[RunSpec, GivenStart] | None = None
 
     def spec_with(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> RunSpec:
         """Return the spec with other numbers; see `run`."""
         spec = self._varied.spec([(self._path_of(name), value) for name, value in (parameters or {}).items()])
         return spec_started_at(spec, initial, self._lanes.starts) if initial else spec
+
+    def start_with(
+        self, parameters: Numbers | None = None, initial: Numbers | None = None
+    ) -> tuple[CompiledMechanism, np.ndarray, np.ndarray]:
+        """Return the compiled mechanism at its start with other numbers, ten times as fast as `spec_with`.
+
+        See `run` for the arguments and errors; this function does not refuse joints that would move with the start.
+
+        Returns
+        -------
+        mechanism : CompiledMechanism
+            The mechanism.
+        q, v : (3 (B + 1),) arrays
+            Positions and velocities, ground last.
+        """
+        spec = self.spec_with(parameters) if parameters else self.spec
+        if self._given is None or self._given[0] is not spec:
+            self._given = spec, GivenStart(spec.mechanism(), spec, self._lanes.starts)
+        given = self._given[1]
+        if not initial:
+            return given.start.mechanism, given.start.q0, given.start.v0
+        q, v = given.state(initial)
+        return given.start.mechanism, with_ground(q), with_ground(v)
 
     def run(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> Run:
         """Run the spec with other numbers; the results are bitwise equal to those of `mbdkit.run` for `spec_with`.
