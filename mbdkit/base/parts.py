@@ -11,6 +11,7 @@ PARTS = (
     "design",
     "explore",
     "gradients",
+    "gym",
     "paper",
     "predict",
     "report",

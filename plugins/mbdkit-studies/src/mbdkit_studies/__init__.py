@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_studies.results.point_selection import (
         METHOD as METHOD, MODEL as MODEL, Points as Points, STEP as STEP, family as family, value as value,
     )
+    from mbdkit_studies.spec.sample_section import frozen as frozen
     from mbdkit_studies.spec.study_loading import base_source as base_source, document_of as document_of
     from mbdkit_studies.spec.study_spec import Overrides as Overrides
     from mbdkit_studies.store.storage import storage_in as storage_in
