@@ -245,6 +245,7 @@ class Simulation:
                 if not self.ended:
                     stepper.finished = not reason
                 self._record.flush(self._history, self.time)
+                run.failure = run.failure or self._advancing.failure
                 run.interrupted_because = reason
                 run.timings |= {"wall_s": self._record.seconds, "cpu_s": self._record.cpu_seconds}
                 run.check_accuracy(None)

@@ -106,9 +106,9 @@ class Record:
         return None if link is None else links[::-1]
 
     def flush(self, history: InputHistory, end: float | None = None) -> None:
-        """Pass the record on to the recorder: all of it if the run ends at `end` [s], otherwise up to the last row.
+        """Pass the record on to the recorder: all of it if the run ends at `end` [s].
 
-        The last row may change when the run ends there.
+        Otherwise, the last of the rows that dense output gives is kept back, because it changes if the run ends there.
         """
         links = self._since_passed()
         if links is None:
@@ -119,9 +119,13 @@ class Record:
             self._is_begun = True
         if end is not None:
             links = [*self._with_end(links, end)]
-        else:
+        elif run.table.interval is not None:
             rows = [number for number, link in enumerate(links) if len(_rows(link).time)]
             links = links[: rows[-1]] if rows else []
+        until = max([run.recorder.last_time, *(time for link in links for time in _rows(link).time[-1:])])
+        settings = history.settings(self._written, until if end is None else end, is_over=end is not None)
+        run.recorder.record_inputs(settings)
+        self._written += len(settings)
         for link in links:
             if run.failure is not None:
                 break
@@ -129,10 +133,6 @@ class Record:
             run.record(link.taken, link.elapsed)
             self._passed = link
         self._passed.before = None  # what was passed on is not needed again, except by states that refer to it
-        until = run.recorder.last_time if end is None else end
-        settings = history.settings(self._written, until, is_over=end is not None)
-        run.recorder.record_inputs(settings)
-        self._written += len(settings)
         self._flushed = time.monotonic()
 
     def _with_end(self, links: list[_Link], end: float) -> Iterator[_Link]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit import spec
 from tests.runs.stepping.driven_pendulum import METHODS, driven_pendulum, sections
 
 EXAMPLES = [
@@ -81,6 +82,66 @@ def test_random_schedules_repeat(seed):
     simulation = mbdkit.open(driven_pendulum(), **sections(method, output=output))
     driven(simulation, random, 15)
     run = simulation.finish()
+    assert mbdkit.run(run.spec).data_sha256 == run.data_sha256
+
+
+CONTACT = {
+    "compliant": {},
+    "event-driven": {"contact": {"treatment": "event-driven"}},
+    "time-stepping": {
+        "contact": {"treatment": "time-stepping"}, "integrator": {"name": "moreau-jean"},
+        "time": {"end": 2.0, "step": 0.002},
+    },
+    "generalized-alpha": {
+        "contact": {"treatment": "time-stepping"}, "integrator": {"name": "nonsmooth-generalized-alpha"},
+        "time": {"end": 2.0, "step": 0.002},
+    },
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("treatment", CONTACT)
+def test_schedules_with_contacts_repeat(treatment, seed):
+    ball = yaml_of("bouncing-ball")
+    ball["model"]["inputs"] = {"push": {"unit": "N"}, "lift": {"unit": "N", "hold": "linear"}}
+    ball["model"]["forces"] = {"push": {"type": "point_force", "body": "ball", "value": ["inputs.push", "inputs.lift"]}}
+    pushed(mbdkit.open(ball | CONTACT[treatment]), "push", "lift", seed, 3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_schedules_with_muscles_repeat(seed):
+    curl = yaml_of("elbow-curl")
+    curl["model"]["inputs"] = {"flex": {}, "extend": {"hold": "linear"}}
+    for muscle, text in {"biceps": "0.05 + inputs.flex", "triceps": "0.05 + inputs.extend"}.items():
+        curl["model"]["muscles"][muscle]["excitation"] = text
+    integrator = [{"name": "radau-iia"}, {"name": "dop853"}, {"name": "gauss", "stages": 2}][seed % 3]
+    pushed(
+        mbdkit.open(curl | {"integrator": integrator, "time": {"end": 0.6, "step": 0.002}}), "flex", "extend", seed, 0.5
+    )
+
+
+def yaml_of(name: str) -> dict:
+    """Return the spec of a packaged example as plain data."""
+    return json.loads(spec.load_spec(name, ()).canonical_json())
+
+
+def pushed(simulation: mbdkit.Simulation, held: str, ramp: str, seed: int, most: float) -> None:
+    """Set both inputs at random times, some after a return to an earlier state, and compare with the repeated run."""
+    random = np.random.default_rng(seed)
+    state = simulation.state()
+    for k in range(10):
+        if simulation.ended:
+            break
+        simulation.inputs[held], simulation.inputs[ramp] = random.uniform(0.0, most, 2)
+        simulation.advance(float(random.choice([0.05, 0.0437, 0.02])))
+        if k == 3:
+            state = simulation.state()
+        if k == 6:
+            simulation.restore(state)
+    run = simulation.finish()
+    assert run.status == "complete"
     assert mbdkit.run(run.spec).data_sha256 == run.data_sha256
 
 
