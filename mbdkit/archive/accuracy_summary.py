@@ -57,6 +57,7 @@ class RunErrors:
             return f"errors unknown: {accuracy.unknown}"
         position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
         position += " for this mesh of beams" if excluded_error(run) else ""
+        position += " for given outputs of controllers in Python" if run.records("samples/value") else ""
         if accuracy.is_complete:
             return "; ".join(filter(None, (_largest_force(run) if with_force else "", position)))
         until = f" until {accuracy.known_until:.4g} s"

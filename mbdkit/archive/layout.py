@@ -82,6 +82,9 @@ EVENTS = tuple(kind_of_group("events").by_path)
 #: Paths of the arrays of settings of inputs; all of them are present if the mechanism has inputs.
 SETTINGS = tuple(path for path in kind_of_group("inputs").by_path if path.startswith("inputs/set/"))
 
+#: Paths of the arrays of samples; all of them are present if a function in Python computes outputs of a controller.
+SAMPLES = tuple(kind_of_group("samples").by_path)
+
 #: Paths of the arrays of impacts; all of them are present if elements or drivers may have impulses.
 IMPACTS = tuple(kind_of_group("impacts").by_path)
 

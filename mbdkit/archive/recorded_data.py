@@ -309,6 +309,31 @@ class RecordedData(FurtherKinds, Extensible):
         return history.Events.of(self, tuple(self.spec.get("events") or ()), len(self.bodies))
 
 
+def recorded_outputs(run: RecordedData) -> dict[str, list[list[float]]] | None:
+    """Return what the functions of controllers in Python have returned in a run, one list for each sample, by the name
+    of the controller; None if the run has no such controllers.
+    """
+    if not run.records("samples/value"):
+        return None
+    times, outputs, values = (run.array(f"samples/{name}").tolist() for name in ("time", "output", "value"))
+    return outputs_by_sample(times, outputs, values)
+
+
+def outputs_by_sample(
+    times: Sequence[float], outputs: Sequence[str], values: Sequence[float]
+) -> dict[str, list[list[float]]]:
+    """Return recorded outputs, ``controller.output``, as one list for each sample by the name of the controller."""
+    found: dict[str, list[list[float]]] = {}
+    latest: dict[str, float] = {}
+    for time, output, value in zip(times, outputs, values, strict=True):
+        controller = output.rpartition(".")[0]
+        if latest.get(controller) != time:
+            found.setdefault(controller, []).append([])
+            latest[controller] = time
+        found[controller][-1].append(value)
+    return found
+
+
 def _histories_of(word: str) -> evaluated[Any]:
     """Return a property whose value contains the histories of the objects of a kind by name."""
 

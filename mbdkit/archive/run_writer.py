@@ -205,6 +205,10 @@ class RunWriter(ABC):
         """
         self._append_numbered("inputs", "set/number", rows)
 
+    def append_samples(self, rows: Mapping[str, np.ndarray]) -> None:
+        """Append outputs of controllers in Python: the arrays of the group by name, each (P,); they are copied."""
+        self._append_numbered("samples", "sample", rows)
+
     def _append_numbered(self, group: str, dim: str, rows: Mapping[str, np.ndarray]) -> None:
         numbers = np.arange(self.rows(dim) + 1, self.rows(dim) + 1 + len(next(iter(rows.values()))))
         self._append(dim, {f"{group}/{name}": values for name, values in {**rows, dim: numbers}.items()})

@@ -53,6 +53,7 @@ Files = Annotated[
     bool,
     typer.Option("--files", help="Read the files that the spec in the archive names, if they have the same SHA-256."),
 ]
+Call = Annotated[bool, typer.Option("--call", help="Call the Python functions that controllers of the spec name.")]
 Debug = Annotated[bool, typer.Option("--debug", callback=_set_debug, help="Show the traceback of an error.")]
 
 

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbdkit.base import higher_layers, terminal
+from mbdkit.base.called_functions import calls_allowed, returning
 from mbdkit.base.progress_bars import progress_bar
 from mbdkit.base.terminal import say, show
 from mbdkit.base.text import listed, table
 from mbdkit.cli.common_options import (
     AnySpecName,
     Archive,
+    Call,
     Debug,
     Files,
     Overwrite,
@@ -62,6 +64,7 @@ def run(
         typer.Option("--resume", metavar="FILE", help="Continue the killed or interrupted run that left this file."),
     ] = None,
     files: Files = False,
+    call: Call = False,
     printing: Printing,
 ) -> None:
     """Run a spec and write its archive.
@@ -81,11 +84,15 @@ def run(
     cannot be stored, and with --accuracy. Files that its spec names are read only with
     --files, and only if they have the SHA-256 that FILE lists.
 
+    With --call, Python functions that controllers of the spec name are called; without
+    it, such a spec is refused. They can execute any code: read the spec before.
+
     Gravity is (0, -9.81) m/s^2 unless `model.gravity` of the spec is given.
     """
     if resume is not None:
         given = {"SPEC": spec, "--output": output, "--set": assignments, "--check": check, "--accuracy": accuracy}
-        _resume(resume, [name for name, value in given.items() if value], overwrite, files, printing)
+        with calls_allowed(call):
+            _resume(resume, [name for name, value in given.items() if value], overwrite, files, printing)
         return
     if files:
         raise typer.BadParameter("takes effect only with --resume; files that SPEC names are always read")
@@ -101,7 +108,7 @@ def run(
     check_new(path, spec, overwrite)
     from mbdkit.runs.simulation import simulate  # imports compiled code, which is not needed to refuse an invalid spec
 
-    with _placing(checked), progress_bar(path.name, printing.quiet) as progress:
+    with _placing(checked), calls_allowed(call), progress_bar(path.name, printing.quiet) as progress:
         result = simulate(checked, path=path, overwrite=overwrite, progress=progress)
     tell(result, printing)
 
@@ -238,6 +245,9 @@ def validate_run(source: Document | str, spec: str, assignments: list[str]) -> N
         show(f"cut joints   {listed(cut_joints(problem.mechanism)) or without}")
     if checked.stabilized.kind != "none":
         show(f"stabilized   {checked.stabilized.describe()}")
+    if mechanism.inputs:
+        show("inputs       with their values at the start")
+        show(table([("INPUT", "AT START", "UNIT", "BOUNDS", "HOLD", "TIMES"), *_inputs(checked, problem)], indent="  "))
     if checked.events:
         show("events       with values of their expressions at the start")
         show(table([("EVENT", "DIRECTION", "ACTION", "AT START", "WHEN"), *_events(checked, problem)], indent="  "))
@@ -246,6 +256,24 @@ def validate_run(source: Document | str, spec: str, assignments: list[str]) -> N
         show(table([("BODY", "MOVED", "TURNED", "VELOCITY", "RATE"), *_moves(start)], indent="  "))
     else:
         show("start        consistent, unchanged")
+
+
+def _inputs(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
+    """Return a table row for each input, with its value at the start and the number of times at which it is set."""
+    from mbdkit.integrators.run.sampled_control import states_at_start
+
+    z = states_at_start(problem)
+    return [
+        (
+            item.name,
+            f"{z[item.state]:.6g}",
+            item.unit,
+            "none" if item.bounds is None else f"{item.bounds[0]:g} to {item.bounds[1]:g}",
+            spec.mechanism().inputs[item.name].hold,
+            str(len(schedule.times)),
+        )
+        for item, schedule in zip(problem.mechanism.inputs, spec.schedules(), strict=True)
+    ]
 
 
 def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
@@ -293,7 +321,8 @@ def rerun(
 
     Prints the largest relative difference. Files that the spec names, such as models of
     other programs and tables, are read only with --files, tables only from the folder of
-    the archive, and only if they have the SHA-256 that the archive lists. Exit status 1
+    the archive, and only if they have the SHA-256 that the archive lists. Controllers in
+    Python repeat their recorded outputs; their functions are not called. Exit status 1
     if the data differ, or if the archive was changed after the run.
     """
     if output is not None:
@@ -301,12 +330,14 @@ def rerun(
     from mbdkit.archive.compare import compare
     from mbdkit.archive.missing_plugins import check_plugins_of
     from mbdkit.archive.reader import load
+    from mbdkit.archive.recorded_data import recorded_outputs
     from mbdkit.base.files_read import only_known
 
     with load(archive) as before:
         check_plugins_of(archive, before.provenance)
         with (
             only_known(before.files, allowed=files),
+            returning(recorded_outputs(before)),
             _repeated(before, archive, output, overwrite=overwrite, quiet=quiet) as after,
         ):
             if after.status == "interrupted":

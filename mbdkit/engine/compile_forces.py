@@ -261,16 +261,18 @@ class Lowering:
         mechanism defines, outputs and states of sampled controllers, and inputs.
         """
         held = [
-            (name, value, 0.0) for name, controller in mechanism.controllers.items() for value in controller.outputs
+            (name, value, controller.unit_of(value), 0.0)
+            for name, controller in mechanism.controllers.items()
+            for value in controller.outputs
         ]
         held += [
-            (name, value, state.initial)
+            (name, value, "1", state.initial)
             for name, controller in mechanism.controllers.items()
             for value, state in controller.states.items()
         ]
         names = [state.name for state in self.states] + [
             *mechanism.states,
-            *(f"{name}.{value}" for name, value, _ in held),
+            *(f"{name}.{value}" for name, value, *_ in held),
         ]
         places = {name: i for i, name in enumerate(names)}
         self.compiled_inputs += _numbered(mechanism.inputs, len(names))
@@ -290,8 +292,8 @@ class Lowering:
         for name, state in mechanism.states.items():
             law = self.expression(f"model.states.{quoted(name)}.rate", name, state.rate)
             self.state(name, state.unit, state.initial, law)
-        for name, value, initial in held:
-            self.state(f"{name}.{value}", "1", initial)
+        for name, value, unit, initial in held:
+            self.state(f"{name}.{value}", unit, initial)
         for item in self.compiled_inputs:
             self._add_input(item)
         for name, controller in mechanism.controllers.items():
@@ -301,12 +303,18 @@ class Lowering:
             }
             place = numbering.states
             outputs = tuple(
-                (place[f"{name}.{value}"], laws[f"outputs.{quoted(value)}"]) for value in controller.outputs
+                (place[f"{name}.{value}"], laws.get(f"outputs.{quoted(value)}", -1)) for value in controller.outputs
             )
             states = tuple(
                 (place[f"{name}.{value}"], laws[f"states.{quoted(value)}.next"]) for value in controller.states
             )
-            self.controllers.append(SampledController(name, controller.period, controller.delay, outputs, states))
+            arguments = tuple((text, laws[f"inputs[{i}]"]) for i, text in enumerate(controller.inputs))
+            self.controllers.append(
+                SampledController(
+                    name, controller.period, controller.delay, outputs, states, tuple(controller.outputs),
+                    controller.python or "", arguments,
+                )
+            )  # fmt: skip
 
     def _add_input(self, item: CompiledInput) -> None:
         value = self.state(f"inputs.{item.name}", item.unit, item.initial)

@@ -94,7 +94,9 @@ class SampledController:
 
     `period`: time between two samples [s]. `delay`: time from a sample until its outputs apply [s]. `outputs`,
     `states`: for each output and each state, its index among the first-order states, and the row of ``topology.laws``
-    that computes its value at a sample.
+    that computes its value at a sample. `output_names`: names of the outputs. `python`: the function that computes the
+    outputs, whose rows are -1; empty if there is none. `arguments`: for each quantity that the function gets, its name
+    and the row that computes it.
     """
 
     name: str
@@ -102,6 +104,9 @@ class SampledController:
     delay: float
     outputs: tuple[tuple[int, int], ...]
     states: tuple[tuple[int, int], ...]
+    output_names: tuple[str, ...] = ()
+    python: str = ""
+    arguments: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -234,6 +239,11 @@ class CompiledMechanism:
             self.redundancy.describe(self.drivers),
         ]
         return ", ".join(part for part in parts if part)
+
+    @property
+    def in_python(self) -> tuple[SampledController, ...]:
+        """The controllers whose outputs a Python function computes."""
+        return tuple(controller for controller in self.controllers if controller.python)
 
     @property
     def named_states(self) -> tuple[ElementState, ...]:

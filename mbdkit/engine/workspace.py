@@ -43,6 +43,7 @@ from mbdkit.engine.kernels.table_rows import (
 )
 from mbdkit.engine.matrix_terms import MatrixTerms, matrix_terms
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.python_controllers import PythonControllers
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.expressions.program import MAX_DEPTH
 from mbdkit.mechanism.mechanism import Mechanism
@@ -65,6 +66,8 @@ class Workspace:
     stabilization: Stabilization = NONE
     schedules: tuple[InputSchedule, ...] = ()
     """Values of the inputs of the mechanism during the run; without schedules, inputs keep their initial values."""
+    python: PythonControllers | None = None
+    """Calls the functions of controllers in Python; None if they are not called, so that their outputs are 0."""
     stepping_topology: Topology = field(init=False)
     """Topology of the integrated equations, with Baumgarte's terms if the run is stabilized by them.
 

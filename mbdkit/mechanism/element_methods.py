@@ -228,7 +228,7 @@ class ElementMethods(NamedElements):
         self.add("inputs", name, **keys)
 
     @of_models(Controller)
-    def controller(self, name, *, states=None, **keys):
+    def controller(self, name, *, states=None, python=None, **keys):
         """Add a sampled controller.
 
         >>> m = Mechanism()
@@ -236,7 +236,7 @@ class ElementMethods(NamedElements):
         >>> m.controller("pd", period=0.01, outputs={"u": "-20*leg.angle - 2*leg.angular_velocity"})
         >>> m.torque("motor", leg, value="controllers.pd.u")
         """
-        self.add("controllers", name, **_given(states=states), **keys)
+        self.add("controllers", name, **_given(states=states, python=python), **keys)
 
 
 def _given(**keys):

@@ -10,6 +10,7 @@ from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joint_friction import SlideFriction
 from mbdkit.mechanism.named_elements import NamedElements
 from mbdkit.mechanism.state_values import ControllerState
+from mbdkit.mechanism.state_values import PythonOutput
 from mbdkit.mechanism.values import Table
 from mbdkit_biomech.muscles.muscle import Activation
 from mbdkit_biomech.muscles.muscle import Metabolics
@@ -575,12 +576,15 @@ class ElementMethods(NamedElements):
         """
 
     def controller(
-        self, name: str, *, states: Mapping[str, Mapping[str, Any] | ControllerState] | None = None, period: float,
-        delay: float = 0.0, outputs: Mapping[str, str | float]
+        self, name: str, *, states: Mapping[str, Mapping[str, Any] | ControllerState] | None = None,
+        python: str | None = None, period: float, delay: float = 0.0,
+        outputs: Mapping[str, str | float | Mapping[str, Any] | PythonOutput], inputs: Sequence[str | float] = ()
     ) -> None:
         """Add a sampled controller.
 
         A sampled controller: its outputs are constant between samples, as those of a digital controller.
+
+        The outputs are expressions or, with `python`, what a Python function returns.
 
         Parameters
         ----------
@@ -589,14 +593,21 @@ class ElementMethods(NamedElements):
         states
             States by name, such as ``sum: {next: "controllers.pid.sum + 0.01*bodies.leg.angle"}``. Keys of
             `ControllerState`: initial, next.
+        python
+            Function that computes the outputs: ``module:function``, or the name of an entry point of the group
+            `mbdkit.controllers`. At each sample, it is called with the time [s] and a dict of the `inputs`, and
+            returns a dict of the outputs. It is called only with `mbdkit run --call`, or `call=True` in Python.
         period
             Time between two samples [s]; the first one is at the start of the run.
         delay
             Time [s] between a sample and the change of the outputs to the values computed from it. Before the first
             of these changes, outputs are 0.
         outputs
-            Outputs by name: expressions of the state at a sample. Loads refer to an output as
-            ``controllers.NAME.OUTPUT``.
+            Outputs by name: expressions of the state at a sample or, with `python`, mappings such as ``{unit: N
+            m}``. Loads refer to an output as ``controllers.NAME.OUTPUT``. Keys of `PythonOutput`: unit.
+        inputs
+            Quantities at a sample that the function of `python` gets, such as ``leg.angle``: expressions of the
+            state.
         """
 
     def muscle(

@@ -209,6 +209,13 @@ class Mechanism(ElementMethods, HtmlView):
         of_kinds = [f"{name}.{state}" for name, element in named for state in element.state_names]
         return [*of_elements, *of_kinds, *self.states]
 
+    def state_unit(self, name: str) -> str:
+        """Return the unit of a first-order state, or of an output of a controller; 1 if it is not known."""
+        if name in self.states:
+            return self.states[name].unit
+        controller, _, output = name.rpartition(".")
+        return self.controllers[controller].unit_of(output) if controller in self.controllers else "1"
+
     def held_names(self) -> list[str]:
         """Return the names of all outputs and states of controllers, ``controller.output`` or ``controller.state``."""
         return [f"{name}.{value}" for name, one in self.controllers.items() for value in (*one.outputs, *one.states)]

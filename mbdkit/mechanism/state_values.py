@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, TypeGuard
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import quoted
+from mbdkit.base.plain_data import LONGEST_NAME, quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.units import read_unit
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
@@ -138,10 +139,32 @@ class ControllerState(StrictModel):
     """Value of this state after a sample: an expression of the state of the run at the sample."""
 
 
-class Controller(StrictModel):
-    """A sampled controller: its outputs are constant between samples, as those of a digital controller."""
+class PythonOutput(StrictModel):
+    """An output of a controller in Python."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("delay", "states")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("unit",)
+
+    unit: str = "1"
+    """Unit of the output."""
+
+
+def _output(given: object) -> object:
+    return given if isinstance(given, Mapping | PythonOutput) else _rate(given)
+
+
+AnyOutput = Annotated[str | PythonOutput, BeforeValidator(_output, json_schema_input_type=str | float | PythonOutput)]
+"""An output of a controller: an expression of the state, or that of a Python function."""
+
+_FUNCTION = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*|[A-Za-z_][\w.-]*")
+
+
+class Controller(StrictModel):
+    """A sampled controller: its outputs are constant between samples, as those of a digital controller.
+
+    The outputs are expressions or, with `python`, what a Python function returns.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("delay", "states", "python", "inputs")
 
     period: Positive
     """Time between two samples [s]; the first one is at the start of the run."""
@@ -150,14 +173,42 @@ class Controller(StrictModel):
     changes, outputs are 0."""
     states: dict[str, ControllerState] = Field(default_factory=dict)
     """States by name, such as ``sum: {next: "controllers.pid.sum + 0.01*bodies.leg.angle"}``."""
-    outputs: dict[str, Expression] = Field(min_length=1)
-    """Outputs by name: expressions of the state at a sample. Loads refer to an output as ``controllers.NAME.OUTPUT``.
-    """
+    outputs: dict[str, AnyOutput] = Field(min_length=1)
+    """Outputs by name: expressions of the state at a sample or, with `python`, mappings such as ``{unit: N m}``. Loads
+    refer to an output as ``controllers.NAME.OUTPUT``."""
+    python: Annotated[str, Field(max_length=LONGEST_NAME)] | None = None
+    """Function that computes the outputs: ``module:function``, or the name of an entry point of the group
+    `mbdkit.controllers`. At each sample, it is called with the time [s] and a dict of the `inputs`, and returns a dict
+    of the outputs. It is called only with `mbdkit run --call`, or `call=True` in Python."""
+    inputs: tuple[Expression, ...] = ()
+    """Quantities at a sample that the function of `python` gets, such as ``leg.angle``: expressions of the state."""
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Controller:
+        if self.python is not None and not _FUNCTION.fullmatch(self.python):
+            message = f"should be module:function or the name of an entry point, not {self.python!r}"
+            raise SpecError(message, key="python")
+        for key in ("states",) if self.python is not None else ("inputs",):
+            if getattr(self, key):
+                raise SpecError(f"takes effect only with{'out' * (key == 'states')} `python`; leave it out", key=key)
+        for name, output in self.outputs.items():
+            if isinstance(output, PythonOutput) != (self.python is not None):
+                wanted = "an expression" if self.python is None else "a mapping such as {unit: N m}, with `python`"
+                raise SpecError(f"should be {wanted}", key=f"outputs.{quoted(name)}")
+        if len({*self.inputs}) < len(self.inputs):
+            raise SpecError("has a quantity twice", key="inputs")
+        return self
 
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key, text) of each expression."""
-        of_states = [(f"states.{quoted(name)}.next", state.next) for name, state in self.states.items()]
-        return of_states + [(f"outputs.{quoted(name)}", text) for name, text in self.outputs.items()]
+        texts = [(f"states.{quoted(name)}.next", state.next) for name, state in self.states.items()]
+        texts += [(f"outputs.{quoted(name)}", text) for name, text in self.outputs.items() if isinstance(text, str)]
+        return texts + [(f"inputs[{i}]", text) for i, text in enumerate(self.inputs)]
+
+    def unit_of(self, output: str) -> str:
+        """Return the unit of an output, or of a state."""
+        of_python = self.outputs.get(output)
+        return of_python.unit if isinstance(of_python, PythonOutput) else "1"
 
 
 def of_time(values: list[tuple[str, Motion]]) -> list[tuple[str, Motion]]:

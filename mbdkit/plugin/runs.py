@@ -6,6 +6,7 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
+    from mbdkit.base.called_functions import calls_allowed as calls_allowed, may_call as may_call
     from mbdkit.runs.assembled_mechanism import AssembledMechanism as AssembledMechanism
     from mbdkit.runs.continuous_motion import (
         EQUAL as EQUAL, MotionPart as MotionPart, Peak as Peak, Sampled as Sampled, sampled as sampled,
@@ -13,7 +14,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.runs.integrals import RunIntegrals as RunIntegrals, functionals_of as functionals_of
     from mbdkit.runs.finish import run_in_memory as run_in_memory
     from mbdkit.runs.preparation import (
-        build as build, caution as caution, guards as guards, make_method as make_method,
+        build as build, caution as caution, check_calls as check_calls, guards as guards, make_method as make_method,
         recorded_arrays as recorded_arrays, require_support as require_support, size_at_start as size_at_start,
         timetable as timetable,
     )

@@ -28,8 +28,9 @@ COORDINATE_UNITS: Mapping[str, tuple[str, ...]] = {
 }
 """Units along the axis ``coordinate``, by the name of the array with this axis."""
 
-#: Axes that grow during a run: recorded rows, intervals between them, events, impacts, and settings of inputs.
-GROWING = ("time", "interval", "event", "impact", "set/number")
+#: Axes that grow during a run: recorded rows, intervals between them, events, impacts, settings of inputs, and samples
+#: of controllers in Python.
+GROWING = ("time", "interval", "event", "impact", "set/number", "sample")
 
 _XY = slice(0, 2)
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
 
-_T, _N, _E, _I, _S = ("time",), ("interval",), ("event",), ("impact",), ("set/number",)
+_T, _N, _E, _I, _S, _P = ("time",), ("interval",), ("event",), ("impact",), ("set/number",), ("sample",)
 _TBC, _EBC = ("time", "body", "coordinate"), ("event", "body", "coordinate")
 _TJ, _TJA, _TF, _TKA = ("time", "joint"), ("time", "joint", "axis"), ("time", "force"), ("time", "marker", "axis")
 _TE, _TM = ("time", "element"), ("time", "constraint")
@@ -194,7 +194,7 @@ KINDS = (
         computed("rate", ("time", "state"), MIXED, "derivative of the state by time",
             lambda s: s.observed.state_rates[:, : _states_of(s)], row_units="rate_row_units"),
         optional=True, word="states", one="state", example="value", axis="state", is_optional=True,
-        unit_of=lambda mechanism, name: mechanism.states[name].unit if name in mechanism.states else "1",
+        unit_of=lambda mechanism, name: mechanism.state_unit(name),
     ),
     quantity_group(
         "inputs",
@@ -284,6 +284,15 @@ KINDS = (
         Array("velocity", _EBC, MIXED, "velocity and angular velocity then", row_units="velocity_row_units",
             components=_VELOCITY),
         optional=True, word="events", one="event", example="time",
+    ),
+    quantity_group(
+        "samples",
+        Array("sample", _P, "1", "number of the entry, from 1: one for each output of a sample", INTEGER),
+        Array("time", _P, "s", "time of the sample"),
+        Array("output", _P, "1", "name of the output of a controller in Python: controller.output", TEXT),
+        Array("row_units", _P, "1", "units of value, row by row", TEXT),
+        Array("value", _P, MIXED, "value that the function of the controller has returned", row_units="row_units"),
+        optional=True,
     ),
     quantity_group(
         "impacts",

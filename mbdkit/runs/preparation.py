@@ -8,14 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, SETTINGS, of_elements, recorded_by
+from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, SAMPLES, SETTINGS, of_elements, recorded_by
+from mbdkit.base.called_functions import function_at, may_call, returned_before
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.kernels.table_rows import STATE_ROW
+from mbdkit.engine.python_controllers import PythonControllers
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Failure, Guards, Timetable
@@ -65,7 +68,7 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
         with within_double_precision():
             require_unique_start(workspace)
             workspace.mechanism.length**2  # step guards divide by this
-            workspace.schedules = spec.schedules()
+            workspace.schedules, workspace.python = spec.schedules(), _functions(workspace.mechanism)
             chosen = workspace.mechanism.reacting
             if chosen is not None and (begin := chosen.item.begin) is not None:
                 workspace = treatment_start.of(begin)(workspace)
@@ -75,6 +78,37 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
         assert chosen is not None
         raise spec.placed(SpecError(f"{error}, at the start", key=f"model.{chosen.key}")) from error
     return workspace, start
+
+
+def _functions(mechanism: CompiledMechanism) -> PythonControllers | None:
+    """Return what calls the functions of controllers, or repeats what they returned; None if neither is asked for."""
+    before = returned_before()
+    if not mechanism.in_python or not (may_call() or before is not None):
+        return None
+    functions = {}
+    for controller in mechanism.in_python if may_call() else ():
+        try:
+            functions[controller.name] = function_at(controller.python)
+        except SpecError as error:
+            raise error.located(prefix=f"model.controllers.{quoted(controller.name)}.python") from error
+    return PythonControllers(functions, before or {})
+
+
+def check_calls(spec: RunSpec) -> None:
+    """Check that the functions of controllers may be called, or that what they returned is known.
+
+    Raises SpecError if not, or if the spec needs several runs in which functions would return different values.
+    """
+    for name, controller in spec.mechanism().controllers.items():
+        if controller.python is None:
+            continue
+        key = f"model.controllers.{quoted(name)}.python"
+        if not may_call() and returned_before() is None:
+            message = f"runs '{controller.python}', code that is called only with --call (call=True in Python)"
+            raise spec.placed(SpecError(message, key=key))
+        if spec.is_to_be_chosen:
+            message = "method and step are chosen by trial runs, each of which would call the functions of controllers"
+            raise spec.placed(SpecError(f"{message}; give `integrator` and `time.step` instead", key="accuracy"))
 
 
 def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
@@ -177,6 +211,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         *CORRECTIONS[spec.stabilized.kind],
         *(EVENTS if spec.events else ()),
         *(SETTINGS if mechanism.inputs else ()),
+        *(SAMPLES if mechanism.in_python else ()),
     ]
     return recorded_by(names, spec.output.recorded, frozenset(optional))
 

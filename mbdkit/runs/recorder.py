@@ -286,6 +286,11 @@ class Recorder:
         if settings:
             self.writer.append_inputs(setting_rows(self.mechanism, settings))
 
+    def record_samples(self, rows: Mapping[str, np.ndarray]) -> None:
+        """Write the outputs of controllers in Python since the last call."""
+        if len(rows["time"]):
+            self.writer.append_samples(rows)
+
     def record_impacts(
         self,
         impacts: Sequence[ElementImpact],

@@ -20,9 +20,11 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.missing_plugins import check_plugins_of
 from mbdkit.archive.part_file import SUFFIX, check_target, checkpoint_path, part_path
 from mbdkit.archive.reader import load
+from mbdkit.archive.recorded_data import outputs_by_sample
 from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import file_locks
+from mbdkit.base.called_functions import Returned, calls_allowed, returning
 from mbdkit.base.command_words import command_line
 from mbdkit.base.errors import ArchiveError, ResourceError, SpecError
 from mbdkit.base.files import check_regular, rename_new, replace_file
@@ -34,7 +36,7 @@ from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.runs.preparation import make_method
+from mbdkit.runs.preparation import check_calls, make_method
 from mbdkit.runs.provenance import DECIDE_LAST_BITS, provenance
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.run_checkpoint import INTERVAL, Continuation, why_without
@@ -47,7 +49,14 @@ PART = f"{SUFFIX}.part"
 _ANEW = "run it anew"
 
 
-def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | None = None, files: bool = False) -> Run:
+def resume(
+    part: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    files: bool = False,
+    call: bool = False,
+) -> Run:
     """Continue a run that was killed or interrupted, from the last checkpoint beside its archive.
 
     The spec is read from the checkpoint. The results are bitwise identical to those of an uninterrupted run.
@@ -59,12 +68,14 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
     - `progress`: see `mbdkit.run`. If this function raises an exception, the file and its checkpoint are kept.
     - `files`: whether files that the spec names may be read, such as a model of another program; they must have the
       SHA-256 that the checkpoint lists.
+    - `call`: whether the Python functions that controllers of the spec name may be called.
 
     Returns the results, in ``FILE.h5``. Raises SpecError if the run cannot be continued: a file is damaged, there is no
     checkpoint, or another version of mbdkit or of a plugin wrote it. The files remain as they are. Raises ResourceError
     if the run is still in progress, or a file cannot be read, written or renamed.
     """
-    with progress_bar(Path(part).stem, quiet=progress is not None or not in_notebook()) as bar:
+    quiet = progress is not None or not in_notebook()
+    with calls_allowed(call), progress_bar(Path(part).stem, quiet=quiet) as bar:
         result = continue_run(Path(part), overwrite=overwrite, progress=progress or bar, files=files)
     warn_on_stderr(result.warnings)
     return result
@@ -270,7 +281,9 @@ class _Unfinished:
 
         continuation = Continuation(self.checkpoint.state, self._observed, restored)
         try:
-            return simulate_on(spec, continuation, begun, progress=progress, measures=measures)
+            check_calls(spec)
+            with returning(self._returned()):
+                return simulate_on(spec, continuation, begun, progress=progress, measures=measures)
         except SpecError as error:
             raise error.located(file=self.part) from error
 
@@ -290,6 +303,18 @@ class _Unfinished:
         if writer.lines != self.checkpoint.lines:
             raise _refused(self.part, "it is damaged: its rows do not match its checkpoint")
         writer.keep_checkpoint(self.checkpoint.state)
+
+    def _returned(self) -> Returned | None:
+        """Return what functions of controllers have returned so far; None without such controllers."""
+        if "samples/value" not in self.checkpoint.arrays:
+            return None
+        rows, known = slice(0, self.checkpoint.rows["sample"]), kind_of_group("samples").by_path
+        with reading("its samples", self.part, hint=_ANEW):
+            times, outputs, values = (
+                self.checkpoint.arrays[path].read(self.stream, known[path], rows).tolist()
+                for path in ("samples/time", "samples/output", "samples/value")
+            )
+        return outputs_by_sample(times, outputs, values)
 
     def _observed(self) -> list[ObservedRows]:
         paths = (

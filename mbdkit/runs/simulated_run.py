@@ -23,6 +23,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
+from mbdkit.base.called_functions import returning
 from mbdkit.base.logs import logger_of
 from mbdkit.base.text import listed, shown
 from mbdkit.engine.assembly import AssembledState
@@ -34,7 +35,7 @@ from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.interface import Advancing, ConsecutiveSteps, Failure, Nodes, Stretch
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.impulse import DriverImpulse, ReactingMemory, reacting_memory
-from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.start import start_method
 from mbdkit.measures.reductions import Functional
 from mbdkit.methods.kinds import Method
@@ -66,7 +67,7 @@ if TYPE_CHECKING:
 
 _LOG = logger_of("mbdkit.runs.simulation")  # the start and the end of a run go to the same logger
 
-_FINAL = ("wall-time", "max-steps", "plugin-error")
+_FINAL = ("wall-time", "max-steps", "plugin-error", "controller-error")
 """Failures that smaller steps cannot avoid."""
 
 
@@ -228,6 +229,9 @@ class SimulatedRun:
             self.timings["wall_s"] += self.stepper.wall
             self.timings["cpu_s"] += self.stepper.cpu
         begin = time.perf_counter()
+        if (python := self.workspace.python) is not None:
+            python.stop_calling()
+            self.cause = self.cause or python.cause
         self.check_accuracy(reporter)
         if self.accuracy is not None:
             self.timings["check_s"] = time.perf_counter() - begin
@@ -263,7 +267,7 @@ class SimulatedRun:
             np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)),
             z=states_at_start(workspace)[None],
         )  # fmt: skip
-        self.failure = self.recorder.record(first, (0.0, 0.0), start=True)
+        self.failure = self.recorder.record(first, (0.0, 0.0), start=True) or Sampler(workspace).failure
 
     def start(self) -> None:
         """Create the stepper of the method, or note why this fails in `failure`."""
@@ -422,16 +426,23 @@ class SimulatedRun:
         self._record_inputs(at_end=True)
 
     def _record_inputs(self, *, at_end: bool = False) -> None:
-        """Record the settings of inputs since the last call and, at the end, the last values of those that change."""
+        """Record the settings of inputs since the last call and, at the end, the last values of those that change, and
+        the outputs of controllers in Python.
+        """
         inner = self.inner_stepper
         if isinstance(inner, CompiledStepper | StepHost) and inner.sampler.is_needed:
             self.recorder.record_inputs([*inner.sampler.taken(), *(inner.sampler.ends(inner.time) if at_end else ())])
+            if self.workspace.python is not None:
+                self.recorder.record_samples(inner.sampler.taken_samples())
 
     def check_accuracy(self, progress: Progress | None) -> None:
         """Estimate the errors of the recorded rows if the spec asks for it."""
-        kept = self.recorder.kept
-        if not kept:
-            return
+        kept, python = self.recorder.kept, self.workspace.python
+        if kept:
+            with returning(None if python is None else python.returned):
+                self._check_accuracy(kept, progress)
+
+    def _check_accuracy(self, kept: Sequence[ObservedRows], progress: Progress | None) -> None:
         rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
         choice = self.choice
         if choice is not None and choice.pilots and len(rows.time) > 1 and not self.spec.check:

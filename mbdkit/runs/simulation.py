@@ -19,6 +19,7 @@ from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.archive.run_writer import Origin, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
+from mbdkit.base.called_functions import calls_allowed
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.interrupts import interrupts_noted
 from mbdkit.base.logs import logger_of, warn_on_stderr
@@ -36,7 +37,15 @@ from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_met
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import functionals_of, largest_loads_of
-from mbdkit.runs.preparation import build, caution, check_disk_space, make_method, recorded_arrays, require_support
+from mbdkit.runs.preparation import (
+    build,
+    caution,
+    check_calls,
+    check_disk_space,
+    make_method,
+    recorded_arrays,
+    require_support,
+)
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import Continuation
@@ -57,6 +66,7 @@ def run(
     archive: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
+    call: bool = False,
     **sections: Unpack[Sections],
 ) -> Run:
     """Run a spec.
@@ -74,6 +84,8 @@ def run(
         the time starts again from the beginning. If it raises KeyboardInterrupt, the run ends as after Ctrl-C, with the
         status ``interrupted``. If it raises any other exception, the archive is removed, and the exception is passed
         on. By default, notebooks show a progress bar.
+    call
+        Whether the Python functions that controllers of the spec name may be called. They can execute any code.
     **sections
         Sections of the spec, such as ``integrator={"name": "gauss", "stages": 2}``; they replace those of `source`.
 
@@ -105,7 +117,7 @@ def run(
     spec = load_spec(source, (), **sections)
     path = None if archive is None else Path(archive)
     is_shown = progress is None and in_notebook()
-    with progress_bar(spec.title or spec.model_item.name, quiet=not is_shown) as bar:
+    with progress_bar(spec.title or spec.model_item.name, quiet=not is_shown) as bar, calls_allowed(call):
         result = simulate(spec, path=path, overwrite=overwrite, progress=progress or bar)
     warn_on_stderr(result.warnings)
     return result
@@ -236,6 +248,7 @@ def _ended(spec: RunSpec, request: Request, progress: Progress | None) -> Simula
     method = "the method is chosen during the run" if spec.choose == "method" else spec.integrator_item.id
     if _LOG.isEnabledFor(logging.INFO):
         _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
+    check_calls(spec)
     with one_thread_of_linear_algebra():
         if spec.is_to_be_chosen:
             return _with_accuracy(spec, request, progress)

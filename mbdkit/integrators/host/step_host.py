@@ -245,6 +245,9 @@ class StepHost:
             before = self.now
             try:
                 self.begin_step()
+                if (failed := self.sampler.failure) is not None:
+                    self.failure = failed
+                    break
                 before, attempt = self._attempts.accepted(self.now, self.worst_pairs)
                 there = attempt.end
                 if there.event is not None and there.event.time <= before.begin:

@@ -368,6 +368,9 @@ class CompiledStepper:
         if self.sampler.is_needed:
             c.z[:] = self.sampler.passed(at, c.q, c.v, c.z, margin)
             c.z_low[self.sampler.held] = 0.0
+            if (failed := self.sampler.failure) is not None:
+                self.failure = failed
+                return
         if stop != at:
             return
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):

@@ -19,6 +19,7 @@ from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.native.calls import call_law
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Failure
 
 SAME = 1e-6
 """Largest difference, as a share of the period, between the time of a stop and that of a sample that count as equal."""
@@ -50,6 +51,7 @@ class Sampler:
         self._inputs = workspace.mechanism.inputs
         self.schedules = list(workspace.schedules or [InputSchedule()] * len(self._inputs))
         self._settings: list[Setting] = []
+        self._samples_taken: list[tuple[float, int, float]] = []  # time, state and value
         self._latest = [-1] * len(self._inputs)  # index of the last setting of each input
         self.set_states: list[int] = []
         #: Whether there are values to update.
@@ -117,13 +119,43 @@ class Sampler:
                 if not is_evaluated:
                     self._evaluate(stop, q, v, z)
                     is_evaluated = True
-                pending[number % len(pending)] = [self._value(row, stop) for _, row in controller.outputs]
+                pending[number % len(pending)] = self._outputs(controller, number, stop)
                 for state, row in controller.states:
                     after[state] = self._value(row, stop)
             number = self._number(stop, controller, controller.delay)
             if number is not None:
                 after[[state for state, _ in controller.outputs]] = pending[number % len(pending)]
         return after
+
+    def _outputs(self, controller: SampledController, number: int, t: float) -> list[float]:
+        """Return the outputs of a sample, by their number, at time `t` [s]; requires `_evaluate`."""
+        if not controller.python:
+            return [self._value(row, t) for _, row in controller.outputs]
+        if self._workspace.python is None:
+            return [0.0] * len(controller.outputs)
+        values = {name: self._value(row, t) for name, row in controller.arguments}
+        outputs = self._workspace.python.outputs(controller, number, t, values)
+        if self.failure is None:
+            states = [state for state, _ in controller.outputs]
+            self._samples_taken += [(t, state, value) for state, value in zip(states, outputs, strict=True)]
+        return outputs
+
+    @property
+    def failure(self) -> Failure | None:
+        """Why the function of a controller has failed; None if none has."""
+        python = self._workspace.python
+        return Failure("controller-error", f"{python.failure}.") if python is not None and python.failure else None
+
+    def taken_samples(self) -> dict[str, np.ndarray]:
+        """Return the outputs of controllers in Python since the last call, as arrays of the group ``samples``."""
+        taken, self._samples_taken = self._samples_taken, []
+        states = [self._workspace.mechanism.states[state] for _, state, _ in taken]
+        return {
+            "time": np.array([time for time, *_ in taken]),
+            "output": np.array([state.name for state in states], dtype=object),
+            "row_units": np.array([state.unit for state in states], dtype=object),
+            "value": np.array([value for *_, value in taken]),
+        }
 
     def _number(self, stop: float, controller: SampledController, delay: float) -> int | None:
         """Return the number of the sample taken `delay` [s] before the time `stop`; None if there is none."""
@@ -145,10 +177,9 @@ class Sampler:
         return float(out[0, 0])
 
     def stored(self) -> dict[str, Any]:
-        """Return the state of the sampler as plain values."""
-        settings = [[setting.time, float(setting.number), setting.value] for setting in self._settings]
+        """Return the state of the sampler as plain values, after all settings and samples have been taken."""
         pending = [values.tolist() for values in self._pending]
-        return {"pending": pending, "last": self._last, "latest": self._latest, "settings": settings}
+        return {"pending": pending, "last": self._last, "latest": self._latest}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore a stored state."""
@@ -156,7 +187,7 @@ class Sampler:
             own[...] = np.array(given, dtype=float).reshape(own.shape)
         self._last = float(state["last"])
         self._latest[:] = map(int, state["latest"])
-        self._settings = [Setting(time, int(number), value) for time, number, value in state["settings"]]
+        self._settings, self._samples_taken = [], []
 
 
 def _pending(controller: SampledController) -> int:

@@ -82,8 +82,12 @@ def check_run(
 
 
 def _excluded(mechanism: Mechanism) -> str:
-    """Return a sentence on the error that all runs of a mechanism with beams share; empty without beams."""
-    return f" {MESH_ERROR.capitalize()} is not included." if mechanism.beams else ""
+    """Return sentences on what all runs of a mechanism share: the mesh of beams, inputs, outputs of functions; or none.
+    """
+    in_python = any(controller.python is not None for controller in mechanism.controllers.values())
+    given = ["inputs"] * bool(mechanism.inputs) + ["outputs of controllers in Python"] * in_python
+    of_given = f" These are errors for given {listed(given, 'and')}, which the comparison runs repeat."
+    return f" {MESH_ERROR.capitalize()} is not included." * bool(mechanism.beams) + of_given * bool(given)
 
 
 def why_unknown(

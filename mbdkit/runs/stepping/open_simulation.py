@@ -129,6 +129,11 @@ class Simulation:
         if spec.limits.wall_time is not None:
             reason = "the program decides when it ends"
             raise spec.placed(SpecError(f"has no meaning in an open simulation: {reason}", key="limits.wall_time"))
+        for name, controller in spec.mechanism().controllers.items():
+            if controller.python is not None:
+                key = f"model.controllers.{quoted(name)}.python"
+                advice = "call the function there, and set an input to what it returns"
+                raise spec.placed(SpecError(f"the program controls an open simulation; {advice}", key=key))
         if archive is not None:
             check_target(archive, overwrite=overwrite)
         self._archive, self._overwrite = archive, overwrite

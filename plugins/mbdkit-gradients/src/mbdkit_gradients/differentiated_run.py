@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.integrators.start import compiled_method
 from mbdkit.kernels import DIRECTIONS, Observed
-from mbdkit.plugin import MbdkitError, Method, RunError, RunSpec, SpecError, StepError, path_text
+from mbdkit.plugin import MbdkitError, Method, RunError, RunSpec, SpecError, StepError, path_text, quoted
 from mbdkit.plugin.equations import FORMULATIONS, Formulation, SingularSystemError, Stabilization, StateObserver
 from mbdkit.plugin.measures import Found, RunExpression, Watch, Watched
 from mbdkit.plugin.methods import (
@@ -199,6 +199,10 @@ def refuse(spec: RunSpec, method: Method) -> None:
         raise SpecError(message, key="integrator") from None
     if spec.settings():
         raise SpecError("runs in which events set states have no derivatives", key="events")
+    for name, controller in spec.mechanism().controllers.items():
+        if controller.python is not None:
+            key = f"model.controllers.{quoted(name)}.python"
+            raise SpecError("the function of a controller in Python has no derivatives", key=key)
     if spec.is_to_be_chosen:
         raise SpecError("gradients are not available with `accuracy`; give an integrator and a step", key="accuracy")
     if spec.output.interval is not None:

@@ -150,7 +150,7 @@ def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
             quantity = array.components[last[0][1] if last else 0]
         else:
             quantity = "_".join([array.name, *(name for name, _ in last)])
-        unit = units[at[dims.index(row_dim)]] if units else array.units
+        unit = units[at[dims.index(row_dim)]] if row_dim in dims else array.units
         yield TableColumn(".".join([*element, quantity]), unit, array, at)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
-from mbdkit.cli.common_options import PLAIN
+from mbdkit.cli.common_options import PLAIN, Call
 from mbdkit.plugin import show, show_json
 from mbdkit.plugin.seams import spec_check
 from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, count_bar, grouped, output_to, say, silence, stem
@@ -103,6 +103,7 @@ def study(
             "--report", help="Also write report.html and figures/, replacing old ones, and print the main table."
         ),
     ] = False,
+    call: Call = False,
     printing: Printing,
 ) -> None:
     """Run a study: many variants of one spec.
@@ -152,6 +153,7 @@ def study(
             with_=stored.methods or (),
             overwrite=stored.overwrite,
             store=stored.store,
+            call=call,
         )
     page, told, values = None, "", {}
     if with_report:

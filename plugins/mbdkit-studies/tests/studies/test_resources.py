@@ -175,6 +175,6 @@ def test_an_error_of_the_disk_names_the_file_that_was_computed(begun, monkeypatc
     def carry(task: dict[str, Any], notify: Any) -> dict[str, Any]:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    task = {"path": str(begun / "runs" / "abc.h5"), "command": []}
+    task = {"path": str(begun / "runs" / "abc.h5"), "command": [], "call": False}
     (answer,) = worker.compute([task], mbdkit.__version__, carry)
     assert answer["reason"] == f"no-resources: {task['path']}: Input/output error"

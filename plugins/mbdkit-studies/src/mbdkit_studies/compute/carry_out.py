@@ -15,6 +15,7 @@ import numpy as np
 from mbdkit.archive.missing_plugins import missing_plugins
 from mbdkit.base.interrupts import interrupts_delayed
 from mbdkit.plugin import MbdkitError, SpecError, counted, load, plain, shown, value_text
+from mbdkit.plugin.runs import calls_allowed, check_calls
 from mbdkit.plugin.specs import RunSource, load_spec, parse_key, read_source
 from mbdkit.plugin.terminal import count_bar, in_notebook, logger_of, say
 from mbdkit_studies.compute.added_methods import MethodSource, with_methods
@@ -91,6 +92,7 @@ def study(
     with_: Sequence[MethodSource] | MethodSource = (),
     overwrite: bool = False,
     store: Storing | None = None,
+    call: bool = False,
 ) -> Study:
     """Run a study: compute the runs that are missing in its folder.
 
@@ -127,6 +129,8 @@ def study(
     store
         What is stored of each run, in place of `store` in the study spec: an archive for each run (``files``) or, in
         files of many runs, ``all`` arrays, ``histories``, a ``summary`` or ``hashes``.
+    call
+        Whether the Python functions that controllers of the specs name may be called. They can execute any code.
 
     Returns
     -------
@@ -165,7 +169,8 @@ def study(
         )
     spec = with_methods(load_study_spec(source, assignments), with_, notify)
     spec = spec if store is None else spec.stored_as(store)
-    return _carried_out(spec, out, engine, shard, progress, notify, overwrite=overwrite)
+    with calls_allowed(call):
+        return _carried_out(spec, out, engine, shard, progress, notify, overwrite=overwrite)
 
 
 def ensemble(
@@ -276,6 +281,8 @@ def _carried_out(
 
             store: RunStores = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
             folder.check(spec, overwrite=overwrite)
+            for _, checked in store.plan.validated:
+                check_calls(checked)
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(store.count, "run"))
             of_sample |= store.plan.warnings_of_sample()
             for warning in (*of_sample.values(), *store.plan.notes()):

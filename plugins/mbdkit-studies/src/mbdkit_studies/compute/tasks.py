@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from mbdkit.base.command_words import command_words
+from mbdkit.plugin.runs import may_call
 
 Message: TypeAlias = dict[str, Any]
 """A task for a worker, or its answer, as plain data that JSON can contain."""
@@ -58,9 +59,12 @@ class Task:
     skip: Mapping[int, str] = field(default_factory=dict)
 
     def message(self) -> Message:
-        """Return the message from which a worker can carry out the task, with the command line of this process."""
+        """Return the message from which a worker can carry out the task, with the command line of this process, and
+        whether functions that specs name may be called.
+        """
         skip = {str(run): reason for run, reason in self.skip.items()}
-        return {**self.content, "path": str(self.path.absolute()), "skip": skip, "command": command_words()}
+        own = {"path": str(self.path.absolute()), "skip": skip, "command": command_words(), "call": may_call()}
+        return {**self.content, **own}
 
     def after_death(self, how: str) -> Task | None:
         """Return the task to try after a process died in this task; None if it is not tried again.

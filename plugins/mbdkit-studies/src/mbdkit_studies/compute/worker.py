@@ -23,6 +23,7 @@ from mbdkit.base.command_words import executing
 from mbdkit.plugin import MbdkitError, SpecError, shown
 from mbdkit.plugin.archives import own_version
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.runs import calls_allowed
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.compute.tasks import Message
 
@@ -106,7 +107,7 @@ def _answered(task: Message, of_version: str, carry: Carry) -> Message:
 
 def _outcome(task: Message, notify: Callable[[str], None], carry: Carry) -> Message:
     try:
-        with executing(task["command"]):
+        with executing(task["command"]), calls_allowed(task["call"]):
             return carry(task, notify)
     except SpecError as error:
         if error.file == task["path"]:  # the folder of the study was changed, so the spec is not the cause

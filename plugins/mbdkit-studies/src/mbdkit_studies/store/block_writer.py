@@ -55,6 +55,7 @@ KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
 
 COUNTS = (
     ("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"), ("set/number", "inputs"),
+    ("sample", "samples"),
 )  # fmt: skip
 """Axes of a run archive that grow during a run, each with the group in which a block stores its length by run."""
 
@@ -85,7 +86,10 @@ _HASHES = {
     "data_sha256": "hash of all its arrays, kept or not",
 }
 
-_AXIS = {"time": "row", "interval": "interval", "event": "event", "impact": "impact", "set/number": "set/number"}
+_AXIS = {
+    "time": "row", "interval": "interval", "event": "event", "impact": "impact", "set/number": "set/number",
+    "sample": "sample",
+}  # fmt: skip
 """Names in a block of the axes that grow during a run.
 
 The scale along such an axis numbers the rows, because the recorded times differ between runs.

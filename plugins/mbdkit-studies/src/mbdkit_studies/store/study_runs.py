@@ -15,6 +15,7 @@ from mbdkit.plugin import MbdkitError, Run, SpecError, did_you_mean, listed, sim
 from mbdkit.plugin.archives import COUNTERS, MeasuredValues, own_version
 from mbdkit.plugin.files import FileRead, only_known
 from mbdkit.plugin.measures import Description
+from mbdkit.plugin.runs import calls_allowed
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.spec.measures import MEASURES, other_values
@@ -111,7 +112,14 @@ class StudyRuns:
                 known.remarks,
             )
 
-    def remake(self, point: StudyPoint | int | None = None, *, number: int | None = None, files: bool = False) -> Run:
+    def remake(
+        self,
+        point: StudyPoint | int | None = None,
+        *,
+        number: int | None = None,
+        files: bool = False,
+        call: bool = False,
+    ) -> Run:
         """Integrate the run of a point again, and return it with all of its arrays, in memory.
 
         Parameters
@@ -121,6 +129,8 @@ class StudyRuns:
         files
             Whether files that the spec names may be read, such as a model of another program; they must have the
             SHA-256 with which the run was computed.
+        call
+            Whether the Python functions that controllers of the spec name may be called.
 
         Raises
         ------
@@ -138,7 +148,7 @@ class StudyRuns:
         why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
         reference = self.reference(chosen)
         try:
-            with only_known(read, allowed=files):
+            with only_known(read, allowed=files), calls_allowed(call):
                 run = _remake(self.spec, chosen, reference, why)
         finally:
             if reference is not None:

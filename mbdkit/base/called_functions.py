@@ -1,0 +1,81 @@
+"""Python functions that a spec names: how they are found, whether they may be called, and what they returned before.
+
+A spec from elsewhere must not run code by itself. Functions are therefore neither imported nor called except within
+`calls_allowed`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from operator import attrgetter
+from typing import Any
+
+from mbdkit.base.distributions import entry_points
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed, one_line
+
+GROUP = "mbdkit.controllers"
+"""Group of the entry points with functions of controllers."""
+
+Returned = Mapping[str, Sequence[Sequence[float]]]
+"""Values that functions returned at their calls, one after another, by the name of what calls them."""
+
+_ALLOWED: ContextVar[bool] = ContextVar("allowed", default=False)
+_RETURNED: ContextVar[Returned | None] = ContextVar("returned", default=None)
+
+
+@contextmanager
+def calls_allowed(allowed: bool = True) -> Iterator[None]:
+    """Allow that functions that a spec names are imported and called within a block, if `allowed`."""
+    token = _ALLOWED.set(allowed or _ALLOWED.get())
+    try:
+        yield
+    finally:
+        _ALLOWED.reset(token)
+
+
+def may_call() -> bool:
+    """Return whether functions that a spec names may be imported and called."""
+    return _ALLOWED.get()
+
+
+@contextmanager
+def returning(values: Returned | None) -> Iterator[None]:
+    """Within a block, use what functions returned before, as long as there is something, instead of calling them."""
+    token = _RETURNED.set(values)
+    try:
+        yield
+    finally:
+        _RETURNED.reset(token)
+
+
+def returned_before() -> Returned | None:
+    """Return what functions returned before; None if they are to be called."""
+    return _RETURNED.get()
+
+
+def function_at(target: str) -> Callable[..., Any]:
+    """Import a function: ``module:name``, or the name of an entry point of the group `GROUP`.
+
+    Raises SpecError if there is no such function.
+    """
+    module, colon, name = target.partition(":")
+    try:
+        if colon:
+            found = attrgetter(name)(importlib.import_module(module))
+        else:
+            points = {point.name: point for point in entry_points(GROUP)[0]}
+            if target not in points:
+                hint = did_you_mean(target, points) or f"; there are {listed([*points]) or 'none'}"
+                raise SpecError(f"there is no entry point '{target}' in the group {GROUP}{hint}")
+            found = points[target].load()
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SpecError):
+            raise
+        raise SpecError(f"the function '{target}' cannot be imported: {one_line(error)}") from error
+    if not callable(found):
+        raise SpecError(f"'{target}' is not a function but of the type {type(found).__name__}")
+    return found  # type: ignore[no-any-return]
