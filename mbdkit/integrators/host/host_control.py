@@ -33,10 +33,12 @@ class HostControl:
     """Accepts and rejects controlled steps, and chooses their sizes.
 
     `tolerances`: tolerances of the method. `error_order`: order p of its error estimate, whose size is O(h^(p + 1)).
-    `workspace`, `timetable`: the run.
+    `workspace`, `timetable`: the run. `z0`: (Z,) first-order states at its start.
     """
 
-    def __init__(self, tolerances: Tolerances, error_order: float, workspace: Workspace, timetable: Timetable):
+    def __init__(
+        self, tolerances: Tolerances, error_order: float, workspace: Workspace, timetable: Timetable, z0: np.ndarray
+    ):
         self._rtol, mechanism = tolerances.rtol, workspace.mechanism
         length = unit_of_length(tolerances.by_size, mechanism)
         bodies = np.tile([length, length, 1.0], 2 * len(mechanism.bodies))
@@ -50,7 +52,7 @@ class HostControl:
         if timetable.step is not None:
             self.first = min(span, timetable.step)
         else:
-            self.first = min(span, first_step(workspace, span, self._of_order(error_order)), self._longest)
+            self.first = min(span, first_step(workspace, span, self._of_order(error_order), z0), self._longest)
 
     def _of_order(self, order: float) -> Control:
         k = order + 1.0

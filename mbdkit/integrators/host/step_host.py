@@ -66,7 +66,7 @@ class StepHost:
         z0 = states_at_start(workspace)
         self.control: HostControl | None = None
         if isinstance(self.method, StepMethod) and method.tolerances is not None:
-            self.control = HostControl(method.tolerances, self.method.error_order, workspace, timetable)
+            self.control = HostControl(method.tolerances, self.method.error_order, workspace, timetable, z0)
         self.use(EquationsOfMotion(workspace, z0))
         self.sampler = Sampler(workspace, timetable.samples)
         if self.sampler.is_needed:  # the initial states include the first changes, but outputs may be delayed

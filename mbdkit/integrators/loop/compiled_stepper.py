@@ -94,11 +94,12 @@ class CompiledStepper:
         self.time = timetable.start
         self.goal = ENDLESS
         self._unhandled = OK  # status of `takes_steps_to_goal` that `advance` has to handle
+        z0 = states_at_start(workspace)
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         stages = method.stages if timetable.nodes else 0
         nodes = stages * -(-rows // max(1, stages))
         self.pinned_state = PinnedBundle(
-            new_run_state(workspace, rows, own_multipliers=method.carries_multipliers, stages=stages, nodes=nodes)
+            new_run_state(workspace, rows, z0, own_multipliers=method.carries_multipliers, stages=stages, nodes=nodes)
         )
         self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
         self._state = *kept(self.run_state, STATE).values(), *method.kept(STATE).values()
@@ -110,7 +111,7 @@ class CompiledStepper:
         size = timetable.step
         if control is not None:
             span = timetable.end - timetable.start
-            size = min(span, size if size is not None else first_step(workspace, span, control))
+            size = min(span, size if size is not None else first_step(workspace, span, control, z0))
         assert size is not None
         self.first_size = size
         progress = self.run_state.progress

@@ -15,7 +15,6 @@ from mbdkit.engine.kernels.vectors import add_compensated
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import subkernel
 from mbdkit.engine.workspace import example_workspace
-from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.run.step_guards import GuardState, new_guard_state
 
 if TYPE_CHECKING:
@@ -223,7 +222,13 @@ class RunState(NamedTuple):
 
 
 def new_run_state(
-    workspace: Workspace, rows: int, *, own_multipliers: bool = False, stages: int = 0, nodes: int = 0
+    workspace: Workspace,
+    rows: int,
+    z: np.ndarray | None = None,
+    *,
+    own_multipliers: bool = False,
+    stages: int = 0,
+    nodes: int = 0,
 ) -> RunState:
     """Return the bundle of a run at its start.
 
@@ -233,6 +238,8 @@ def new_run_state(
         The mechanism and its start.
     rows
         Size of the buffer of recorded states.
+    z
+        (Z,) first-order states at the start; by default, the initial ones of the mechanism.
     own_multipliers
         Whether the method computes multipliers, which are then recorded.
     stages, nodes
@@ -248,7 +255,8 @@ def new_run_state(
     def by_pair() -> np.ndarray:
         return np.zeros((pairs, 2))
 
-    q, v, z = workspace.q0.copy(), workspace.v0.copy(), states_at_start(workspace)
+    q, v = workspace.q0.copy(), workspace.v0.copy()
+    z = (workspace.mechanism.initial_states if z is None else z).copy()
     return RunState(
         top=top, still=still, w=workspace.scratch, solver=workspace.solver,
         has_power=np.array([int(workspace.mechanism.has_power)]),

@@ -29,7 +29,6 @@ from mbdkit.engine.kernels.elementary.logarithms import log
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.functions import subkernel
-from mbdkit.integrators.run.sampled_control import states_at_start
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -255,10 +254,14 @@ def factor_after_rejection(control, solved, error):
     return where(solved & (error < np.inf), factor, SOLVER_FAILURE_FACTOR)
 
 
-def first_step(workspace: Workspace, span: float, control: Control) -> float:
-    """Return a small first step from the start of a workspace in a run of length `span` [s]; see `first_size`."""
+def first_step(workspace: Workspace, span: float, control: Control, z: np.ndarray | None = None) -> float:
+    """Return a small first step from the start of a workspace in a run of length `span` [s]; see `first_size`.
+
+    `z`: (Z,) first-order states at the start; by default, the initial ones of the mechanism.
+    """
+    z = workspace.mechanism.initial_states if z is None else z
     n3 = 3 * len(workspace.mechanism.bodies)
-    y = np.concatenate([workspace.q0[:n3], workspace.v0[:n3], np.zeros(2), states_at_start(workspace)])
+    y = np.concatenate([workspace.q0[:n3], workspace.v0[:n3], np.zeros(2), z])
     rates = np.zeros_like(y)
     acc, lam = np.zeros((3, workspace.mechanism.size)), np.zeros((len(workspace.stepping_topology.pairs), 2))
     first_order_rates(workspace.stepping_engine, False, workspace.t0, y, acc, lam, rates)

@@ -82,8 +82,7 @@ def check_run(
 
 
 def _excluded(mechanism: Mechanism) -> str:
-    """Return sentences on what all runs of a mechanism share: the mesh of beams, inputs, outputs of functions; or none.
-    """
+    """Return sentences on what all runs of a mechanism share: mesh of beams, inputs, outputs of functions; or none."""
     in_python = any(controller.python is not None for controller in mechanism.controllers.values())
     given = ["inputs"] * bool(mechanism.inputs) + ["outputs of controllers in Python"] * in_python
     of_given = f" These are errors for given {listed(given, 'and')}, which the comparison runs repeat."

@@ -37,9 +37,9 @@ Knee of `leg-four-bar`
     That of the model `four-bar-knee` on a thigh that moves: rods `acl` and `pcl`, joints A and B on the shank, C and D
     on the thigh. Knee flexion is the angle between thigh and shank.
 
-Further joints, forces (springs, torques, laws), markers, inputs, muscles and contacts are added by name, as in the model
-`mechanism`, with points in the frames of the bodies, whose origins are the centres of mass, or by `at`, `from` and `to`
-in global coordinates at the start.
+Further joints, forces (springs, torques, laws), markers, inputs, muscles and contacts are added by name, as in the
+model `mechanism`, with points in the frames of the bodies, whose origins are the centres of mass, or by `at`, `from`
+and `to` in global coordinates at the start.
 """
 
 from __future__ import annotations
