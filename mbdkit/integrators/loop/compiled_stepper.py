@@ -212,6 +212,8 @@ class CompiledStepper:
     def at_goal(self) -> bool:
         """See `Stepper.at_goal`."""
         progress = self.run_state.progress
+        if self._unhandled != OK:
+            return False
         if self.goal.whole >= 0:
             return bool(progress.whole[0] >= self.goal.whole and not progress.pending[0])
         return bool(progress.time[0] >= self.goal.reached)
@@ -247,7 +249,7 @@ class CompiledStepper:
             self.pinned_plan.address, steps, 0,
         )  # fmt: skip
         c.first_row[0] = rows
-        if status != OK:
+        if status not in (OK, step_loop.AT_STOP):
             self._unhandled = status
             return False
         self.time = progress.time.item()

@@ -76,3 +76,16 @@ def test_a_failed_step_is_an_error_and_a_failed_run():
     assert run.status == "failed"
     assert run.time[-1] == 0.25
     assert mbdkit.run(run.spec).data_sha256 == run.data_sha256
+
+
+def test_a_guard_that_stops_the_last_step_of_an_advance_is_not_missed():
+    limits = {"misalignment": 1e-9}
+    simulation = mbdkit.open(driven_pendulum(), **sections("rk4", end=10.0), limits=limits)
+    with pytest.raises(mbdkit.RunError, match="^fell-apart: "):
+        for _ in range(1000):
+            simulation.advance(0.01)
+    run = simulation.finish()
+    assert run.status == "failed"
+    again = mbdkit.run(run.spec)
+    assert again.status_reason == run.status_reason
+    assert again.data_sha256 == run.data_sha256

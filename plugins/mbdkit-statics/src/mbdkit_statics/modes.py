@@ -81,6 +81,12 @@ class Linearization:
         f = len(self.stiffness)
         return np.block([[np.zeros((f, f)), np.eye(f)], [-self.stiffness, -self.damping]])
 
+    def input_matrix(self) -> np.ndarray:
+        """Return the matrix B (2 f + Z, U) of ``x' = A x + B u``, for the inputs of the mechanism in their order."""
+        f = len(self.stiffness)
+        by_input = np.zeros((f, 0)) if self.states is None else self.states.by_input
+        return np.vstack([np.zeros((f, by_input.shape[1])), by_input])
+
 
 @dataclass(frozen=True)
 class Modes(HtmlView):

@@ -111,7 +111,12 @@ def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np
     force, by_state = states.by_states(at.t, at.q, at.v, z)
     by_position, by_velocity = states.rates_by_motion(at.t, at.q, at.v, z)
     moved = by_position @ small.basis + by_velocity @ small.turning
-    return CoupledStates(states.names, small.basis.T @ force, moved, by_velocity @ small.basis, by_state)
+    names = tuple(item.name for item in prepared.workspace.mechanism.inputs)
+    by_input, rates = states.by_inputs(at.t, at.q, at.v, z)
+    by_input = np.vstack([small.basis.T @ by_input, rates])
+    return CoupledStates(
+        states.names, small.basis.T @ force, moved, by_velocity @ small.basis, by_state, names, by_input
+    )
 
 
 def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) -> Reduced:

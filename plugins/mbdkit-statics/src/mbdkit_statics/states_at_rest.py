@@ -11,7 +11,7 @@ Subscripts denote partial derivatives. Q_z and the derivatives of g are computed
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,11 +120,20 @@ class StatesAtRest:
 
     def by_states(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of the forces (n, F) and of the rates (F, F) with respect to the states."""
+        return self._by(range(len(self.names)), t, q, v, z)
+
+    def by_inputs(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of the forces (n, U) and of the rates (F, U) with respect to the inputs."""
+        return self._by([item.state for item in self._workspace.mechanism.inputs], t, q, v, z)
+
+    def _by(
+        self, columns: Sequence[int], t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         n, size, count = len(q), np.maximum(np.abs(z), 1.0), len(self.names)
         both = self._differences(
             lambda x: np.concatenate([self.forces(t, q, v, x), self.rates(t, q, v, x)]), z, DISTANCE * size
-        )
-        return both[:n, :count], both[n : n + count, :count]
+        )[:, list(columns)]
+        return both[:n], both[n : n + count]
 
     def rates_by_motion(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of the rates with respect to the positions, and with respect to the velocities, both
@@ -164,6 +173,10 @@ class CoupledStates:
         Derivatives of the accelerations with respect to the states.
     by_position, by_velocity, by_state : (Z, f), (Z, f) and (Z, Z) arrays
         Derivatives of the rates.
+    inputs
+        Names of the U inputs of the mechanism.
+    by_input : (f + Z, U) array
+        Derivatives of the accelerations and of the rates with respect to the inputs.
     """
 
     names: tuple[str, ...]
@@ -171,6 +184,8 @@ class CoupledStates:
     by_position: np.ndarray
     by_velocity: np.ndarray
     by_state: np.ndarray
+    inputs: tuple[str, ...]
+    by_input: np.ndarray
 
     def matrix(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
         """Return the matrix of the first-order form of the coupled equations, for ``(y, y', z)``."""

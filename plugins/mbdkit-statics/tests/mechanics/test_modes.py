@@ -268,3 +268,20 @@ def test_motions_of_rigid_bodies_are_not_modes_for_which_elements_are_too_coarse
     first = 1 + int(np.argmax(found.natural_frequency > 1e-6))
     assert first == 7
     assert f"too coarse for mode {first} " in found.warnings[0]
+
+
+def test_the_input_matrix_is_the_acceleration_for_a_unit_of_each_input():
+    # an arm about a pivot, moment of inertia J + m l^2 = 0.08 + 1.5*0.5^2, and a filter z' = (u - z)/0.1
+    m = mbdkit.Mechanism()
+    m.body("arm", mass=1.5, inertia=0.08, position=(0.0, -0.5), angle=-math.pi / 2)
+    m.revolute("hub", m.ground, "arm", at=(0.0, 0.0))
+    m.input("torque", unit="N*m")
+    m.input("signal", hold="linear")
+    m.state("filtered", rate="(inputs.signal - states.filtered)/0.1")
+    m.torque("motor", "arm", value="inputs.torque + 2*states.filtered")
+    linear = mbdkit.linearize(m)
+    turn = linear.basis[2, 0]
+    acceleration = 1.0 / (0.08 + 1.5 * 0.25)
+    np.testing.assert_allclose(turn * linear.input_matrix()[1], [acceleration, 0.0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(linear.input_matrix()[[0, 2]], [[0.0, 0.0], [0.0, 10.0]], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(turn * linear.state_matrix()[1, 2], 2.0 * acceleration, rtol=1e-9)
