@@ -275,4 +275,4 @@ class LobattoPair(Method):
     def traits(self) -> Traits:
         """See `Method`."""
         compiled = Target[Any]("mbdkit.integrators.stages.lobatto_iiia_iiib:CompiledLobattoPair")
-        return Traits(compiled, suits_stiff=True, own_multipliers="always")
+        return Traits(compiled, suits_stiff=True, own_multipliers="always", integrates_states=False)

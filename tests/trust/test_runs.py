@@ -66,11 +66,11 @@ def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: i
     from mbdkit.runs.simulation import measured_in
 
     given = load_spec(spec(DOUBLE, RK4, 2.0, 0.01, output={"every": every}), ())
-    workspace, _ = build(given)
+    workspace, start = build(given)
     arrays = recorded_arrays(given, make_method(given), workspace.mechanism)
     writer = ArrayWriter(archive_names(workspace.mechanism), arrays)
     request = Request(begun=lambda spec, method, start: writer, begin=0.0, measured_in=measured_in)
-    simulation = SimulatedRun(given, workspace, Exploding(), writer, request, (), None, ())
+    simulation = SimulatedRun(given, workspace, start, Exploding(), writer, request, (), None, ())
     simulation.integrate(None)
     simulation.finish()
     assert simulation.run is not None

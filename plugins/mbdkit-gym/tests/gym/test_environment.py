@@ -111,7 +111,7 @@ def test_a_simulation_that_cannot_go_on_terminates_its_episode_and_says_why(furt
     environment.reset(options={"pole.angular_velocity": 20.0})
     outcomes = [environment.step(np.zeros(1)) for _ in range(3)]
     number = next(i for i, outcome in enumerate(outcomes) if outcome[2])
-    assert "joints" in outcomes[number][4]["ended"]
+    assert "joint" in outcomes[number][4]["ended"]
     assert not outcomes[number][3]
     environment.reset()
     assert environment.step(np.zeros(1))[2:] == (False, False, {"t": 0.02})
