@@ -275,4 +275,8 @@ class LobattoPair(Method):
     def traits(self) -> Traits:
         """See `Method`."""
         compiled = Target[Any]("mbdkit.integrators.stages.lobatto_iiia_iiib:CompiledLobattoPair")
-        return Traits(compiled, suits_stiff=True, own_multipliers="always", integrates_states=False)
+        return Traits(compiled, suits_stiff=True, own_multipliers="always")
+
+    def require_mechanism(self, mechanism: CompiledMechanism) -> None:
+        """See `Method`: first-order states are not supported."""
+        mechanism.refuse_states("a Lobatto pair")
