@@ -295,6 +295,13 @@ class SimulatedRun:
         integrals = self.integrals is not None and self.integrals.needs_nodes
         return integrals or (ranges is not None and ranges.needs_nodes)
 
+    def next_stretch(self, stepper: Advancing) -> Stretch | None:
+        """Advance, and return the rows; if the method fails, those before the failure, or None if there are none."""
+        stretch: Stretch | None = None
+        with self.blaming_the_plugin():
+            stretch = stepper.advance()
+        return stretch if self.failure is None else stepper.rows_before_error()
+
     def taken(self, stepper: Advancing, stretch: Stretch) -> Taken:
         """Return what the latest steps have given."""
         nodes = stepper.taken_nodes() if self.keeps_nodes else None
@@ -396,13 +403,9 @@ class SimulatedRun:
         elapsed = time.perf_counter() - begin if self.request.continuation is not None else 0.0
         recorded = self.recorder.last_time
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
-            with self.blaming_the_plugin():
-                stretch = stepper.advance()
-            if self.failure is not None:
-                rows = stepper.rows_before_error()
-                if rows is None:
-                    break
-                stretch = rows
+            stretch = self.next_stretch(stepper)
+            if stretch is None:
+                break
             now = time.perf_counter() - begin
             self.record(self.taken(stepper, stretch), (elapsed, now))
             self._record_inputs()

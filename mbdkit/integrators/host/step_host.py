@@ -79,7 +79,6 @@ class StepHost:
         )  # fmt: skip
         self.time = timetable.start
         self.goal = ENDLESS
-        self._held: dict[int, float] = {}  # first-order states that are set before the next step
         self.impacts: list[DriverImpulse] = []
         self._last: LastStep | None = None
         self._recorded: list[RecordedRow] = []
@@ -128,7 +127,7 @@ class StepHost:
 
     def begin_again(self) -> None:
         """See `Stepper.begin_again`."""
-        self.finished, self.failure, self.goal, self._last, self._held = False, None, ENDLESS, None, {}
+        self.finished, self.failure, self.goal, self._last = False, None, ENDLESS, None
         self._nodes.taken()
 
     def aim(self, goal: Goal) -> None:
@@ -147,8 +146,9 @@ class StepHost:
 
     def hold(self, values: Mapping[int, float]) -> None:
         """See `Stepper.hold`."""
-        self._held = {**self._held, **values}
-        self.now = self.now._replace(why="start" if self.now.why == "start" else "stop")
+        state, z = self.now.state, self.now.state.z.copy()
+        z[[*values]] = [*values.values()]
+        self.now = self.now._replace(state=replace(state, z=z, low=state.low[:2]), why="stop")
 
     def continue_from(self, reached: Reached, next_row: int = 1, library: bytes | None = None) -> None:
         """Continue from a point of the run, that of a checkpoint.
@@ -211,10 +211,8 @@ class StepHost:
                 state = replace(state, v=new[: self.equations.n], low=(state.low[0], 0.0, *state.low[2:]))
                 energy, why = energy + np.array([impact.energy, 0.0]), "impact"
             if self.sampler.is_needed:
-                z, margin = state.z.copy(), table.stop_margins[now.passed - 1] if is_listed else 0.0
-                z[[*self._held]] = [*self._held.values()]
-                self._held = {}
-                z = self.sampler.passed(t, *_with_ground(state), z, margin)
+                margin = table.stop_margins[now.passed - 1] if is_listed else 0.0
+                z = self.sampler.passed(t, *_with_ground(state), state.z, margin)
                 state = replace(state, z=z, low=state.low[:2])
         if why == "projection" and math.isfinite(now.size):
             self.equations.first_step = now.size

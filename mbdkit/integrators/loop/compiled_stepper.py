@@ -93,6 +93,7 @@ class CompiledStepper:
         self.failure: Failure | None = None
         self.time = timetable.start
         self.goal = ENDLESS
+        self._at_start: list[np.ndarray] = []
         self._unhandled = OK  # status of `takes_steps_to_goal` that `advance` has to handle
         z0 = states_at_start(workspace)
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
@@ -129,7 +130,6 @@ class CompiledStepper:
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
         self._last_rows = self.collect(0)
-        self._at_start = [x.copy() for x in self._arrays()]
         self.drive(self.pinned_plan, 0)  # compiles or loads the step loop before the first step is timed
 
     def drive(self, plan: PinnedBundle, budget: int, path: int = 0) -> tuple[int, int]:
@@ -255,13 +255,18 @@ class CompiledStepper:
         self.time = progress.time.item()
         return bool(progress.whole[0] == whole) and not progress.pending[0]
 
+    def keep_start(self) -> None:
+        """Keep the state at the start, before the first step, for `restart`."""
+        if not (self.method.prepares or self.timetable.nodes):
+            self._at_start = [x.copy() for x in self._arrays()]
+
     def restart(self) -> bool:
         """Return to the start, with the inputs that the workspace has now; False if a new stepper is needed for that.
 
-        Explicit methods that have chosen no pivots can return to the start.
+        Explicit methods that have chosen no pivots can return to the start, after `keep_start`.
         """
         workspace, c = self.workspace, self.run_state
-        if self.method.prepares or workspace.pivotings or workspace.solver.pivoted[0] or self.timetable.nodes:
+        if not self._at_start or workspace.pivotings or workspace.solver.pivoted[0]:
             return False
         for now, then in zip(self._arrays(), self._at_start, strict=True):
             now[...] = then

@@ -113,12 +113,12 @@ class InputHistory:
             if times
         }
         time = spec.time
-        pauses = [*time.stops, *(pause for pause in self.pauses if pause < end)]
-        if not tables and end == time.final and len(pauses) == len(time.stops):
+        stops = sorted({stop for stop in (*time.stops, *self.pauses) if stop < end})
+        if not tables and end == time.final and stops == sorted(time.stops):
             return spec
         kept = {name: value for name, value in (("start", time.start), ("step", step)) if value is not None}
         given = spec.sections()
-        sections = {"inputs": {**given["inputs"], **tables}, "time": {**kept, "end": end, "stops": pauses}}
+        sections = {"inputs": {**given["inputs"], **tables}, "time": {**kept, "end": end, "stops": stops}}
         return type(spec)(**(given | sections))
 
     def settings(self, after: int, end: float, *, is_over: bool) -> list[Setting]:

@@ -85,6 +85,7 @@ class Reader:
     def __call__(self) -> np.ndarray:
         """Return the values (n,) in SI units; nan where an expression is undefined."""
         simulation = self._simulation
+        simulation.check_open()
         if self._values is None or self._of is not simulation.stepper:
             self._values, self._of = simulation.values_of(self._expressions), simulation.stepper
         return self._values(simulation.time)
@@ -202,6 +203,8 @@ class Simulation:
         self._is_fixed: bool = stepper.is_fixed
         is_plain = run.watch is None and run.integrals is None and not run.keeps_nodes and not run.table.single
         self._quick = stepper if isinstance(stepper, CompiledStepper) and stepper.is_fixed and is_plain else None
+        if self._quick is not None:
+            self._quick.keep_start()
 
     def __enter__(self) -> Self:
         return self
@@ -229,7 +232,7 @@ class Simulation:
         Raises SpecError if it is finished already or was never advanced, and ResourceError if the archive cannot be
         written.
         """
-        self._check_open()
+        self.check_open()
         if self.time <= self._run.workspace.t0:
             raise SpecError("the simulation was never advanced, so there is no run to finish")
         run = self._finish("")
@@ -278,7 +281,8 @@ class Simulation:
             return self.spec.time.step
         return stepper.first_size
 
-    def _check_open(self) -> None:
+    def check_open(self) -> None:
+        """Raise SpecError if the simulation is finished."""
         if self._result is not None:
             raise SpecError(
                 "the simulation is finished; its run is what `finish` has returned, and `reset` begins anew"
@@ -302,7 +306,7 @@ class Simulation:
         Raises SpecError if the simulation is finished, has ended, or `t` is not later than `time`. Raises RunError if a
         step fails; the states before can still be finished as a failed run.
         """
-        self._check_open()
+        self.check_open()
         if self.ended:
             raise SpecError(f"the simulation has ended: {self.ended}")
         t = float(t)
@@ -370,14 +374,9 @@ class Simulation:
         """Advance to the goal of the stepper, and keep what the steps give."""
         run, stepper, advancing = self._run, self.stepper, self._advancing
         while not (advancing.finished or advancing.failure or run.failure or stepper.at_goal):
-            with run.blaming_the_plugin():
-                stretch = advancing.advance()
-            if run.failure is not None:
-                rows = advancing.rows_before_error()
-                if rows is None:
-                    break
-                stretch = rows
-            self._keep(stretch, begin)
+            stretch = run.next_stretch(advancing)
+            if stretch is not None:
+                self._keep(stretch, begin)
         failure = run.failure or advancing.failure
         if failure is not None:
             self.ended = f"{failure.code}: {failure.sentence}"
@@ -407,15 +406,14 @@ class Simulation:
 
     def set_input(self, name: str, value: float) -> None:
         """Set an input from the time reached on; see `inputs`."""
-        self._check_open()
+        self.check_open()
         self._history.set(self._number(name), value)
 
     def input_value(self, name: str) -> float:
-        """Return the value of an input: what was set last or, in a plain run, what its table says."""
+        """Return the value of an input: what the program has set last, otherwise its present value."""
         number = self._number(name)
         given = self._history.value(number)
-        present = PresentState(self.stepper)
-        return float(present.z[self.mechanism_inputs[number].state]) if given is None else given
+        return float(PresentState(self.stepper).z[self.mechanism_inputs[number].state]) if given is None else given
 
     def _number(self, name: str) -> int:
         number = self._numbers.get(name)
@@ -436,7 +434,6 @@ class Simulation:
             Expressions such as ``"joints.knee.force"`` or ``"pole.angle"``, with the quantities of events. Their
             values are in SI units, and are those that are recorded for the state.
         """
-        self._check_open()
         if isinstance(expressions, str):
             raise SpecError(f"give a list of expressions, such as [{expressions!r}], not a text")
         reader = Reader(self, expressions)
@@ -456,6 +453,7 @@ class Simulation:
     @property
     def misalignment(self) -> np.ndarray:
         """(J,) misalignment of each joint in the present state [m]."""
+        self.check_open()
         if self._present is None:
             self._present = self.values_of(())
         return self._present.misalignment(self.time)
@@ -467,7 +465,7 @@ class Simulation:
 
         Raises SpecError if the simulation has ended, or the method cannot store its state.
         """
-        self._check_open()
+        self.check_open()
         if self.ended:
             raise SpecError(f"the simulation has ended, so that its state is of no use: {self.ended}")
         parts = self._run.parts()
@@ -491,7 +489,7 @@ class Simulation:
 
         Raises SpecError if the state belongs to another spec, or is not valid.
         """
-        self._check_open()
+        self.check_open()
         if not isinstance(state, SimulationState):
             raise SpecError(f"give a state that `state` has returned, not {type(state).__name__}")
         if state.run_id != self.spec.run_id():
@@ -563,7 +561,11 @@ class Simulation:
             self._record.clear()
             return
         self._run.writer.abandon()
-        self._begin(spec)
+        try:
+            self._begin(spec)
+        except BaseException:
+            self._begin(self._opened)  # so that the simulation can still be used
+            raise
 
 
 def open(  # noqa: A001 (its public name)

@@ -95,6 +95,7 @@ class Record:
         """Take over the record of another simulation at a state, for a simulation in the same state."""
         if other.is_whole and state in other._of_states:
             self._first, self._last, self._passed = other._first, other._of_states[state], other._first
+            self._of_states.update({one: other._of_states[one] for one in (state, state.before) if one is not None})
 
     def _since_passed(self) -> list[_Link] | None:
         """Return the links after the last one that was passed on; None if the record does not contain that one."""
@@ -110,6 +111,7 @@ class Record:
 
         Otherwise, the last of the rows that dense output gives is kept back, because it changes if the run ends there.
         """
+        self._flushed = time.monotonic()
         links = self._since_passed()
         if links is None:
             return
@@ -133,7 +135,6 @@ class Record:
             run.record(link.taken, link.elapsed)
             self._passed = link
         self._passed.before = None  # what was passed on is not needed again, except by states that refer to it
-        self._flushed = time.monotonic()
 
     def _with_end(self, links: list[_Link], end: float) -> Iterator[_Link]:
         """Yield the links, with the state at the end of the run [s] as their last row."""

@@ -10,6 +10,8 @@ import pytest
 
 import mbdkit
 from mbdkit import spec
+from mbdkit.runs.simulation import simulate
+from tests.integrators.python_methods import Pair, offering, spec_type
 from tests.runs.stepping.driven_pendulum import METHODS, driven_pendulum, sections
 
 EXAMPLES = [
@@ -69,6 +71,51 @@ def test_what_was_set_repeats_the_run(method):
         assert again.data_sha256 == run.data_sha256
         assert again.run_id == run.run_id
         np.testing.assert_array_equal(again.inputs["held"].set.value, run.inputs["held"].set.value)
+
+
+@pytest.mark.parametrize("tolerance", [None, 1e-6])
+def test_what_was_set_repeats_the_run_of_a_method_in_python(tolerance):
+    claims = {"states": True, "dense_output": True}
+    registry = offering(Pair(tolerance), **claims, **({} if tolerance is None else {"adaptive": True, "order": None}))
+    model, time = driven_pendulum().to_spec(), {"end": 1.0, **({} if tolerance else {"step": 0.01})}
+    own = spec_type(registry)(mbdkit=1, model=model, integrator={"name": "mine"}, time=time)
+    simulation = mbdkit.Simulation(own)
+    for t, held in (
+        (0.013, 1.0),
+        (0.017, None),
+        (0.1, -1.0),
+        (0.2037, 0.5),
+        (0.3, None),
+        (0.3041, 1.5),
+        (0.3123, None),
+        (0.5, 2.0),
+    ):
+        if held is not None:  # at the ends of steps and between them, after which the simulation reads further on
+            simulation.inputs["held"], simulation.inputs["ramp"] = held, 0.3 * held
+        simulation.advance_to(t)
+    run = simulation.finish()
+    assert simulate(run.run_spec).data_sha256 == run.data_sha256
+
+
+def test_stops_of_the_spec_after_the_end_are_left_out():
+    simulation = mbdkit.open(
+        driven_pendulum(), **sections("rk4") | {"time": {"end": 1.0, "step": 0.01, "stops": [0.5, 0.9]}}
+    )
+    simulation.inputs["held"] = 1.0
+    simulation.advance(0.7)
+    run = simulation.finish()
+    assert run.run_spec.time.stops == (0.5,)
+    assert mbdkit.run(run.spec).data_sha256 == run.data_sha256
+
+
+def test_a_simulation_can_be_used_after_a_reset_that_was_refused(tmp_path):
+    with mbdkit.open("four-bar", tmp_path / "run.h5") as simulation:
+        for initial in ({"nope.angle": 1.0}, {"B.angle": 1e3, "C.angle": -1e3}):
+            with pytest.raises(mbdkit.SpecError):
+                simulation.reset(initial=initial)
+            simulation.advance(0.01)
+    with mbdkit.load(tmp_path / "run.h5") as run:
+        assert run.status == "complete"
 
 
 @pytest.mark.slow
@@ -349,8 +396,17 @@ def test_wrong_use_is_refused_in_one_sentence(tmp_path):
     other = mbdkit.open("pendulum", integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.01})
     with wrong("another spec"):
         other.restore(simulation.state())
+    read = simulation.reader(["t"])
     simulation.finish()
-    for use in (simulation.finish, lambda: simulation.advance(0.1), simulation.state, lambda: simulation.read(["t"])):
+    for use in (
+        read,
+        lambda: simulation.misalignment,
+        simulation.fork,
+        simulation.finish,
+        lambda: simulation.advance(0.1),
+        simulation.state,
+        lambda: simulation.read(["t"]),
+    ):
         with wrong("is finished"):
             use()
     with wrong("accuracy"):
