@@ -93,6 +93,10 @@ def test_what_was_set_repeats_the_run_of_a_method_in_python(tolerance):
         if held is not None:  # at the ends of steps and between them, after which the simulation reads further on
             simulation.inputs["held"], simulation.inputs["ramp"] = held, 0.3 * held
         simulation.advance_to(t)
+    simulation.advance_to(0.6)
+    simulation.inputs["held"] = -0.7  # alone: a linear input would change again at the next pause
+    for t in (0.6041, 0.6083, 0.7):
+        simulation.advance_to(t)
     run = simulation.finish()
     assert simulate(run.run_spec).data_sha256 == run.data_sha256
 
