@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.archive.headlines import excluded_error, largest_forces, plus_minus
 from mbdkit.archive.peak_errors import peak_errors, simulated_peak_errors
+from mbdkit.base.text import listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -57,7 +58,9 @@ class RunErrors:
             return f"errors unknown: {accuracy.unknown}"
         position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
         position += " for this mesh of beams" if excluded_error(run) else ""
-        position += " for given outputs of controllers in Python" if run.records("samples/value") else ""
+        given = ["inputs"] * run.records("inputs/value")
+        given += ["outputs of controllers in Python"] * run.records("samples/value")
+        position += f" for given {listed(given, 'and')}" if given else ""
         if accuracy.is_complete:
             return "; ".join(filter(None, (_largest_force(run) if with_force else "", position)))
         until = f" until {accuracy.known_until:.4g} s"

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 STATE_INPUT = -1
 """Code of an input that is a first-order state."""
-_POSITIONS = {"x": 0, "y": 1, "angle": 2}
-_VELOCITIES = {"vx": 0, "vy": 1, "angular_velocity": 2}
+POSITIONS = {"x": 0, "y": 1, "angle": 2}
+VELOCITIES = {"vx": 0, "vy": 1, "angular_velocity": 2}
 
 
 class ExpressionInput(NamedTuple):
@@ -145,7 +145,7 @@ class _Terms:
     def _of_body(self, name: str, attribute: str) -> str:
         if name == "ground":
             return "0"
-        kind, places = (POSITION_INPUT, _POSITIONS) if attribute in _POSITIONS else (VELOCITY_INPUT, _VELOCITIES)
+        kind, places = (POSITION_INPUT, POSITIONS) if attribute in POSITIONS else (VELOCITY_INPUT, VELOCITIES)
         return self._input(kind, 3 * self.numbering.bodies[name] + places[attribute])
 
     def _of_point(self, body: str, point: Sequence[float], attribute: str) -> str:

@@ -148,7 +148,7 @@ class Chart:
     """A chart of a report with the values of an array for each element of its kind.
 
     `name`, `title`, `caption`: name, title and caption of the chart. `axis`: label of the values. `unit`: unit of the
-    elements that the chart shows.
+    elements that the chart shows; if empty, there is a chart for each unit.
     """
 
     name: str

@@ -201,7 +201,8 @@ class SimulatedRun:
         self.table = table
 
     def use_spec(self, spec: RunSpec) -> None:
-        """Record the run as one of another spec, which repeats it."""
+        """Record the run as one of another spec, which repeats it; comparison runs then have its inputs."""
+        self.workspace.schedules = spec.schedules()
         if spec is not self.spec:
             self.spec = spec
             self.writer.use_spec(spec)

@@ -14,6 +14,7 @@ from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.state_expressions import POSITIONS, VELOCITIES
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.integrators.host.step_host import StepHost
@@ -21,9 +22,6 @@ from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
-
-_POSITIONS = {"x": 0, "y": 1, "angle": 2}
-_VELOCITIES = {"vx": 0, "vy": 1, "angular_velocity": 2}
 
 
 class PresentState:
@@ -130,10 +128,10 @@ class PresentValues:
         kind, name, attribute = quantity.kind, quantity.name, quantity.attribute
         if kind == "bodies" and name in mechanism.bodies:
             body = list(mechanism.bodies).index(name)
-            if attribute in _POSITIONS:
-                return partial(now.q.item, 3 * body + _POSITIONS[attribute])
-            if attribute in _VELOCITIES:
-                return partial(now.v.item, 3 * body + _VELOCITIES[attribute])
+            if attribute in POSITIONS:
+                return partial(now.q.item, 3 * body + POSITIONS[attribute])
+            if attribute in VELOCITIES:
+                return partial(now.v.item, 3 * body + VELOCITIES[attribute])
         if kind == "joints" and attribute in ("angle", "angular_velocity"):
             joint = list(mechanism.joints).index(name)
             if mechanism.joint_units[joint] == "rad":

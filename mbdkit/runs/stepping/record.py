@@ -38,7 +38,7 @@ class Record:
     state.
 
     - `run`: the run, whose recorder receives the record.
-    - `seconds`, `cpu_seconds`: wall time and processor time of the steps so far [s].
+    - `seconds`, `cpu_seconds`: wall time and processor time of the steps and their record so far [s].
     """
 
     def __init__(self, run: SimulatedRun):
@@ -115,7 +115,7 @@ class Record:
         links = self._since_passed()
         if links is None:
             return
-        run = self.run
+        begin, run = time.perf_counter(), self.run
         if not self._is_begun:
             run.record_start()
             self._is_begun = True
@@ -135,6 +135,7 @@ class Record:
             run.record(link.taken, link.elapsed)
             self._passed = link
         self._passed.before = None  # what was passed on is not needed again, except by states that refer to it
+        self.seconds += time.perf_counter() - begin
 
     def _with_end(self, links: list[_Link], end: float) -> Iterator[_Link]:
         """Yield the links, with the state at the end of the run [s] as their last row."""

@@ -309,6 +309,18 @@ def test_readers_give_what_is_recorded():
     np.testing.assert_array_equal(np.array(values)[:, 2], run.joints["elbow"].angle[rows])
 
 
+def test_errors_of_a_checked_simulation_are_those_of_the_repeated_run_for_given_inputs():
+    simulation = mbdkit.open(driven_pendulum(), **sections("gauss", check=True))
+    driven(simulation, np.random.default_rng(6), 12)
+    run = simulation.finish()
+    again = mbdkit.run(run.spec)
+    assert run.verdict == "good"
+    for name in ("position_error", "reaction_error"):
+        np.testing.assert_array_equal(run.array(f"accuracy/{name}"), again.array(f"accuracy/{name}"))
+    assert "for given inputs" in run.errors.sentence()
+    assert run.stats["wall_s"] > 0.0
+
+
 def test_reset_begins_anew_with_other_numbers():
     simulation = mbdkit.open(driven_pendulum(), **sections("rk4"))
     read = simulation.reader(["upper.angle", "lower.angle"])

@@ -18,6 +18,7 @@ from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
 from mbdkit_report import Answer, Claim, Column, Table, Verdict, json_values, methods, report, run_report, terminal_text
 from mbdkit_report.pages import run_verdict as module
+from mbdkit_report.pages.run_charts import run_charts
 from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_report.pages.run_verdict import run_verdict
 from mbdkit_report.pages.verdict_text import headlines
@@ -364,3 +365,18 @@ def test_reports_of_studies_and_their_pictures_show_them_escaped(tmp_path: Path)
     assert pictures
     for picture in pictures:
         ElementTree.parse(picture)
+
+
+def test_inputs_and_states_have_a_chart_for_each_unit() -> None:
+    m = mbdkit.Mechanism()
+    m.body("arm", mass=1.0, inertia=0.08, position=(0.0, -0.5), angle=-1.57)
+    m.revolute("hub", "ground", "arm", at=(0.0, 0.0))
+    m.input("torque", unit="N*m")
+    m.input("gain")
+    m.state("filtered", rate="(inputs.torque - states.filtered)/0.1", unit="N*m")
+    m.torque("motor", "arm", value="inputs.gain*states.filtered")
+    tables = {"torque": {"table": [[0.0, 0.1], [1.0, 2.0]]}, "gain": {"table": [[0.0], [0.5]]}}
+    run = mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.2, "step": 0.01}, inputs=tables)
+    charts = {chart.name: chart for chart in run_charts(run)}
+    assert (charts["inputs-1"].y.unit, charts["inputs-2"].y.unit, charts["states"].y.unit) == ("N*m", "", "N*m")
+    assert [line.label for line in charts["inputs-2"].lines] == ["gain"]

@@ -133,10 +133,13 @@ def recorded_charts(run: Run, array: Recorded) -> list[Figure]:
         units = [str(unit) for unit in run.array(f"{array.group}/{array.row_units}")]
     found = []
     for chart in array.charts:
-        lines = _lines(run, array.path, names, [column for column, unit in enumerate(units) if unit == chart.unit])
-        if lines:
-            axis = Axis(chart.axis, "" if chart.unit == "1" else chart.unit)
-            found.append(Figure(chart.name, chart.title, chart.caption, TIME, axis, lines))
+        of_units = [chart.unit] if chart.unit else [*dict.fromkeys(units)]
+        for number, unit in enumerate(of_units, 1):
+            lines = _lines(run, array.path, names, [column for column, own in enumerate(units) if own == unit])
+            if lines:
+                name = chart.name if len(of_units) == 1 else f"{chart.name}-{number}"
+                axis = Axis(chart.axis, "" if unit == "1" else unit)
+                found.append(Figure(name, chart.title, chart.caption, TIME, axis, lines))
     return found
 
 
