@@ -48,7 +48,7 @@ class ParameterValues(dict[str, float]):
         self.units = dict(units)
 
 
-Written = dict[Path, str]
+Written = dict[Path, "WrittenText"]
 """Expressions by key path."""
 Kind = (
     tuple[str, ...]
@@ -58,6 +58,25 @@ Kind = (
     ]
 )  # fmt: skip
 """Kind of a value; functions of variables have the names of these."""
+
+
+class WrittenText(str):
+    """An expression as the user wrote it; the attribute `kind` has the kind of value for which it stands."""
+
+    __slots__ = ("kind",)
+    kind: Kind
+
+    @classmethod
+    def of(cls, text: str, kind: Kind) -> WrittenText:
+        """Return a text with the kind of its value."""
+        made = cls(text)
+        made.kind = kind
+        return made
+
+    def value(self, values: Values, path: Path) -> float | int | str:
+        """Return the value for other values of the parameters; see `with_expressions`."""
+        return _value(self, self.kind, values, path)
+
 
 _COMPILERS: Mapping[Kind, type[Compiler]] = {
     "function of time": Compiler,
@@ -193,7 +212,7 @@ def with_expressions(
             for path, (text, kind) in fresh.items():
                 where = (*parse_path(prefix), *path)
                 holder = _at(data, path[:-1])
-                (quantities if kind == "quantity" else written)[path] = holder[path[-1]]
+                (quantities if kind == "quantity" else written)[path] = WrittenText.of(str(holder[path[-1]]), kind)
                 holder[path[-1]] = _value(text, kind, values, where) if isinstance(text, str) else text
 
 

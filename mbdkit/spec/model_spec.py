@@ -21,7 +21,7 @@ from mbdkit.base.files_read import FileRead, FilesRead, recording
 from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_text, plain, without_collection
 from mbdkit.base.strict_model import FormatVersion
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions, without_units
+from mbdkit.mechanism.parameters import Written, WrittenText, insert, parameter_values, with_expressions, without_units
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import ModelPlugin
@@ -78,7 +78,7 @@ class StrictSpec(Section):
         return self._numbers
 
     @property
-    def written(self) -> Mapping[Path, str]:
+    def written(self) -> Mapping[Path, WrittenText]:
         """The expressions that were given in place of numbers, by key path."""
         written: Written = self._private["_written"]
         return written

@@ -31,7 +31,7 @@ from mbdkit.engine.input_schedule import InputSchedule
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
 from mbdkit.mechanism.mechanism_seams import run_check
-from mbdkit.mechanism.parameters import parameters_in_use
+from mbdkit.mechanism.parameters import parameter_values, parameters_in_use
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.element_items import ElementKind
@@ -328,21 +328,19 @@ class RunSpec(ModelSpec):
         spec._settings, spec._files, spec._schedules = self._settings, self._files, self._schedules
         return spec
 
-    def with_model(self, model: BaseModel) -> RunSpec:
-        """Return this spec with other valid parameters of its model.
+    def with_model(self, model: BaseModel, parameters: Mapping[str, float | str] | None = None) -> RunSpec:
+        """Return this spec with other valid parameters of its model; no other section is validated again.
 
-        This spec must have no expressions of parameters. No other section then depends on the model, so that none is
-        validated again.
+        `parameters`: other values of the named parameters, whose expressions `model` has evaluated. Without them, this
+        spec must have no expressions.
         """
-        assert not self.written
         assert type(model) is type(self.model)
-        if self._around_model is None:
-            sections = canonical(self)
-            index = list(sections).index("model")
-            before, after = dict(list(sections.items())[:index]), dict(list(sections.items())[index + 1 :])
-            head, tail = canonical_text(before)[:-1], canonical_text(after)[1:]
-            self._around_model = head + "," * bool(before) + '"model":', "," * bool(after) + tail
-        spec = self.model_copy(update={"model": model})
+        if parameters is not None:
+            canonical_json, update = "", {"model": model, "parameters": dict(parameters)}
+        else:
+            assert not self.written
+            canonical_json, update = self._canonical_with(model), {"model": model}
+        spec = self.model_copy(update=update)
         assert spec.__pydantic_private__ is not None
         spec.__pydantic_private__ |= {
             "_document": None,
@@ -350,9 +348,20 @@ class RunSpec(ModelSpec):
             "_files": FilesRead(),
             "_run_id": "",
             "_watched": None,
-            "_canonical": canonical_text(canonical(model)).join(self._around_model),
+            "_canonical": canonical_json,
         }
+        if parameters is not None:
+            spec.__pydantic_private__ |= {"_numbers": parameter_values(parameters), "_around_model": None}
         return spec
+
+    def _canonical_with(self, model: BaseModel) -> str:
+        if self._around_model is None:
+            sections = canonical(self)
+            index = list(sections).index("model")
+            before, after = dict(list(sections.items())[:index]), dict(list(sections.items())[index + 1 :])
+            head, tail = canonical_text(before)[:-1], canonical_text(after)[1:]
+            self._around_model = head + "," * bool(before) + '"model":', "," * bool(after) + tail
+        return canonical_text(canonical(model)).join(self._around_model)
 
     @property
     def formulated(self) -> Formulation:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import chain
+from typing import Any
+
+from pydantic import ValidationError
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, copied, path_text, plain
+from mbdkit.base.plain_data import Path, canonical, copied, path_text, plain
 from mbdkit.base.text import did_you_mean
+from mbdkit.mechanism.parameters import parameter_values, without_units
 from mbdkit.spec.choices import RegistryLookup, registry_of
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
@@ -17,9 +22,10 @@ from mbdkit.spec.run_spec import RunSpec
 class VariedSpecs:
     """Makes run specs from a base by setting values in it.
 
-    If the values are options of the model, only the model is validated again, because no other section of a valid spec
-    depends on them. The whole spec is validated for other values, if the model refuses a value, and if the spec has
-    `parameters`, expressions or `accuracy`. Errors are raised by the validation of the whole spec.
+    If the values are options of the model, or numbers for named parameters, only the model is validated again, because
+    no other section of a valid spec depends on them. The whole spec is validated for other values, if the model refuses
+    a value, if the spec has `accuracy`, and for options of the model if it has `parameters` or expressions. Errors are
+    raised by the validation of the whole spec.
 
     `base`: the spec before the values are set, as JSON.
     """
@@ -27,6 +33,7 @@ class VariedSpecs:
     def __init__(self, base: str):
         self._base: dict[str, object] = json.loads(base)
         self._pattern: RunSpec | None = None
+        self._expressed: RunSpec | None = None
         self._template: tuple[tuple[Path, ...], Callable[[Sequence[object]], str]] | None = None
         self._context = {"plugins": RegistryLookup(lambda: registry_of(RunSpec))}
 
@@ -41,6 +48,9 @@ class VariedSpecs:
                 return self._with_values(self._pattern, values)
             except Exception:
                 self._pattern = None  # until the next valid spec
+        elif self._expressed is not None and values and all(map(self._is_parameter, values)):
+            with suppress(SpecError, ValidationError, LookupError, TypeError):  # the whole spec has the right words
+                return self._with_parameters(self._expressed, values)
         data = copied(self._base)
         for path, value in values:
             put(data, path, value)
@@ -48,7 +58,32 @@ class VariedSpecs:
         self._check_parameters(spec, values)
         if in_model and not spec.parameters and not spec.written and spec.accuracy is None:
             self._pattern = spec
+        if spec.accuracy is None and all(map(self._is_parameter, values)) and not in_model:
+            self._expressed = spec
         return spec
+
+    def _is_parameter(self, one: tuple[Path, object]) -> bool:
+        """Return whether a number is set for a named parameter of the base."""
+        (path, value), given = one, self._base.get("parameters")
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        return is_number and len(path) == 2 and path[0] == "parameters" and isinstance(given, dict) and path[1] in given
+
+    def _with_parameters(self, pattern: RunSpec, values: Sequence[tuple[Path, object]]) -> RunSpec:
+        """Return a valid spec with other numbers for named parameters."""
+        parameters: dict[str, float | str] = without_units(self._base["parameters"])  # type: ignore[arg-type]
+        for path, value in values:
+            assert isinstance(value, int | float)
+            parameters[str(path[1])] = float(value)
+        numbers = parameter_values(parameters)
+        data = {"model": canonical(pattern.model)}
+        for path, written in pattern.written.items():
+            holder: Any = data
+            for key in path[:-1]:
+                holder = holder[key]
+            holder[path[-1]] = written.value(numbers, path)
+        text = json.dumps(data["model"], allow_nan=False)
+        model = type(pattern.model).model_validate_json(text, context=self._context)
+        return pattern.with_model(model, parameters)
 
     def _check_parameters(self, spec: RunSpec, values: Sequence[tuple[Path, object]]) -> None:
         """Raise SpecError for a parameter that is set, but neither defined in the base nor used by an expression."""

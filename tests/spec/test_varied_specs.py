@@ -98,3 +98,51 @@ def test_a_parameter_that_the_base_does_not_have_is_refused_unless_an_expression
     assert varied.spec([(("parameters", "angle"), 0.2)]).parameters == {"angle": 0.2}
     used = varied.spec([(("parameters", "tilt"), 0.2), (("model", "angle"), "2*tilt")])
     assert used.parameters == {"angle": 0.1, "tilt": 0.2}
+
+
+NAMED: dict[str, Any] = {
+    "mbdkit": 1,
+    "parameters": {"length": 1.0, "mass": "2*length", "share": 0.5, "count": 3},
+    "model": {
+        "name": "mechanism",
+        "bodies": {"rod": {"mass": "mass", "inertia": "mass*length**2/12", "position": ["share*length", 0]}},
+        "joints": {"pin": {"type": "revolute", "bodies": ["ground", "rod"], "at": [0, 0]}},
+        "forces": {"motor": {"type": "torque", "body": "rod", "value": "share*sin(length*t)"}},
+    },
+    "events": {"low": {"when": "rod.y + share*length"}},
+    "integrator": {"name": "rk4"},
+    "time": {"end": 1, "step": 0.1},
+}
+
+
+def test_numbers_for_named_parameters_give_the_specs_and_errors_of_whole_specs() -> None:
+    text = RunSpec(**copy.deepcopy(NAMED)).canonical_json()
+    varied, dice = VariedSpecs(text), random.Random(1)
+    for _ in range(60):
+        names = dice.sample(["length", "mass", "share", "count"], dice.choice([1, 2]))
+        values: list[tuple[Path, object]] = [
+            (("parameters", name), dice.choice(ODD) if dice.random() < 0.2 else dice.uniform(-0.2, 2.0))
+            for name in names
+        ]
+
+        def whole(values: list[tuple[Path, object]] = values) -> RunSpec:
+            data = json.loads(text)
+            for path, value in values:
+                put(data, path, copy.deepcopy(value))
+            return RunSpec(**data)
+
+        def shared(values: list[tuple[Path, object]] = values) -> RunSpec:
+            return varied.spec(copy.deepcopy(values))
+
+        found, expected = outcome(shared), outcome(whole)
+        assert found == expected, values
+        if len(found) > 2:
+            assert shared().numbers == whole().numbers
+            assert str(shared().watched()["low"]) == str(whole().watched()["low"])
+
+
+def test_numbers_for_named_parameters_do_not_validate_the_whole_spec(monkeypatch: pytest.MonkeyPatch) -> None:
+    varied = VariedSpecs(RunSpec(**copy.deepcopy(NAMED)).canonical_json())
+    varied.spec([(("parameters", "length"), 0.5)])
+    monkeypatch.setattr("mbdkit.spec.varied_specs.RunSpec", None)
+    assert varied.spec([(("parameters", "length"), 0.25)]).mechanism().bodies["rod"].mass == 0.5

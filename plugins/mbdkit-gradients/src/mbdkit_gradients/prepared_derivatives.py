@@ -48,13 +48,13 @@ class _RunPreparation(Preparation):
         self.definitions = definitions
         self.specs = VariedSpecs(spec.canonical_json())
         self.starts = Starts()
-        self.mechanism, self.base = self._arrays(spec)
+        self.mechanism, self.base = self._arrays(spec, self._numbers(spec))
         self.knots = knots_of(spec)
 
-    def _arrays(self, spec: RunSpec) -> tuple[CompiledMechanism, dict[str, np.ndarray]]:
+    def _arrays(self, spec: RunSpec, numbers: Arrays) -> tuple[CompiledMechanism, dict[str, np.ndarray]]:
         start = self.starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
         arrays = {**self.mechanism_arrays(start.mechanism), "q": start.q0, "v": start.v0}
-        return start.mechanism, arrays | self._numbers(spec)
+        return start.mechanism, {**arrays, **numbers}
 
     def _numbers(self, spec: RunSpec) -> dict[str, np.ndarray]:
         """Return the numbers of measures and events, if the spec has parameters on which they may depend."""
@@ -69,7 +69,8 @@ class _RunPreparation(Preparation):
                 f"there are no derivatives with respect to such a parameter",
                 key="gradients",
             )
-        self.require_same_form(self._numbers(spec), parameter)
-        mechanism, arrays = self._arrays(spec)
+        numbers = self._numbers(spec)
+        self.require_same_form(numbers, parameter)
+        mechanism, arrays = self._arrays(spec, numbers)
         self.require_same_structure(mechanism, parameter, value)
         return arrays
