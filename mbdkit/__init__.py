@@ -49,6 +49,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_design.solve_design import design as design, load_design as load_design
     from mbdkit_explore.server import explore as explore
     from mbdkit_gradients.gradient import Gradient as Gradient, gradient as gradient
+    from mbdkit_gradients.sensitivities import Sensitivities as Sensitivities, sensitivities as sensitivities
     from mbdkit_predict.prediction import predict as predict
     from mbdkit_report import plot as plot
     from mbdkit_statics.equilibrium import Equilibrium as Equilibrium, equilibrium as equilibrium

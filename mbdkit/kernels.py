@@ -97,6 +97,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         ComplexDuals as ComplexDuals, ComplexLanes as ComplexLanes, Duals as Duals, ITEM as ITEM, Lanes as Lanes,
         new_duals as new_duals, new_lanes as new_lanes,
     )
+    from mbdkit.integrators.duals.dual_loop import drive_explicit_duals as drive_explicit_duals
     from mbdkit.integrators.stages.collocation_stages import load_stages as load_stages
     from mbdkit.integrators.lanes.lane_collocation import (
         StagePivoting as StagePivoting, StagePivots as StagePivots, load_stage_pivots as load_stage_pivots,
@@ -108,6 +109,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         fill_lane as fill_lane, suits_lanes as suits_lanes, topology_of as topology_of,
     )
     from mbdkit.integrators.lanes.lane_run import new_lane_run as new_lane_run
+    from mbdkit.integrators.stages.explicit import CompiledExplicit as CompiledExplicit
     from mbdkit.integrators.stages.relative import (
         BASE as BASE, BASE_RATES as BASE_RATES, Relative as Relative, V_STAGE as V_STAGE, Y as Y,
         end_of_step as end_of_step, new_relative as new_relative,

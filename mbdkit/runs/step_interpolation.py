@@ -48,6 +48,7 @@ class StepEnds:
       because in stiff mechanisms they amplify the errors of positions. All three arrays may have an additional last
       axis of derivatives.
     - `held`: (N, Z) forces that the method sets, which have no rates; None without them.
+    - `most`: largest number of ends that determine one polynomial; with 2, the degree is 5, or 3 without accelerations.
     - `is_linear`: whether all states are linear over each step, as in time-stepping methods, whose steps contain
       impacts: polynomials of a higher degree would overshoot there.
     """
@@ -57,6 +58,7 @@ class StepEnds:
     v: np.ndarray
     a: np.ndarray | None
     held: np.ndarray | None = None
+    most: int | None = None
     is_linear: bool = False
 
     def held_at(self, times: np.ndarray) -> np.ndarray:
@@ -129,7 +131,7 @@ class StepEnds:
         return {}
 
     def _new_newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        count = min(NODES if self.a is not None else NODES_WITHOUT_ACCELERATIONS, len(self.time))
+        count = min(self.most or (NODES if self.a is not None else NODES_WITHOUT_ACCELERATIONS), len(self.time))
         first = np.clip(steps - (count - 2) // 2, 0, len(self.time) - count)
         window = first + np.arange(count)[:, None]  # (NODES, S)
         gaps = np.where(window[:-1] == steps, np.inf, np.diff(self.time[window], axis=0))

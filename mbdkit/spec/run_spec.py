@@ -31,7 +31,7 @@ from mbdkit.engine.input_schedule import InputSchedule
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
 from mbdkit.mechanism.mechanism_seams import run_check
-from mbdkit.mechanism.parameters import parameter_values, parameters_in_use
+from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.element_items import ElementKind
@@ -328,11 +328,16 @@ class RunSpec(ModelSpec):
         spec._settings, spec._files, spec._schedules = self._settings, self._files, self._schedules
         return spec
 
-    def with_model(self, model: BaseModel, parameters: Mapping[str, float | str] | None = None) -> RunSpec:
+    def with_model(
+        self,
+        model: BaseModel,
+        parameters: Mapping[str, float | str] | None = None,
+        numbers: Mapping[str, float] | None = None,
+    ) -> RunSpec:
         """Return this spec with other valid parameters of its model; no other section is validated again.
 
-        `parameters`: other values of the named parameters, whose expressions `model` has evaluated. Without them, this
-        spec must have no expressions.
+        `parameters`, `numbers`: other named parameters, and their values, with which the expressions of `model` were
+        evaluated. Without them, this spec must have no expressions.
         """
         assert type(model) is type(self.model)
         if parameters is not None:
@@ -351,7 +356,7 @@ class RunSpec(ModelSpec):
             "_canonical": canonical_json,
         }
         if parameters is not None:
-            spec.__pydantic_private__ |= {"_numbers": parameter_values(parameters), "_around_model": None}
+            spec.__pydantic_private__ |= {"_numbers": numbers, "_around_model": None}
         return spec
 
     def _canonical_with(self, model: BaseModel) -> str:

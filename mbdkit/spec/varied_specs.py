@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, canonical, copied, path_text, plain
 from mbdkit.base.text import did_you_mean
-from mbdkit.mechanism.parameters import parameter_values, without_units
+from mbdkit.mechanism.parameters import names_in, parameter_values, without_units
 from mbdkit.spec.choices import RegistryLookup, registry_of
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
@@ -75,15 +75,18 @@ class VariedSpecs:
             assert isinstance(value, int | float)
             parameters[str(path[1])] = float(value)
         numbers = parameter_values(parameters)
+        changed = {name for name, value in numbers.items() if value != pattern.numbers[name]}
         data = {"model": canonical(pattern.model)}
         for path, written in pattern.written.items():
+            if changed.isdisjoint(names_in(written)):
+                continue
             holder: Any = data
             for key in path[:-1]:
                 holder = holder[key]
             holder[path[-1]] = written.value(numbers, path)
         text = json.dumps(data["model"], allow_nan=False)
         model = type(pattern.model).model_validate_json(text, context=self._context)
-        return pattern.with_model(model, parameters)
+        return pattern.with_model(model, parameters, numbers)
 
     def _check_parameters(self, spec: RunSpec, values: Sequence[tuple[Path, object]]) -> None:
         """Raise SpecError for a parameter that is set, but neither defined in the base nor used by an expression."""

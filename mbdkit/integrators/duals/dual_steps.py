@@ -76,6 +76,12 @@ load_dual_explicit = bundle_loader(_example)
 
 @kernel
 def explicit_step(dual: int, run: int, method: int, t: float, h: float, row: int) -> int:
+    """Differentiate a step that a run has taken; return a status. See `differentiated_explicit`."""
+    return differentiated_explicit(dual, run, method, t, h, row)
+
+
+@subkernel
+def differentiated_explicit(dual: int, run: int, method: int, t: float, h: float, row: int) -> int:
     """Differentiate the step of size `h` from `t` that a run has taken; return a status.
 
     Parameters

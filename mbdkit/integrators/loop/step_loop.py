@@ -502,6 +502,12 @@ def look_inside(run: int, method: int, dense: int, t: float, h: float, theta: fl
 
 @kernel
 def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: int, path: int) -> tuple[int, int]:
+    """Attempt up to `budget` steps; return (status, rows in the buffer). See `drive_steps`."""
+    return drive_steps(run, method, attempt, dense, plan, budget, path)
+
+
+@subkernel
+def drive_steps(run: int, method: int, attempt: int, dense: int, plan: int, budget: int, path: int) -> tuple[int, int]:
     """Attempt up to `budget` steps; return (status, rows in the buffer).
 
     Parameters

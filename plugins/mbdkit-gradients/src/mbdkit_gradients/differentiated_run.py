@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -226,22 +227,36 @@ def require_derivatives(method: Method, formulation: Formulation, stabilization:
 def _pass(spec: RunSpec, seeds: Seeds, needs: Needs, sizes: Sequence[float] | None) -> DifferentiatedRun:
     """Run a spec with the derivatives with respect to up to `DIRECTIONS` parameters."""
     events = events_of(spec, sizes) if spec.events else []
-    stepper = _stepper(spec, seeds, needs, sizes)
+    stepper = differentiated_stepper(spec, seeds, needs, sizes)
     try:
         return _Pass(spec, stepper, seeds, needs).run(events)
     except StepError as error:
         raise RunError(str(error)) from None
 
 
-def _stepper(
-    spec: RunSpec, seeds: Seeds, needs: Needs, sizes: Sequence[float] | None
+def differentiated_stepper(
+    spec: RunSpec,
+    seeds: Seeds,
+    needs: Needs,
+    sizes: Sequence[float] | None,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    **changes: Any,
 ) -> DifferentiatedStepper | SidedStepper:
     """Return a run at its start.
 
     Fixed steps end at discontinuities of force laws. Adaptive steps do not, because step-size control determines them.
+
+    Parameters
+    ----------
+    start
+        Other initial positions and velocities (3 (B + 1),).
+    **changes
+        Fields of the timetable, such as ``every``.
     """
     method = make_method(spec)
     workspace, _ = build(spec)
+    if start is not None:
+        workspace = replace(workspace, q0=start[0], v0=start[1])
     workspace.mechanism.refuse_kinds("gradients")
     workspace.mechanism.refuse_side_forces("the gradient of a run")
     workspace.mechanism.refuse_friction("gradients of runs do not include friction in joints; leave it out")
@@ -249,6 +264,7 @@ def _stepper(
         workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     table = replace(table, single=table.single or needs.ends)
+    table = replace(table, **changes)
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
     require_derivatives(method, FORMULATIONS[workspace.formulation], workspace.stabilization)
@@ -469,7 +485,7 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]
     if sizes is None and with_sides(workspace.mechanism) is None:
         stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
     else:
-        stepper = _stepper(spec, NO_SEEDS, Needs(), sizes)
+        stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), sizes)
         workspace = stepper.workspace
     watched = [
         Watched(name, expression, spec.events[name].direction, spec.events[name].action)

@@ -96,6 +96,7 @@ class DifferentiatedSampler:
         steps.take_up_solver()
         steps.use_states(np.asarray(run.z))
         q, v = (np.asarray(x)[None].view(Duals) for x in (run.q, run.v))
-        status, _ = observe_duals(PinnedBundle(dual_states(run, steps.workspace, np.array([t]), q, v)).address)
+        states = PinnedBundle(dual_states(run, steps.workspace, np.array([t]), q, v))  # must exist during the call
+        status, _ = observe_duals(states.address)
         if status != OK:
             raise StepError("singular", f"the sample of a controller at t = {t:.6g} s has no derivatives")

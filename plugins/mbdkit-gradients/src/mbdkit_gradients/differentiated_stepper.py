@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from mbdkit.engine.force_laws import law_for_duals
-from mbdkit.kernels import DIVERGED, LAW_ROW, NOT_FINITE, OK, PROJECTIONS, STATE, PinnedBundle, kept, new_dual_solver
+from mbdkit.kernels import (
+    DIVERGED,
+    LAW_ROW,
+    NOT_FINITE,
+    OK,
+    PROJECTIONS,
+    STATE,
+    CompiledExplicit,
+    PinnedBundle,
+    drive_explicit_duals,
+    kept,
+    new_dual_solver,
+)
 from mbdkit.plugin import StepError
 from mbdkit.plugin.equations import Workspace
 from mbdkit.plugin.methods import CompiledStepper, DualRun, Moment, Seeds, StepTaken, Timetable, new_dual_run
@@ -100,15 +112,47 @@ class DifferentiatedSteps:
         self.run.projected[0] = projected
         status = self._duals.step(self._pinned.address, run_state, step, row)
         if status != OK:
-            why = _CAUSES.get(status, "the system of its equations is singular")
-            raise StepError(
-                "newton-failed",
-                f"the step from t = {t:.6g} s cannot be differentiated with respect to parameters: {why}; "
-                "a smaller time.step may help",
-            )
+            raise self._failed(status, t)
         if row >= 0:
             del self._row_z[row:]
             self._row_z.append(np.array(self.run.z))
+
+    @property
+    def can_drive(self) -> bool:
+        """Whether `drive` can take the steps."""
+        return isinstance(self.method, CompiledExplicit) and not len(self.run.z) and not self.run.nodes[0]
+
+    def drive(self, stepper: CompiledStepper, plan: PinnedBundle, budget: int, recorded: int) -> tuple[int, int]:
+        """Let a run attempt up to `budget` fixed steps of a plan in compiled code, and differentiate each of them.
+
+        `recorded` is the number of states that have been recorded. Returns the status and the number of rows written.
+
+        Raises
+        ------
+        StepError
+            If the derivatives of a step cannot be computed.
+        """
+        self.take_up_solver()
+        c, method = stepper.run_state, stepper.method
+        rows = int(c.first_row[0])
+        self._make_room(recorded + len(c.row_time) - rows)
+        status, after, failed = drive_explicit_duals(
+            stepper.pinned_state.address, method.pinned.address, method.attempt.address, plan.address, budget,
+            self._pinned.address, self._duals.pinned.address, recorded,
+        )  # fmt: skip
+        if failed != OK:
+            raise self._failed(int(failed), float(c.progress.tried_begin[0]))
+        self._row_z += [np.array(self.run.z)] * (int(after) - rows)
+        return int(status), int(after) - rows
+
+    @staticmethod
+    def _failed(status: int, t: float) -> StepError:
+        why = _CAUSES.get(status, "the system of its equations is singular")
+        return StepError(
+            "newton-failed",
+            f"the step from t = {t:.6g} s cannot be differentiated with respect to parameters: {why}; "
+            "a smaller time.step may help",
+        )
 
     def take_up_solver(self) -> None:
         """Use the current solver of the workspace in further steps."""
@@ -280,6 +324,10 @@ class DifferentiatedStepper(CompiledStepper):
         """Attempt up to `budget` steps of a plan, one after another, and differentiate those that are accepted."""
         if self._steps is None or budget <= 0:
             return super().drive(plan, budget, path)
+        if not self.controlled and self.steps.can_drive:
+            status, written = self.steps.drive(self, plan, budget, self.recorded)
+            self.recorded += written
+            return status, written
         c = self.run_state
         progress, rows, limit = (
             c.progress,

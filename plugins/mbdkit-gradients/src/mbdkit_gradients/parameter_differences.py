@@ -46,8 +46,8 @@ LINEAR = 64.0
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 BACKWARD = tuple(-place for place in FORWARD)
 """Positions of the points, in a unit that is at most a quarter of `WIDEST` times the size of the parameter."""
-FEW = {CENTRAL: (-4, 1, 4), FORWARD: (2, 4, 8), BACKWARD: (-8, -4, -2)}
-"""Positions of the points that are used to test for linear dependence."""
+FEW = {CENTRAL: (-4, 3), FORWARD: (4, 8), BACKWARD: (-8, -4)}
+"""Positions of the points that are used, with 0, to test for linear dependence."""
 
 
 LEFT_OUT = ("length", "row_units", "spare_axes", "weight")

@@ -1,0 +1,463 @@
+"""`sensitivities`: quantities of a run at given times, and their derivatives with respect to parameters.
+
+Steps are differentiated like those of `gradient`. Times at the ends of fixed steps are rows of the run. Other times are
+interpolated or, in runs with first-order states, reached by a smaller step. Runs that have no exact derivatives, such
+as those with rigid contacts, are advanced as open simulations, and differentiated by central differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import gcd
+from typing import Any
+
+import numpy as np
+
+import mbdkit
+from mbdkit.kernels import DIRECTIONS
+from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, did_you_mean, listed, value_text
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.measures import MeasureExpression, RunExpression
+from mbdkit.plugin.methods import NO_SEEDS, Seeds, start_method
+from mbdkit.plugin.runs import build, guards, make_method, size_at_start, timetable
+from mbdkit.plugin.specs import RunSource, VariedSpecs, load_spec, names_in, variable_path
+from mbdkit_gradients.differentiated_run import Needs, differentiated_stepper, refuse
+from mbdkit_gradients.differentiated_states import require_derivative, series_of
+from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
+from mbdkit_gradients.parameter_differences import Arrays
+from mbdkit_gradients.prepared_derivatives import RunPreparation
+from mbdkit_gradients.sided_stepper import SidedStepper
+from mbdkit_gradients.states_at_times import DifferentiatedRunAtTimes, RunAtTimes, Way
+
+INITIAL = "initial"
+"""First part of the names of parameters that are initial values, such as ``initial.crank.angle``."""
+ON_GRID = 1e-7
+"""Times count as ends of fixed steps up to this share of a step."""
+CHANGE = 1e-5
+"""Change of a parameter in central differences, as a share of its size."""
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Quantities of a run at given times, and their derivatives with respect to parameters.
+
+    Attributes
+    ----------
+    quantities, units
+        Expressions of the Q quantities, and their units; "" where a unit is not known.
+    parameters
+        Names of the K parameters.
+    time
+        (T,) times [s], as given.
+    values
+        (Q, T) values in SI units; nan where an expression is undefined.
+    derivatives
+        (Q, T, K) derivatives with respect to the parameters, in SI units.
+    differences
+        Why the derivatives are central differences of runs; empty if they are exact derivatives of the computed values.
+    error
+        (K,) estimated relative errors of the preparation of the run by each parameter; nan for central differences.
+    """
+
+    quantities: tuple[str, ...]
+    units: tuple[str, ...]
+    parameters: tuple[str, ...]
+    time: np.ndarray
+    values: np.ndarray
+    derivatives: np.ndarray
+    differences: str
+    error: np.ndarray
+
+    def __getitem__(self, key: tuple[str, str]) -> np.ndarray:
+        """Return the derivatives (T,) of a quantity with respect to a parameter."""
+        quantity, parameter = key
+        return np.asarray(self.derivatives[self.quantities.index(quantity), :, self.parameters.index(parameter)])
+
+    def __str__(self) -> str:
+        way = f"central differences, because {self.differences}" if self.differences else "exact derivatives"
+        return (
+            f"sensitivities of {listed(self.quantities, 'and')} at {len(self.time)} times with respect to "
+            f"{listed(self.parameters, 'and')}: {way}"
+        )
+
+
+def sensitivities(
+    source: RunSource,
+    quantities: str | Sequence[str],
+    times: Sequence[float] | np.ndarray,
+    parameters: Names,
+    *,
+    initial: Mapping[str, float] | None = None,
+    **sections: object,
+) -> Sensitivities:
+    """Return quantities of a run at given times, and their derivatives with respect to parameters.
+
+    One run yields all times and all parameters. The derivatives are those of the computed numbers, for any step size,
+    with first-order states, inputs and sampled controllers. Where they do not exist, as in runs with rigid contacts,
+    they are central differences of runs; `Sensitivities.differences` then gives the reason.
+
+    Parameters
+    ----------
+    source
+        A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism with its `sections`.
+    quantities
+        Expressions of the state, as in events: ``"crank.angle"``, ``"markers.tip.x"``, ``"joints.B.force"``.
+    times
+        (T,) times [s] between the start and the end of the run, in any order.
+    parameters
+        Names of `parameters` of the spec, key paths of numbers of its model such as ``model.bodies.rod.mass``, or
+        initial values such as ``initial.crank.angle`` and ``initial.crank.angular_velocity``, which `initial` must
+        contain; at most 50. A mapping of names in `parameters` to numbers also sets these numbers.
+    initial
+        Initial values of kinematic quantities; see `mbdkit.PreparedRun.run`.
+    **sections
+        Sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``; they replace those of `source`.
+
+    Raises
+    ------
+    SpecError
+        If the input is wrong.
+    RunError
+        If the run ends before the last time.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> time = {"end": 1.0, "step": 0.01}
+    >>> found = mbdkit.sensitivities("pendulum", ["rod1.angle"], [0.5, 1.0], ["model.length"], time=time)
+    >>> found.values.shape, found.derivatives.shape, found.differences
+    ((1, 2), (1, 2, 1), '')
+    """
+    given, names = read_names(source, parameters, None, sections)
+    spec = load_spec(given, (), **sections)
+    with one_thread_of_linear_algebra():
+        prepared = PreparedSensitivities(spec, quantities, times, names, initial=initial)
+        return prepared.at({}, initial)
+
+
+class PreparedSensitivities:
+    """Evaluates quantities of the runs of one spec at given times, for any values of its parameters.
+
+    Parameters
+    ----------
+    spec
+        The validated spec.
+    quantities, times, names, initial
+        See `sensitivities`.
+
+    Attributes
+    ----------
+    differences
+        Why derivatives are central differences; empty if they are exact.
+
+    Raises
+    ------
+    SpecError
+        If the input is wrong.
+    """
+
+    def __init__(
+        self,
+        spec: RunSpec,
+        quantities: str | Sequence[str],
+        times: Sequence[float] | np.ndarray,
+        names: Sequence[str],
+        *,
+        initial: Mapping[str, float] | None = None,
+    ):
+        self.spec, self.initial = spec, dict(initial or {})
+        self.quantities = (quantities,) if isinstance(quantities, str) else tuple(quantities)
+        self.time = _times(spec, times)
+        self.sorted, self._places = np.unique(self.time, return_inverse=True)
+        plain = [name for name in names if not name.startswith(f"{INITIAL}.")]
+        known = {one.name: one for one in resolved(spec, plain)} if plain else {}
+        self.parameters = tuple(known[name] if name in known else self._initial(name) for name in names)
+        if not names:
+            raise SpecError("give at least one parameter", key="parameters")
+        self._expressions = self._parsed(spec)
+        self._uses_parameters = bool(set().union(*map(names_in, self.quantities)) & spec.parameters.keys())
+        self.units = tuple(_unit(text, spec) for text in self.quantities)
+        self._is_sided = False
+        self.differences = self._why_differences()
+        self._grid = _grid(spec, self.sorted)
+        self._way = self._chosen_way()
+        self._specs = VariedSpecs(spec.canonical_json())
+        self._prepared = mbdkit.prepare(spec)
+
+    def _chosen_way(self) -> Way:
+        """Return how states at the times are found: without stops and first-order states, motion is smooth between ends
+        of steps.
+        """
+        if self._grid is not None:
+            return "rows"
+        mechanism = self.spec.mechanism()
+        has_stops = bool(timetable(self.spec, guards(self.spec, 1.0)).stops)
+        return "within" if has_stops or mechanism.state_names() or mechanism.held_names() or self._is_sided else "ends"
+
+    def _initial(self, name: str) -> Parameter:
+        quantity = name.removeprefix(f"{INITIAL}.")
+        if quantity not in self.initial:
+            hint = did_you_mean(quantity, list(self.initial)) or f"; `initial` has {listed([*self.initial]) or 'none'}"
+            raise SpecError(f"there is no initial value of '{quantity}'{hint}", key="parameters")
+        return Parameter(name, (INITIAL, quantity), float(self.initial[quantity]))
+
+    def _parsed(self, spec: RunSpec) -> list[RunExpression]:
+        found = []
+        for text in self.quantities:
+            if not isinstance(text, str):
+                raise SpecError(f"a quantity is an expression, not {value_text(text)}", key="quantities")
+            try:
+                found.append(RunExpression.parse(text, spec.mechanism(), spec.numbers, crosses=False))
+            except SpecError as error:
+                raise error.located(prefix="quantities") from None
+        return found
+
+    def _numbers(self, spec: RunSpec) -> Arrays:
+        """Return the numbers in the instructions of the quantities that contain parameters."""
+        if not self._uses_parameters:
+            return {}
+        return {
+            f"quantities.{index}": np.array([number for _, number in one.program])
+            for index, one in enumerate(self._parsed(spec))
+        }
+
+    def _why_differences(self) -> str:
+        """Return why runs of the spec have no exact derivatives; empty if they have."""
+        spec = self.spec
+        if any(event.action != "note" or event.set for event in spec.events.values()):
+            return "an event ends the run or sets states"
+        try:
+            refuse(spec, make_method(spec))
+            for one in self._expressions:
+                for quantity in one.quantities:
+                    require_derivative(quantity)
+            stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), None)
+            self._is_sided = isinstance(stepper, SidedStepper)
+        except MbdkitError as error:
+            return (error.message if isinstance(error, SpecError) else str(error)).rstrip(".")
+        return ""
+
+    # ---- evaluation ------------------------------------------------------------------------------------------------
+
+    def at(self, values: Mapping[str, float], initial: Mapping[str, float] | None = None) -> Sensitivities:
+        """Return the quantities and their derivatives for values of named parameters, and initial values.
+
+        Parameters
+        ----------
+        values
+            Values of parameters by name, of those to be differentiated and of others; names of initial values may be
+            among them. Others keep the values of the spec.
+        initial
+            Initial values; by default, those that were given first.
+
+        Raises
+        ------
+        SpecError
+            If the spec is not valid with these values.
+        RunError
+            If the run ends before the last time.
+        """
+        plain, start = self._split(values, initial)
+        if not self.differences:
+            try:
+                found, slopes, error = self._exact(plain, start)
+                return self._made(found, slopes, "", error)
+            except SpecError as failure:
+                if failure.key != "gradients":
+                    raise
+                self.differences = failure.message.rstrip(".")
+        found, slopes, error = self._by_differences(plain, start)
+        return self._made(found, slopes, self.differences, error)
+
+    def values(self, values: Mapping[str, float], initial: Mapping[str, float] | None = None) -> np.ndarray:
+        """Return the quantities (Q, T) without derivatives; see `at`."""
+        plain, start = self._split(values, initial)
+        if self.differences:
+            return self._stepped(plain, start)[:, self._places]
+        preparation = self._preparation(plain, start)
+        found, _ = self._states(preparation, NO_SEEDS)
+        return np.asarray(found[:, self._places])
+
+    def _split(
+        self, values: Mapping[str, float], initial: Mapping[str, float] | None
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        start = dict(self.initial if initial is None else initial)
+        plain = {}
+        for name, value in values.items():
+            if name.startswith(f"{INITIAL}."):
+                start[name.removeprefix(f"{INITIAL}.")] = float(value)
+            else:
+                plain[name] = float(value)
+        return plain, start
+
+    def _made(self, values: np.ndarray, slopes: np.ndarray, why: str, error: np.ndarray) -> Sensitivities:
+        names = tuple(parameter.name for parameter in self.parameters)
+        some = self._places
+        return Sensitivities(
+            self.quantities, self.units, names, self.time, values[:, some], slopes[:, some], why, error
+        )
+
+    # ---- exact derivatives -----------------------------------------------------------------------------------------
+
+    def _preparation(self, plain: Mapping[str, float], start: Mapping[str, float]) -> RunPreparation:
+        values = {variable_path(name): value for name, value in plain.items()}
+        spec = self._specs.spec([*values.items()]) if values else self.spec
+        return RunPreparation(spec, self._numbers, start, self._specs, values)
+
+    def _exact(
+        self, plain: Mapping[str, float], start: Mapping[str, float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return values (Q, T), derivatives (Q, T, K) and their errors (K,) at the sorted times."""
+        preparation = self._preparation(plain, start)
+        prepared = preparation.derivatives(self._valued(preparation.spec, start))
+        count = len(self.parameters)
+        values, slopes = np.empty((len(self.quantities), len(self.sorted))), []
+        for first in range(0, count, DIRECTIONS):
+            seeds = prepared.seeds.only(slice(first, first + DIRECTIONS))
+            values, slope = self._states(preparation, seeds)
+            slopes.append(slope)
+        return values, np.concatenate(slopes, axis=-1), prepared.error
+
+    def _valued(self, spec: RunSpec, start: Mapping[str, float]) -> list[Parameter]:
+        """Return the parameters with their present values."""
+        plain = [one.name for one in self.parameters if one.path[0] != INITIAL]
+        known = {one.name: one for one in resolved(spec, plain)} if plain else {}
+        return [
+            known[one.name] if one.name in known else Parameter(one.name, one.path, start[str(one.path[1])])
+            for one in self.parameters
+        ]
+
+    def _states(self, preparation: RunPreparation, seeds: Seeds) -> tuple[np.ndarray, np.ndarray]:
+        """Return values (Q, T) and derivatives (Q, T, K) at the sorted times."""
+        spec = preparation.spec
+        begin = (preparation.base["q"], preparation.base["v"]) if preparation.initial else None
+        expressions = self._parsed(spec) if self._uses_parameters else self._expressions
+        method, count = make_method(spec), seeds.count
+        uses_accelerations, way = not method.traits.suits_stiff, self._way
+        changes: dict[str, Any] = {"every": self._grid or 1, "interval": None, "single": way == "within"}
+        run: RunAtTimes
+        if count:
+            stepper = differentiated_stepper(spec, seeds, Needs(), None, begin, **changes)
+            run = DifferentiatedRunAtTimes(stepper, count, way, uses_accelerations=uses_accelerations)
+        else:
+            workspace, _ = build(spec)
+            if begin is not None:
+                workspace = replace(workspace, q0=begin[0], v0=begin[1])
+            table = replace(timetable(spec, guards(spec, size_at_start(spec, workspace))), **changes)
+            plain = start_method(method, workspace, table)
+            run = RunAtTimes(plain, workspace, way, uses_accelerations=uses_accelerations)
+        states = run.states(self.sorted, is_kinematic=all(map(_is_kinematic, expressions)))
+        values = np.empty((len(expressions), len(self.sorted)))
+        slopes = np.empty((*values.shape, seeds.count))
+        for index, one in enumerate(expressions):
+            numbers = seeds.get(f"quantities.{index}")
+            found = series_of(one, states, np.zeros((len(one.program), seeds.count)) if numbers is None else numbers)
+            values[index], slopes[index].T[...] = found.value, found.slope
+        return values, slopes
+
+    # ---- central differences ---------------------------------------------------------------------------------------
+
+    def _by_differences(
+        self, plain: Mapping[str, float], start: Mapping[str, float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return values (Q, T), central differences (Q, T, K) and their errors (K,) at the sorted times."""
+        here = self._stepped(plain, start)
+        slopes = []
+        for one in self._valued(self._prepared.spec_with(plain), start):
+            change = CHANGE * max(abs(one.value), 1.0 if one.path[0] == INITIAL else 0.0) or CHANGE
+            slopes.append(self._difference(one, change, plain, start, here))
+        return here, np.stack(slopes, axis=-1), np.full(len(slopes), np.nan)
+
+    def _difference(
+        self,
+        one: Parameter,
+        change: float,
+        plain: Mapping[str, float],
+        start: Mapping[str, float],
+        here: np.ndarray,
+    ) -> np.ndarray:
+        """Return a difference quotient (Q, T): central, or one-sided if the spec is valid on one side only."""
+        ends = []
+        for value in (one.value + change, one.value - change):
+            is_initial = one.path[0] == INITIAL
+            changed = {str(one.path[-1]) if is_initial else one.name: value}
+            given = (plain, {**start, **changed}) if is_initial else ({**plain, **changed}, start)
+            try:
+                ends.append((value, self._stepped(*given)))
+            except SpecError:
+                ends.append((one.value, here))
+        (high, above), (low, below) = ends
+        if high == low:
+            raise SpecError(
+                f"the spec is not valid for values close to {one.value!r} of '{one.name}'", key="parameters"
+            )
+        return np.asarray((above - below) / (high - low))
+
+    def _stepped(self, plain: Mapping[str, float], start: Mapping[str, float]) -> np.ndarray:
+        """Return the quantities (Q, T) at the sorted times, from a simulation that is advanced to each of them."""
+        spec = self._prepared.spec_with(plain, start) if start else self._prepared.spec_with(plain)
+        found = np.empty((len(self.quantities), len(self.sorted)))
+        with mbdkit.open(spec) as simulation:
+            read = simulation.reader(list(self.quantities))
+            for column, time in enumerate(self.sorted.tolist()):
+                if time > simulation.time and not simulation.ended:
+                    simulation.advance_to(time)
+                if simulation.time < time * (1.0 - ON_GRID):
+                    raise RunError(f"the run ends before t = {time:.6g} s: {simulation.ended}")
+                found[:, column] = read()
+        return found
+
+
+KINEMATIC = frozenset(
+    f"{group}/{name}"
+    for group, names in {
+        "trajectory": ("position", "velocity"),
+        "joints": ("angle",),
+        "markers": ("position", "velocity"),
+        "forces": ("length", "rate"),
+        "states": ("value",),
+        "inputs": ("value",),
+    }.items()
+    for name in names
+)
+"""Arrays of quantities that depend on positions, velocities and first-order states, but not on forces."""
+
+
+def _is_kinematic(expression: RunExpression) -> bool:
+    return all(quantity.recorded.array.path in KINEMATIC for quantity in expression.quantities)
+
+
+def _unit(text: str, spec: RunSpec) -> str:
+    try:
+        return MeasureExpression.parse(f"final(abs({text}))", spec).unit.text
+    except SpecError:  # the unit of a parameter is not known
+        return ""
+
+
+def _times(spec: RunSpec, given: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return times (T,); raise SpecError unless they are within the run."""
+    try:
+        times: np.ndarray = np.atleast_1d(np.asarray(given, float))
+    except (TypeError, ValueError):
+        raise SpecError("times are numbers [s]", key="times") from None
+    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
+        raise SpecError("give a list of finite times [s]", key="times")
+    start, end = spec.time.start, spec.time.final
+    margin = 1e-12 * max(abs(start), abs(end))
+    outside = times[(times < start - margin) | (times > end + margin)]
+    if len(outside):
+        raise SpecError(f"{outside[0]:.9g} s is outside of the run, from {start:g} s to {end:g} s", key="times")
+    return np.clip(times, start, end)
+
+
+def _grid(spec: RunSpec, times: np.ndarray) -> int | None:
+    """Return the number of fixed steps between two of the times; None if they are not ends of fixed steps."""
+    step = spec.time.step
+    if step is None or spec.claims.adaptive or spec.reacting is not None:
+        return None
+    places = (times - spec.time.start) / step
+    whole = np.round(places)
+    if np.any(np.abs(places - whole) > ON_GRID):
+        return None
+    return int(max(1, gcd(*whole.astype(int).tolist())))

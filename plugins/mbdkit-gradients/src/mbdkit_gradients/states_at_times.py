@@ -1,0 +1,208 @@
+"""The states of a run at given times, with and without derivatives with respect to parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from mbdkit.kernels import Duals, Observed, new_duals
+from mbdkit.plugin import RunError
+from mbdkit.plugin.equations import StateObserver, Workspace
+from mbdkit.plugin.methods import Moment, Stepper, Stretch, joined, states_at_start
+from mbdkit.plugin.runs import StepEnds
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
+from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
+from mbdkit_gradients.evaluated_states import StateEvaluator
+from mbdkit_gradients.sided_stepper import SidedStepper
+
+Way = Literal["rows", "ends", "within"]
+
+Sides = np.ndarray | None
+"""(C,) the sides of force laws, which are the same object as long as they do not change; None without such laws."""
+
+
+class RunAtTimes:
+    """The states of a run at given times, as arrays whose last axis has the value alone.
+
+    Parameters
+    ----------
+    stepper, workspace
+        The run at its start.
+    way
+        ``rows`` if the run records states at the times, ``ends`` if it records the ends of all steps, between which the
+        motion is interpolated, or ``within`` if it takes single steps, which are repeated with smaller sizes.
+    uses_accelerations
+        Whether the interpolation uses accelerations; see `StepEnds`.
+    """
+
+    def __init__(self, stepper: Stepper, workspace: Workspace, way: Way, *, uses_accelerations: bool):
+        self.stepper, self.workspace, self.way = stepper, workspace, way
+        self._uses_accelerations, self._width = uses_accelerations, 1
+        self._first = self._at_start()
+
+    def states(self, times: np.ndarray, *, is_kinematic: bool) -> DifferentiatedStates:
+        """Return the states at increasing times (T,) [s].
+
+        Parameters
+        ----------
+        is_kinematic
+            Whether no accelerations and forces are needed.
+
+        Raises
+        ------
+        RunError
+            If the run ends early.
+        """
+        moments, sides = self._within(times) if self.way == "within" else self._rows(times)
+        self.workspace.clamp_motions(-np.inf, np.inf)
+        changes = [k for k in range(1, len(times)) if sides[k] is not sides[k - 1]]
+        parts = []
+        for begin, end in zip([0, *changes], [*changes, len(times)], strict=True):
+            q, v, z = (x[begin:end] for x in moments)
+            parts.append(self._states(times[begin:end], q, v, z, sides[begin], is_kinematic=is_kinematic))
+        return parts[0] if len(parts) == 1 else one_after_another(parts)
+
+    def _advance(self) -> Stretch:
+        stretch = self.stepper.advance()
+        if self.stepper.failure is not None:
+            raise RunError(f"{self.stepper.failure.code}: {self.stepper.failure.sentence}")
+        return stretch
+
+    def _rows(self, times: np.ndarray) -> tuple[Moment, Sequence[Sides]]:
+        """Return the recorded states at the times, or the states between those."""
+        stretches: list[Stretch] = []
+        reached = self.workspace.t0
+        while reached < times[-1] and not self.stepper.finished:
+            stretches.append(self._advance())
+            reached = stretches[-1].time[-1] if len(stretches[-1].time) else reached
+        rows = np.concatenate([[self.workspace.t0], *(one.time for one in stretches)])
+        q, v, z = (np.concatenate([a[None], b]) for a, b in zip(self._first, self._recorded(stretches), strict=True))
+        if self.way == "ends":
+            known = self._states(rows, q, v, z, None, is_kinematic=False) if self._uses_accelerations else None
+            between = np.zeros((2, len(times), *q.shape[1:]))
+            # the run interpolates its values over several steps; that takes too long for all derivatives
+            for some, most in ((slice(1), None), (slice(1, self._width), 2)):
+                ends = q[..., some], v[..., some], None if known is None else known.observed.acc[..., some]
+                between[..., some] = StepEnds(rows, *ends, most=most).at(times)
+            return (between[0], between[1], z[: len(times)]), [None] * len(times)
+        places = np.searchsorted(0.5 * (rows[1:] + rows[:-1]), times)
+        return (q[places], v[places], z[places]), self._sides(places)
+
+    def _within(self, times: np.ndarray) -> tuple[Moment, Sequence[Sides]]:
+        """Return the states at times within steps."""
+        at_start = int(np.searchsorted(times, self.workspace.t0, side="right"))
+        found, sides = [self._first] * at_start, [self._here()] * at_start
+        while len(found) < len(times):
+            here = self._here()
+            self._advance()
+            step = self.stepper.last_step
+            while step is not None and len(found) < len(times):
+                time = times[len(found)]
+                if time > step.t1 and not self.stepper.finished:
+                    break
+                share = min(1.0, max(0.0, (time - step.t0) / (step.t1 - step.t0)))
+                found.append(self._moment(share, here))
+                sides.append(here)
+        q, v, z = (np.stack([moment[k] for moment in found]) for k in range(3))
+        return (q, v, z), sides
+
+    # --- what differs with derivatives
+
+    def _at_start(self) -> Moment:
+        workspace = self.workspace
+        return workspace.q0[:, None], workspace.v0[:, None], states_at_start(workspace)[:, None]
+
+    def _recorded(self, stretches: Sequence[Stretch]) -> Moment:
+        """Return the states that have been recorded after the start."""
+        if not stretches:
+            return tuple(np.empty((0, *x.shape)) for x in self._first)  # type: ignore[return-value]
+        rows = joined(stretches)
+        z = np.zeros((len(rows.time), 0)) if rows.z is None else rows.z
+        return rows.q[..., None], rows.v[..., None], z[..., None]
+
+    def _moment(self, share: float, sides: Sides) -> Moment:
+        """Return the state at a share of the last step."""
+        q, v, z = self.stepper.within(share)
+        return q[:, None], v[:, None], np.asarray(z)[:, None]
+
+    def _here(self) -> Sides:
+        return None
+
+    def _sides(self, places: np.ndarray) -> Sequence[Sides]:
+        """Return the sides at recorded states, counted from the start."""
+        return [None] * len(places)
+
+    def _states(
+        self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray, sides: Sides, *, is_kinematic: bool
+    ) -> DifferentiatedStates:
+        def observe() -> Observed:
+            observer = StateObserver(self.workspace.with_own_pivots())
+            observed = observer.arrays(len(time))
+            given = [np.ascontiguousarray(x[..., 0]) for x in (q, v, z)]
+            if observer.observe(time, given[0], given[1], observed, z=given[2]) is not None:
+                raise RunError("the accelerations at one of the times are not unique")
+            return Observed(*(x[..., None] for x in observed))
+
+        return DifferentiatedStates(self.workspace.mechanism, time, q, v, observe, z=z)
+
+
+class DifferentiatedRunAtTimes(RunAtTimes):
+    """The states of a run at given times, with derivatives with respect to up to `DIRECTIONS` parameters.
+
+    Parameters
+    ----------
+    count
+        Number of parameters.
+    """
+
+    stepper: DifferentiatedStepper
+
+    def __init__(self, stepper: DifferentiatedStepper, count: int, way: Way, *, uses_accelerations: bool):
+        super().__init__(stepper, stepper.workspace, way, uses_accelerations=uses_accelerations)
+        self._evaluator, self._width = StateEvaluator(stepper.steps, count), 1 + count
+        self._sided = stepper if isinstance(stepper, SidedStepper) else None
+
+    def _at_start(self) -> Moment:
+        run = self.stepper.steps.run
+        return np.array(run.q), np.array(run.v), np.array(self.stepper.z0)
+
+    def _recorded(self, stretches: Sequence[Stretch]) -> Moment:
+        q, v, z, _ = self.stepper.steps.recorded(self.stepper.recorded)
+        return q, v, z
+
+    def _moment(self, share: float, sides: Sides) -> Moment:
+        after = self._here()
+        self._use(sides)
+        moment = self.stepper.derivatives_within(share)
+        self._use(after)
+        return moment
+
+    def _here(self) -> Sides:
+        return None if self._sided is None else self._sided.history[-1].sides
+
+    def _sides(self, places: np.ndarray) -> Sequence[Sides]:
+        if self._sided is None:
+            return [None] * len(places)
+        begins = [one.rows + 1 for one in self._sided.history[1:]]
+        return [self._sided.history[k].sides for k in np.searchsorted(begins, places, side="right")]
+
+    def _use(self, sides: Sides) -> None:
+        if self._sided is not None and sides is not None:
+            self._sided.set_sides(sides)
+
+    def _states(
+        self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray, sides: Sides, *, is_kinematic: bool
+    ) -> DifferentiatedStates:
+        def observe() -> Observed:
+            self._use(sides)
+            # kernels evaluate states with equal first-order states together, on which motion alone does not depend
+            states = new_duals(len(time), 0) if is_kinematic else z
+            return self._evaluator.states(
+                time, np.ascontiguousarray(q).view(Duals), np.ascontiguousarray(v).view(Duals), states
+            ).observed
+
+        some = slice(self._width)
+        given = (np.asarray(x)[..., some] for x in (q, v, z))
+        return DifferentiatedStates(self.workspace.mechanism, time, next(given), next(given), observe, z=next(given))

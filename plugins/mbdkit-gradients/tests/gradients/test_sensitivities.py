@@ -1,0 +1,195 @@
+"""Values of quantities at given times, and their derivatives, against closed forms and differences of stepped runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.plugin import RunError, SpecError
+from mbdkit.plugin.specs import load_spec
+from mbdkit_gradients import PreparedSensitivities
+
+PARAMETERS = {"m": 1.0, "k": 30.0, "c": 0.4, "x0": 0.3}
+
+
+def oscillator(**sections: Any) -> dict[str, Any]:
+    """A mass on a spring and a damper, along x."""
+    return {
+        "mbdkit": 1,
+        "parameters": PARAMETERS,
+        "model": {
+            "name": "mechanism",
+            "gravity": [0, 0],
+            "bodies": {"cart": {"mass": "m", "inertia": 1.0, "position": ["x0", 0]}},
+            "joints": {"rail": {"type": "prismatic", "bodies": ["ground", "cart"], "at": [0, 0], "axis": [1, 0]}},
+            "forces": {
+                "spring": {
+                    "type": "spring-damper", "bodies": ["ground", "cart"], "points": [[-2, 0], [0, 0]],
+                    "stiffness": "k", "damping": "c", "free_length": 2.0,
+                }
+            },
+        },
+        "integrator": {"name": "gauss", "stages": 3},
+        "time": {"end": 2.0, "step": 0.01},
+    } | sections  # fmt: skip
+
+
+def closed_form(t: np.ndarray, m: float, k: float, c: float, x0: float) -> np.ndarray:
+    """The position of the mass, which starts at rest."""
+    decay, rate = c / (2 * m), np.sqrt(k / m - (c / (2 * m)) ** 2 + 0j)
+    return x0 * np.exp(-decay * t) * (np.cos(rate * t) + decay / rate * np.sin(rate * t))
+
+
+@pytest.mark.parametrize(
+    ("method", "times"),
+    [
+        ({"name": "gauss", "stages": 3}, np.linspace(0.0, 2.0, 41)),  # ends of steps
+        ({"name": "gauss", "stages": 3}, np.linspace(0.003, 1.997, 57)),  # within steps
+        ({"name": "dop853", "adaptive": True, "rtol": 1e-10, "atol": 1e-12}, np.linspace(0.0, 2.0, 41)),
+    ],
+)
+def test_derivatives_of_an_oscillator_are_those_of_the_closed_form(method: dict[str, Any], times: np.ndarray) -> None:
+    found = mbdkit.sensitivities(oscillator(integrator=method), ["cart.x", "m*cart.x"], times, list(PARAMETERS))
+    assert found.differences == ""
+    assert found.units == ("m", "")
+    np.testing.assert_allclose(found.values[0], closed_form(times, **PARAMETERS).real, atol=1e-8)
+    for k, name in enumerate(PARAMETERS):
+        h = 1e-30
+        shifted = {**PARAMETERS, name: PARAMETERS[name] + 1j * h}
+        exact = closed_form(times.astype(complex), **shifted)
+        np.testing.assert_allclose(found.derivatives[0, :, k], exact.imag / h, atol=1e-7)
+        product = (shifted["m"] * exact).imag / h
+        np.testing.assert_allclose(found["m*cart.x", name], product, atol=1e-7)
+
+
+def test_times_may_be_in_any_order_and_repeated() -> None:
+    one = mbdkit.sensitivities(oscillator(), ["cart.x"], [1.0, 0.5, 1.0], ["k"])
+    assert one.values[0, 0] == one.values[0, 2] != one.values[0, 1]
+    assert mbdkit.sensitivities(oscillator(), "cart.x", 0.5, "k").values[0, 0] == one.values[0, 1]
+
+
+ARM: dict[str, Any] = {
+    "name": "mechanism",
+    "bodies": {
+        "a": {"mass": "m", "inertia": 0.1, "position": [0.5, 0]},
+        "b": {"mass": 0.5, "inertia": 0.05, "position": ["1 + x0", 0]},
+    },
+    "joints": {
+        "hub": {"type": "revolute", "bodies": ["ground", "a"], "at": [0, 0]},
+        "elbow": {"type": "revolute", "bodies": ["a", "b"], "at": [1, 0]},
+    },
+    "forces": {"spring": {"type": "torsion-spring", "bodies": ["ground", "a"], "stiffness": "k", "damping": "c"}},
+}
+CASES: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "states": {
+        "states": {"current": {"rate": "3 - 20*states.current - k*a.angular_velocity", "unit": "A"}},
+        "forces": {**ARM["forces"], "motor": {"type": "torque", "body": "a", "value": "c*states.current"}},
+    },
+    "controller": {
+        "controllers": {"pd": {"period": 0.05, "delay": 0.01, "outputs": {"u": "-k*elbow.angle"}}},
+        "forces": {**ARM["forces"], "motor": {"type": "torque", "body": "b", "reaction_body": "a", "value": "controllers.pd.u"}},
+    },
+    "input": {
+        "inputs": {"u": {"unit": "N*m", "hold": "linear"}},
+        "forces": {**ARM["forces"], "motor": {"type": "torque", "body": "a", "value": "c*inputs.u"}},
+    },
+}  # fmt: skip
+
+
+def arm(case: str, **sections: Any) -> dict[str, Any]:
+    inputs = {"inputs": {"u": {"table": [[0.0, 0.1, 0.2, 0.5], [0.0, 4.0, -3.0, 1.0]]}}} if case == "input" else {}
+    return {
+        "mbdkit": 1,
+        "parameters": {"m": 1.0, "k": 4.0, "c": 0.3, "x0": 0.4},
+        "model": ARM | CASES[case],
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.6, "step": 0.005},
+    } | inputs | sections  # fmt: skip
+
+
+INITIAL = {"hub.angle": 0.2, "elbow.angle": -0.5, "a.angular_velocity": 1.0}
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.0017])
+@pytest.mark.parametrize("case", ["plain", "states", "controller", "input"])
+def test_exact_derivatives_agree_with_differences_of_stepped_runs(case: str, shift: float) -> None:
+    quantities = ["b.angle", "elbow.angle", "b.vx", "joints.elbow.force", "k*a.angular_acceleration"]
+    if case == "states":
+        quantities.append("states.current")
+    names = ["m", "k", "c", "x0", "initial.hub.angle", "initial.a.angular_velocity"]
+    times = np.arange(0.05, 0.55, 0.05) + shift
+    prepared = PreparedSensitivities(load_spec(arm(case)), quantities, times, names, initial=INITIAL)
+    exact = prepared.at({})
+    assert exact.differences == ""
+    np.testing.assert_allclose(prepared.values({}), exact.values, rtol=1e-9, atol=1e-9)
+    prepared.differences = "asked for"
+    other = prepared.at({})
+    scale = np.max(np.abs(other.values), axis=1)[:, None]
+    size = np.max(np.abs(exact.derivatives), axis=1)[:, None]
+    # interpolation within steps of a method of order 4 costs digits
+    tolerance = 1e-9 if shift == 0.0 else 1e-5
+    assert np.max(np.abs(exact.values - other.values) / scale) < tolerance
+    assert np.max(np.abs(exact.derivatives - other.derivatives) / (size + 1e-3)) < max(1e-6, 10 * tolerance)
+
+
+def test_values_are_those_of_the_run() -> None:
+    run = mbdkit.run(arm("controller"))
+    found = mbdkit.sensitivities(arm("controller"), ["b.angle", "joints.hub.force_x"], run.time, ["k"])
+    assert np.array_equal(found.values[0], run.bodies["b"].angle)
+    np.testing.assert_allclose(found.values[1], run.joints["hub"].reaction_force[:, 0], rtol=1e-12)
+
+
+def test_a_ball_that_bounces_has_differences_that_say_so() -> None:
+    ball = {
+        "mbdkit": 1,
+        "parameters": {"e": 0.8},
+        "model": {
+            "name": "mechanism",
+            "bodies": {"ball": {"mass": 1.0, "inertia": 0.1, "position": [0, 1]}},
+            "contacts": {
+                "floor": {
+                    "bodies": ["ground", "ball"], "restitution": "e",
+                    "shapes": [{"line": {"normal": [0, 1]}}, {"circle": {"radius": 0.1}}],
+                }
+            },
+        },
+        "contact": {"treatment": "event-driven"},
+        "integrator": {"name": "gauss", "stages": 2},
+        "time": {"end": 1.0, "step": 0.01},
+    }  # fmt: skip
+    spec = load_spec(ball)
+    times = np.array([0.3, 0.6, 0.9])
+    found = mbdkit.sensitivities(spec, ["ball.y", "ball.vy"], times, ["e"])
+    assert "contact" in found.differences or "impact" in found.differences
+    g, fall = 9.81, np.sqrt(2 * 0.9 / 9.81)
+    after = times > fall
+    np.testing.assert_allclose(found["ball.y", "e"], np.where(after, g * fall * (times - fall), 0.0), atol=1e-6)
+    np.testing.assert_allclose(found["ball.vy", "e"], np.where(after, g * fall, 0.0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((["cart.x"], [3.0], ["k"]), r"times: 3 s is outside of the run"),
+        ((["cart.x"], [float("nan")], ["k"]), r"times: give a list of finite times"),
+        ((["cart.z"], [1.0], ["k"]), r"quantities: .*'z'"),
+        ((["cart.x"], [1.0], ["kk"]), r"no parameter 'kk' \(did you mean 'k'\?\)"),
+        ((["cart.x"], [1.0], ["initial.cart.x"]), r"no initial value of 'cart.x'"),
+        (([3], [1.0], ["k"]), r"a quantity is an expression"),
+        ((["cart.x"], [1.0], []), r"at least one parameter"),
+    ],
+)
+def test_wrong_input_is_one_sentence(arguments: Any, message: str) -> None:
+    with pytest.raises(SpecError, match=message):
+        mbdkit.sensitivities(oscillator(), *arguments)
+
+
+def test_a_run_that_ends_early_is_an_error() -> None:
+    stopped = oscillator(events={"back": {"when": "cart.x", "action": "stop"}})
+    assert mbdkit.sensitivities(stopped, ["cart.x"], [0.1], ["k"]).differences.startswith("an event ends the run")
+    with pytest.raises(RunError, match=r"the run ends before t = 1 s: .*back"):
+        mbdkit.sensitivities(stopped, ["cart.x"], [1.0], ["k"])
