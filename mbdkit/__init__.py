@@ -96,6 +96,7 @@ def _of_higher_layer(module: str, name: str, wanted: str = "") -> Callable[..., 
 higher_layers.elementary_functions = _of_higher_layer("mbdkit.engine.kernels.elementary_calls", "functions_of_numbers")
 higher_layers.elementary_values = _of_higher_layer("mbdkit.engine.kernels.elementary_calls", "values_of")
 higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "RegistryLookup")
+higher_layers.identified_parameters = _of_higher_layer("mbdkit.archive.identified_parameters", "read_identified")
 higher_layers.names_of_mechanisms = _of_higher_layer("mbdkit.mechanism.mechanism", "own_names")
 higher_layers.symbolic_system = _of_higher_layer(
     "mbdkit_statics.symbolic_equations", "build_system", "Mechanism.to_sympy"

@@ -95,6 +95,7 @@ class Accuracy(HtmlView):
     - `chosen`, `why`: method and step that were chosen for the requested accuracy, and the reason; empty if none was
       requested.
     - `compared_measures`: values of the expressions of measures in the comparison runs.
+    - `measured_parameters`: errors of these values by the estimates of parameters: bounds of 95 %.
     - `unknown`: why errors are unknown after `known_until`, as a clause; empty if all are known.
     - `further`: further arrays of the group ``/accuracy`` by name, such as the parts of `reaction_error`; empty for
       most runs.
@@ -114,6 +115,7 @@ class Accuracy(HtmlView):
     chosen: str = ""
     why: str = ""
     compared_measures: ComparedMeasures = field(default_factory=dict)
+    measured_parameters: ComparedMeasures = field(default_factory=dict)
     unknown: str = ""
     further: Mapping[str, TableColumn] = field(default_factory=dict)
 
@@ -196,6 +198,18 @@ class Accuracy(HtmlView):
         return AccuracyFigures(self.known_until, end, self.of_joints(names, force, missed))
 
     @property
+    def position_error_parameters(self) -> np.ndarray | None:
+        """(T, B, 3) errors of x, y [m] and angle [rad] at each time by the estimates of parameters: bounds of 95 %, nan
+        where unknown. None if the spec has no `estimates`, or `check` is false.
+        """
+        return self.parts.get("position_error_parameters")
+
+    @property
+    def reaction_error_parameters(self) -> np.ndarray | None:
+        """(T, J) norm of the error of the reaction forces [N]; see `position_error_parameters`."""
+        return self.parts.get("reaction_error_parameters")
+
+    @property
     def parts(self) -> Mapping[str, np.ndarray]:
         """Values of the further arrays by name."""
         return {name: column.values for name, column in self.further.items()}
@@ -228,8 +242,9 @@ class Accuracy(HtmlView):
             group.attrs[name] = np.float64(getattr(self, name))
         for name in _TEXTS:
             set_text(group, name, getattr(self, name))
-        if self.compared_measures:
-            set_text(group, _COMPARED, compared_json(self.compared_measures))
+        for name in _MEASURES:
+            if values_of_measures := getattr(self, name):
+                set_text(group, name, compared_json(values_of_measures))
 
     @classmethod
     def read(cls, group: h5py.Group) -> Accuracy:
@@ -242,7 +257,7 @@ class Accuracy(HtmlView):
         values["further"] = {name: TableColumn.read(group[name]) for name in further}
         values |= {name: float(group.attrs.get(name, math.nan)) for name in _NUMBERS}
         values |= {name: str(group.attrs.get(name, "")) for name in _TEXTS}
-        values[_COMPARED] = compared_from_json(str(group.attrs.get(_COMPARED, "{}")))
+        values |= {name: compared_from_json(str(group.attrs.get(name, "{}"))) for name in _MEASURES}
         return cls(**values)
 
 
@@ -264,4 +279,4 @@ def largest_known(errors: np.ndarray) -> float:
 _VALUES = ("time", "position_error", "velocity_error", "reaction_error", "torque_error")
 _NUMBERS = ("known_until", "order_observed", "check_s", "asked", "reached")
 _TEXTS = ("method", "chosen", "why", "unknown")
-_COMPARED = "compared_measures"
+_MEASURES = ("compared_measures", "measured_parameters")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.accuracy import largest_known
 from mbdkit.archive.headlines import excluded_error, largest_forces, plus_minus
 from mbdkit.archive.peak_errors import peak_errors, simulated_peak_errors
 from mbdkit.base.text import listed
@@ -99,3 +101,30 @@ def asked_sentence(run: Run) -> str:
     until = "" if accuracy.is_complete or math.isnan(accuracy.reached) else f" until {accuracy.known_until:.4g} s"
     text = f"{accuracy.asked:g} of the mechanism's size, reached by estimate {reached}{until}"
     return f"{text}; chosen: {accuracy.chosen}. {accuracy.why}"
+
+
+def limit_sentence(run: Run) -> str:
+    """Return clauses on what limits the accuracy of positions, angles and forces: the data from which parameters were
+    estimated, or the integration; empty without such errors.
+    """
+    accuracy = run.accuracy
+    if accuracy is None or not (count := accuracy.rows_known) or accuracy.position_error_parameters is None:
+        return ""
+    assert accuracy.reaction_error_parameters is not None
+    by_data = replace(
+        accuracy,
+        position_error=accuracy.position_error_parameters,
+        reaction_error=accuracy.reaction_error_parameters,
+    )
+    errors = (
+        [one.position_error_max, one.angle_error_max, largest_known(one.reaction_error[:count])]
+        for one in (by_data, accuracy)
+    )
+    clauses = []
+    for what, unit, data, steps in zip(("positions", "angles", "forces"), ("m", "rad", "N"), *errors, strict=True):
+        which = "unknown" if math.isnan(data + steps) else "the data" if data > steps else "the integration"
+        if data or steps:
+            clauses.append(
+                f"{what} by {which} ({data:.2g} {unit} from parameters, {steps:.2g} {unit} from integration)"
+            )
+    return "; ".join(clauses)

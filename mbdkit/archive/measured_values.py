@@ -68,6 +68,8 @@ class MeasuredValues(ReadOnlyDict[str, float]):
     - `units`: units by name.
     - `reasons`: why a value could not be computed, by name.
     - `errors`: estimated errors by name, for checked runs and inverse dynamics; nan where unknown.
+    - `parameter_errors`: errors by the estimates of parameters by name: bounds of 95 %, nan where unknown and in runs
+      without estimates.
     - `remarks`: remarks on values, by name: why the error is unknown although the run was checked, or that recorded
       rows exceed the value.
     """
@@ -79,9 +81,12 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         reasons: Mapping[str, str] | None = None,
         errors: Mapping[str, float] | None = None,
         remarks: Mapping[str, str] | None = None,
+        parameter_errors: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__(values)
-        self.errors: ReadOnlyDict[str, float] = ReadOnlyDict(dict.fromkeys(values, math.nan) | dict(errors or {}))
+        unknown = dict.fromkeys(values, math.nan)
+        self.parameter_errors: ReadOnlyDict[str, float] = ReadOnlyDict(unknown | dict(parameter_errors or {}))
+        self.errors: ReadOnlyDict[str, float] = ReadOnlyDict(unknown | dict(errors or {}))
         self.units: ReadOnlyDict[str, str] = ReadOnlyDict(units)
         self.reasons: ReadOnlyDict[str, str] = ReadOnlyDict(reasons or {})
         self.remarks: ReadOnlyDict[str, str] = ReadOnlyDict(remarks or {})
@@ -97,14 +102,17 @@ class MeasuredValues(ReadOnlyDict[str, float]):
             values = {name: _number(measure["value"]) for name, measure in measures.items()}
             units = {name: str(measure["unit"]) for name, measure in measures.items()}
             reasons = {name: str(measure["reason"]) for name, measure in measures.items() if "reason" in measure}
-            errors = {name: _number(measure["error"]) for name, measure in measures.items() if "error" in measure}
+            errors, by_parameters = (
+                {name: _number(measure[key]) for name, measure in measures.items() if key in measure}
+                for key in ("error", "error_by_parameters")
+            )
             remarks = {name: str(measure["remark"]) for name, measure in measures.items() if "remark" in measure}
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the attribute measures has no values and units by name") from error
-        return cls(values, units, reasons, errors, remarks)
+        return cls(values, units, reasons, errors, remarks, by_parameters)
 
     def to_dict(self) -> dict[str, dict[str, float | str | None]]:
-        """Return value, unit and, where available, estimated error, reason of failure and remark of each measure.
+        """Return value, unit and, where available, estimated errors, reason of failure and remark of each measure.
 
         Values that are not finite become None.
         """
@@ -113,6 +121,8 @@ class MeasuredValues(ReadOnlyDict[str, float]):
             values[name] = {"value": _finite(value), "unit": self.units[name]}
             if not math.isnan(self.errors[name]):
                 values[name]["error"] = _finite(self.errors[name])
+            if not math.isnan(self.parameter_errors[name]):
+                values[name]["error_by_parameters"] = _finite(self.parameter_errors[name])
             if name in self.reasons:
                 values[name]["reason"] = self.reasons[name]
             if name in self.remarks:

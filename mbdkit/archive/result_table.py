@@ -32,18 +32,21 @@ class TableColumn(NamedTuple):
         SI unit, ``1`` for texts and counts.
     long_name
         Description.
+    row_units
+        If `units` is ``mixed``, the column with the unit of each number along the last axis.
     """
 
     values: np.ndarray
     axes: tuple[str, ...]
     units: str = "1"
     long_name: str = ""
+    row_units: str = ""
 
     def write(self, file: h5py.File, path: str) -> h5py.Dataset:
         """Write the array at a path of an archive; those of its axes must exist."""
         values = np.ascontiguousarray(self.values)
         dtype = FLOAT if values.dtype.kind == "f" else INTEGER if values.dtype.kind in "iub" else TEXT
-        array = Array(path, self.axes, self.units, self.long_name, dtype)
+        array = Array(path, self.axes, self.units, self.long_name, dtype, self.row_units)
         return create(file, array, values.astype(object if dtype == TEXT else dtype))
 
     @classmethod
@@ -51,8 +54,8 @@ class TableColumn(NamedTuple):
         """Read an array of an archive; its values are read-only."""
         values = (dataset.asstr() if is_text(dataset) else dataset)[:]
         values.flags.writeable = False
-        units, long_name = (str(dataset.attrs.get(key, "")) for key in ("units", "long_name"))
-        return cls(values, dims(dataset), units, long_name)
+        attributes = (str(dataset.attrs.get(key, "")) for key in ("units", "long_name", "row_units"))
+        return cls(values, dims(dataset), *attributes)
 
 
 def axes_first(columns: Mapping[str, TableColumn]) -> list[tuple[str, TableColumn]]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from mbdkit.archive import result_seams
-from mbdkit.archive.accuracy_summary import asked_sentence
+from mbdkit.archive.accuracy_summary import asked_sentence, limit_sentence
 from mbdkit.archive.headlines import (
     JOINTS_NAMED,
     ROUND_OFF,
@@ -66,6 +66,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("run", " ".join(str(spec.get("title") or "").split())),
         *answer_lines(run),
         ("accuracy", run.errors.sentence(with_force=bool(run.measures))),
+        ("limited", limit_sentence(run)),
         ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), *_elements(run)))),
@@ -313,7 +314,9 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
     for name, value in run.measures.items():
         text = run.measures.reasons.get(name, "undefined")
         if math.isfinite(value):
-            text = Headline(name, value, run.measures.units[name], run.measure_errors[name]).text()
+            unit, by_parameters = run.measures.units[name], run.measures.parameter_errors[name]
+            text = Headline(name, value, unit, run.measure_errors[name]).text()
+            text += "" if math.isnan(by_parameters) else f", and +- {by_parameters:.2g} {unit} by parameters"
         remark = f" ({run.measures.remarks[name]})" if name in run.measures.remarks else ""
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
     answer = "; ".join(f"{headline.label} {headline.answer()}" for headline in headlines(run)) if not lines else ""

@@ -18,6 +18,9 @@ elementary_values: Callable[..., Any]
 installed_plugins: Callable[[], Any]
 """Returns the `PluginLookup` of the installed plugins, which finds the models of their options."""
 
+identified_parameters: Callable[..., Any]
+"""Reads estimates of parameters from the result of an identification; see `mbdkit.archive.identified_parameters`."""
+
 names_of_mechanisms: Callable[[], list[str]]
 """Returns the names of the attributes that mechanisms have without elements of plugins."""
 

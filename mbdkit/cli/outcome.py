@@ -80,6 +80,7 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, object]:
     """Return the estimated errors in numbers; None where they are unknown."""
     import numpy as np  # importing NumPy, like SciPy, would delay --help
 
+    from mbdkit.archive.accuracy_summary import limit_sentence
     from mbdkit.archive.headlines import excluded_error
     from mbdkit.archive.peak_errors import peak_errors
 
@@ -98,6 +99,7 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, object]:
         "position_error": _number(accuracy.position_error_max),
         "angle_error": _number(accuracy.angle_error_max),
         "joints": joints,
+        **({"limited": limit} if (limit := limit_sentence(result)) else {}),
         "method": accuracy.method,
         **({"not_included": excluded} if excluded else {}),
         **({} if math.isnan(accuracy.asked) else _asked(accuracy)),

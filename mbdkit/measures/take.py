@@ -93,6 +93,14 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: ModelSpec) -
     return measure_error(value, [number / unit.factor for number in compared], natural_size(unit, *scales))
 
 
+def _parameter_error_of(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> float:
+    """Return the error of a measure by the estimates of parameters; nan if unknown."""
+    if measure.item is not None or run.accuracy is None:
+        return math.nan
+    (error,) = run.accuracy.measured_parameters.get(measure.expression, (math.nan,))
+    return error / _expression(measure, spec).unit.factor
+
+
 def _why_undecided(run: Run, spec: ModelSpec) -> str:
     """Return why errors of measures are unknown if those of the motion are unknown at the end of a run; empty if they
     are known.
@@ -105,12 +113,13 @@ def _why_undecided(run: Run, spec: ModelSpec) -> str:
 
 def take_all(run: Run, spec: ModelSpec) -> MeasuredValues:
     """Return the values of the measures of a run spec; if the measure of a plugin fails, nan with the reason."""
-    values, units, reasons, errors, remarks = {}, {}, {}, {}, {}
+    values, units, reasons, errors, remarks, by_parameters = {}, {}, {}, {}, {}, {}
     for measure in spec.defined_measures():
         units[measure.name] = describe(measure, spec).units
         try:
             values[measure.name] = take(measure, run, spec)
             errors[measure.name] = error_of(measure, values[measure.name], run, spec)
+            by_parameters[measure.name] = _parameter_error_of(measure, run, spec)
             if math.isfinite(values[measure.name]):
                 clauses = [] if measure.item else _expression(measure, spec).remarks(run)
                 if why := _why_unknown(measure, errors[measure.name], run, spec):
@@ -119,7 +128,7 @@ def take_all(run: Run, spec: ModelSpec) -> MeasuredValues:
                     remarks[measure.name] = "; ".join(clauses)
         except PluginError as error:
             values[measure.name], reasons[measure.name] = math.nan, message_of(error)
-    return MeasuredValues(values, units, reasons, errors, remarks)
+    return MeasuredValues(values, units, reasons, errors, remarks, by_parameters)
 
 
 def _expression(measure: DefinedMeasure, spec: ModelSpec) -> MeasureExpression:

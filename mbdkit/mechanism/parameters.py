@@ -92,6 +92,9 @@ _KINDS: tuple[tuple[type[ExpressionError], Kind], ...] = (
 
 RESERVED = frozenset({"t", "pi", *FUNCTIONS})
 
+FROM = "from"
+"""Reserved key among named parameters: the file from which further parameters are taken."""
+
 _NUMBER = re.compile(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)(,\d+)?([eE][-+]?\d+)?\s*")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[.\[])")
@@ -157,9 +160,12 @@ def evaluate(text: str, values: Values, known: list[str] | None = None) -> float
     return value
 
 
-def names_in(text: object) -> set[str]:
-    """Return the names in an expression; none if the value is not text."""
-    return set(_NAME.findall(text)) if isinstance(text, str) else set()
+def names_in(value: object) -> set[str]:
+    """Return the names in an expression, or in all texts of a mapping or list; none in other values."""
+    if isinstance(value, str):
+        return set(_NAME.findall(value))
+    values = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return set().union(*map(names_in, values))
 
 
 def parameters_in_use(parameters: Mapping[str, object], texts: Iterable[object]) -> set[str]:
@@ -260,6 +266,11 @@ def _check(name: object, value: object) -> None:
     key = f"parameters.{name}"
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise SpecError("a parameter has a name of letters, digits and underscores, such as crank_length", key=key)
+    if name == FROM:
+        message = (
+            "names the file of an identification, which is read when a spec or a base is loaded; it cannot be set here"
+        )
+        raise SpecError(message, key=key)
     if name in RESERVED:
         raise SpecError(f"'{name}' has a meaning in expressions already; choose another name", key=key)
     if isinstance(value, bool) or not isinstance(value, int | float | str):

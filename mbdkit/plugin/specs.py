@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.registry.item_options import named_options as named_options
     from mbdkit.registry.manager import registry as registry
     from mbdkit.spec.choices import Choice as Choice
+    from mbdkit.spec.estimates import Estimated as Estimated, Estimates as Estimates
     from mbdkit.spec.formulation_choice import (
         BY_ACCELERATIONS as BY_ACCELERATIONS, choice_of as choice_of, name_of as name_of,
     )

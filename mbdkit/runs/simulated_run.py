@@ -44,6 +44,7 @@ from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
 from mbdkit.runs.accuracy.chosen_method import Choice
 from mbdkit.runs.accuracy.compared_measures import compared_measures
+from mbdkit.runs.accuracy.parameter_errors import with_parameter_errors
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.corners import stops_of
@@ -467,6 +468,12 @@ class SimulatedRun:
                 partial(self.request.measured_in, expressions), lambda: self.interrupted,
             )  # fmt: skip
             self.accuracy = replace(self.accuracy, compared_measures=compared)
+        if self.spec.check:
+            expressions = () if self.failure else expressions
+            self.accuracy = with_parameter_errors(
+                self.accuracy, self.spec, self.method, steps, expressions,
+                partial(self.request.measured_in, expressions), lambda: self.interrupted, progress,
+            )  # fmt: skip
 
     def compared_loads(self) -> tuple[str, ...]:
         """Return expressions of the largest loads that are compared with those of other runs."""

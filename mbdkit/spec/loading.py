@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict, TypeVar, cast
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.files_read import FilesRead, recording
+from mbdkit.base.files_read import recording
 from mbdkit.base.plain_data import copied
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.formulation import FormulationName
@@ -21,6 +21,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.feature_items import Example
 from mbdkit.registry.manager import registry
+from mbdkit.spec.estimates import read_estimates
 from mbdkit.spec.input_tables import read_input_files
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
@@ -40,6 +41,7 @@ class Sections(TypedDict, total=False):
     mbdkit: Literal[1]
     title: str
     parameters: Mapping[str, float | str]
+    estimates: Section | None
     model: Section
     formulation: FormulationName | Section
     stabilization: Section
@@ -93,17 +95,16 @@ def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], s
     if isinstance(source, kind) and not sections and not tuple(overrides):
         source.mechanism()
         return source
-    document = read_source(source)
+    document = _document(source)
     document.data |= sections
     document.keywords = frozenset(sections)
     if error := refused(document.data, name):
         raise document.place(error)
     for assignment in overrides:
         set_value(document, assignment)
-    files = FilesRead()
+    files = document.files
     try:
-        with recording(files):
-            _read_files(document)
+        _read_files(document)
         spec = kind(**document.data)
         spec._document = document  # before the mechanism, which may depend on files in the folder of the spec
         mechanism = spec.mechanism()
@@ -116,11 +117,13 @@ def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], s
 
 def _read_files(document: Document) -> None:
     model: Any = document.data.get("model")
-    if isinstance(inputs := document.data.get("inputs"), Mapping):
-        read_input_files(inputs, document.folder)
-    for key, kind in element_kinds().items() if isinstance(model, Mapping) else ():
-        if kind.read_files is not None and isinstance(elements := model.get(key), Mapping):
-            element_files.of(kind.read_files)(elements, document.folder)
+    with recording(document.files):
+        read_estimates(document.data, document.folder)
+        if isinstance(inputs := document.data.get("inputs"), Mapping):
+            read_input_files(inputs, document.folder)
+        for key, kind in element_kinds().items() if isinstance(model, Mapping) else ():
+            if kind.read_files is not None and isinstance(elements := model.get(key), Mapping):
+                element_files.of(kind.read_files)(elements, document.folder)
 
 
 def example_names(kind: str | None = None) -> list[str]:
@@ -170,7 +173,20 @@ def _examples_of(known: Registry) -> dict[str, Path]:
 
 
 def read_source(source: Any) -> Document:
-    """Read `source` into a document without validation; see `load_spec` for the kinds of source."""
+    """Read `source` into a document without validation; see `load_spec` for the kinds of source.
+
+    Estimates of an identification that its `parameters` name are taken.
+    """
+    document = _document(source)
+    try:
+        with recording(document.files):
+            read_estimates(document.data, document.folder)
+    except SpecError as error:
+        raise document.place(error) from None
+    return document
+
+
+def _document(source: Any) -> Document:
     if isinstance(source, ModelSpec):
         fields, omitted = type(source).model_fields, source.ABSENT_BY_DEFAULT
         default = {name: info.get_default(call_default_factory=True) for name, info in fields.items()}

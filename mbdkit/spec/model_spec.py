@@ -26,6 +26,7 @@ from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.spec.choices import Choice, RegistryLookup, registry_of
+from mbdkit.spec.estimates import Estimated, Estimates
 from mbdkit.spec.reading import Document
 from mbdkit.spec.sections import QUANTITIES, Section
 from mbdkit.spec.spec_kinds import kind_of
@@ -140,7 +141,11 @@ class ModelSpec(StrictSpec):
     """Title of the run, free text."""
     parameters: dict[str, float | str] = Field(default_factory=dict)
     """Named numbers. Any number of the model may be an expression of them, such as `0.5*crank`. Motions, events and
-    other parameters, in any order, may also contain them. Angles may be written as `degrees(45)`."""
+    other parameters, in any order, may also contain them. Angles may be written as `degrees(45)`. `from: FILE.h5` takes
+    the estimates of an identification that the spec uses; numbers beside it take precedence."""
+    estimates: Estimates | None = None
+    """Which parameters are estimates, with their covariance. `parameters: {from: FILE.h5}` writes this section when a
+    spec is loaded."""
     model: Annotated[BaseModel, Choice("model")]
     """The model: its name and its parameters."""
 
@@ -161,6 +166,12 @@ class ModelSpec(StrictSpec):
     @abstractmethod
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the result."""
+
+    @property
+    def estimated(self) -> Estimated | None:
+        """The parameters that are estimates, with their covariance; None if there are none."""
+        found = None if self.estimates is None else self.estimates.within(self.parameters)
+        return found if found and found.names else None
 
     @property
     def recorded(self) -> frozenset[str]:

@@ -15,6 +15,7 @@ from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import read_bytes
+from mbdkit.base.files_read import FilesRead
 from mbdkit.base.plain_data import (
     DEEPEST,
     QUOTED,
@@ -39,6 +40,7 @@ class Document:
     - `overridden`: key paths set on the command line, with the text of each assignment.
     - `keywords`: top-level sections replaced by Python keyword arguments.
     - `folder`: folder to which file names in the data are relative; by default, the current folder.
+    - `files`: files that were read for the data.
     """
 
     data: dict[str, Any]
@@ -47,6 +49,7 @@ class Document:
     overridden: dict[Path, str] = field(default_factory=dict)
     keywords: frozenset[str] = frozenset()
     folder: FilePath = FilePath()
+    files: FilesRead = field(default_factory=FilesRead)
 
     @without_collection()
     def place(self, error: SpecError) -> SpecError:

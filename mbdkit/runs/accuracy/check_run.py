@@ -63,7 +63,7 @@ def check_run(
         return as_accuracy(rows, _no_errors(rows), "The run recorded only its start, which has no error.", begin)
     budget = Budget(spec.limits.wall_time, interrupted)
     chosen = choose_companions(spec, method, workspace, rows.time, steps)
-    watch = _watch(spec)
+    watch = watch_of(spec)
     runs = [
         run_companion(companion, workspace, rows.time, budget.stopped, progress, watch) for companion in chosen.finer
     ]
@@ -145,7 +145,7 @@ def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: f
     )
 
 
-def _watch(spec: RunSpec) -> Callable[[Workspace, Stepper], Watch] | None:
+def watch_of(spec: RunSpec) -> Callable[[Workspace, Stepper], Watch] | None:
     """Return a function that wraps the stepper of a companion so that events set states; None if none does."""
     if not spec.settings():
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from tests.identified import write_identified
 
 TIME = np.linspace(0.0, 2.0, 101)
 
@@ -42,6 +45,16 @@ PARAMETERS = ["mass", "inertia", "length", "stiffness"]
 def final_torque(**parameters: float) -> float:
     with mbdkit.inverse(pendulum(**parameters), measures={"torque": f"at({TORQUE}, 0.6)"}) as run:
         return float(run.measures["torque"])
+
+
+def test_inverse_dynamics_takes_estimated_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_identified(tmp_path / "fit.h5", {"stiffness": 30.0, "mass": 1.5}, [[1.0, 0.1], [0.1, 0.04]])
+    spec = load_inverse_spec(pendulum() | {"parameters": {"from": "fit.h5", "inertia": 0.1, "length": 0.7}})
+    assert spec.estimated is not None
+    assert spec.estimated.names == ("stiffness", "mass")
+    with mbdkit.inverse(spec, measures={"torque": f"at({TORQUE}, 0.6)"}) as run:
+        assert run.measures["torque"] == final_torque(stiffness=30.0, mass=1.5)
 
 
 def test_derivatives_of_a_torque_are_those_of_its_closed_form() -> None:

@@ -14,7 +14,7 @@ from mbdkit.plugin.specs import Document, example_names, kind_of, parse_key, put
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_report import stated_units
-from mbdkit_studies import base_source, document_of
+from mbdkit_studies import base_document, document_of
 
 
 def load_design_spec(source: object, assignments: Iterable[str] = (), **sections: object) -> DesignSpec:
@@ -99,10 +99,7 @@ def _scenario_spec(
     own = scenario.base is not None
     base, place = (scenario.base, ("scenarios", name, "base")) if own else (design.base, ("base",))
     assert base is not None
-    if isinstance(base, str):
-        document = read_source(base_source(base, folder, path_text(place), "design"))
-    else:
-        document = Document(copied(base))
+    document = base_document(base, folder, path_text(place), "design")
     data = copied(document.data)
     given: Given = {path_text(("overrides", key)): (parse_key(key), value) for key, value in design.overrides.items()}
     for key, value in scenario.overrides.items():

@@ -14,6 +14,9 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.base.errors import RunError
 from mbdkit.cli import app
+from mbdkit.plugin.specs import write_yaml
+from mbdkit_design.design_loading import load_design_spec
+from tests.identified import MASS, sliding, write_fit
 
 
 @pytest.mark.parametrize(("optimizer", "starts"), [("slsqp", 2), ("trust-constr", 1)])
@@ -174,3 +177,18 @@ def test_limits_that_cannot_be_met_are_told_by_the_exit_status(tmp_path: Path) -
     assert "violates them least: height in plain is" in done.stdout
     assert " below its limit of 10" in done.stdout
     assert told in done.stdout
+
+
+@pytest.mark.parametrize("is_inline", [False, True])
+def test_the_base_of_a_design_takes_estimated_parameters(tmp_path: Path, *, is_inline: bool) -> None:
+    write_fit(tmp_path)
+    (tmp_path / "base.yaml").write_text(write_yaml(sliding()), "utf-8")
+    design = {
+        "mbdkit_design": 1, "base": sliding() if is_inline else "base.yaml", "minimize": "-final(block.x)",
+        "variables": {"stiffness": {"bounds": [1, 50]}},
+    }  # fmt: skip
+    (tmp_path / "design.yaml").write_text(write_yaml(design), "utf-8")
+    spec = load_design_spec(tmp_path / "design.yaml").specs[""]
+    assert spec.parameters["mass"] == MASS
+    assert spec.estimated is not None
+    assert spec.estimated.names == ("mass",)  # the stiffness is chosen

@@ -78,7 +78,7 @@ def _put_values(data: dict[str, Any], values: Mapping[str, object]) -> None:
         expression contains it), or if a value is not plain data.
     """
     given = data.get("parameters")
-    known = list(given) if isinstance(given, dict) else sorted(_names_in(data))
+    known = list(given) if isinstance(given, dict) else sorted(names_in(data))
     for name, value in values.items():
         path = parse_key(name)
         if path[:1] == ("model",) and len(path) > 1:
@@ -87,13 +87,6 @@ def _put_values(data: dict[str, Any], values: Mapping[str, object]) -> None:
         if len(path) != 2 or path[1] not in known:
             raise _unknown(known if isinstance(given, dict) else [], name)
         put(data, path, plain(value, path))
-
-
-def _names_in(data: object) -> set[str]:
-    if isinstance(data, str):
-        return names_in(data)
-    values = data.values() if isinstance(data, Mapping) else data if isinstance(data, list) else ()
-    return set().union(*map(_names_in, values))
 
 
 def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:

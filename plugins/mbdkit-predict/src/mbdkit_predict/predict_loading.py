@@ -11,7 +11,7 @@ from mbdkit.plugin import SpecError, copied, did_you_mean, listed, loaded, parse
 from mbdkit.plugin.seams import spec_loader, spec_schema
 from mbdkit.plugin.specs import DRAFT, Document, Registry, described, model_schema, put, read_source, registry
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
-from mbdkit_studies import base_source
+from mbdkit_studies import base_document
 
 PredictSource: TypeAlias = str | Path | Mapping[str, object] | PredictSpec
 """A file, the name of a packaged example, a mapping, or a validated spec of a prediction."""
@@ -34,7 +34,7 @@ def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections:
     if not isinstance(source, PredictSpec):
         document = read_source(source)
         try:
-            document.data = _with_base(document.data | sections, document.folder)
+            document.data = _with_base(document.data | sections, document)
         except SpecError as error:
             raise document.place(error) from None
         source, sections = document, {}
@@ -44,7 +44,7 @@ def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections:
 spec_loader(load_predict_spec)
 
 
-def _with_base(data: Mapping[str, object], folder: Path) -> dict[str, object]:
+def _with_base(data: Mapping[str, object], document: Document) -> dict[str, object]:
     sections = dict(data)
     for key in sections:
         if key not in PredictSpec.model_fields and key not in OF_BASE:
@@ -57,9 +57,10 @@ def _with_base(data: Mapping[str, object], folder: Path) -> dict[str, object]:
     if not isinstance(base, str | Mapping):
         wanted = "a file, the name of an example, or a run spec"
         raise SpecError(f"should be {wanted}, not {value_text(base)}", key="base")
-    if isinstance(base, str):
-        base = read_source(base_source(base, folder, "base", "prediction")).data
-    base = copied(base)
+    of_base = base_document(base, document.folder, "base", "prediction")
+    base = of_base.data
+    for file in of_base.files.all:
+        document.files.add(file)
     overrides = sections.pop("overrides", {})
     if not isinstance(overrides, Mapping):
         raise SpecError(f"should be a mapping of key paths and values, not {value_text(overrides)}", key="overrides")
@@ -70,7 +71,7 @@ def _with_base(data: Mapping[str, object], folder: Path) -> dict[str, object]:
         put(base, path, value)
     if "parameters" in sections:
         sections["optimized"] = sections.pop("parameters")
-    return {"mbdkit": 1, **{key: base[key] for key in USED if key in base}, **sections}
+    return {"mbdkit": 1, **{key: base[key] for key in (*USED, "estimates") if key in base}, **sections}
 
 
 def compared_spec(spec: PredictSpec) -> PredictSpec:

@@ -146,8 +146,8 @@ class PredictSpec(ModelSpec):
 
     model_config = ConfigDict(title="mbdkit spec of a prediction", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        "parameters", "optimized", "duration", "phases", "initial", "final", "subject_to", "periodic", "measured",
-        "sensitivities", "compare", "guess", "starts", "seed", "limits",
+        "parameters", "estimates", "optimized", "duration", "phases", "initial", "final", "subject_to", "periodic",
+        "measured", "sensitivities", "compare", "guess", "starts", "seed", "limits",
     )  # fmt: skip
 
     mbdkit_predict: FormatVersion

@@ -18,11 +18,13 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
+from mbdkit.plugin.specs import write_yaml
 from mbdkit_predict.nonlinear_program import Stop, _Watcher
 from mbdkit_predict.predict_loading import compared_spec, load_predict_spec
 from mbdkit_predict.predicted_run import transcribed
 from mbdkit_predict.transcription import OF_POINTS, Mesh
 from predict.exact_optima import DRAG, EFFORT, EXACT, PUSH, block, of_states, swing_up
+from tests.identified import MASS, STIFFNESS, sliding, write_fit
 
 
 @pytest.mark.slow
@@ -405,3 +407,18 @@ def test_the_linear_solver_uses_one_thread_while_it_works(monkeypatch: pytest.Mo
     mbdkit.predict("block")
     assert counts == {1} if blas else not counts
     assert [library.openblas_get_num_threads() for library in blas] == before
+
+
+@pytest.mark.parametrize("is_inline", [False, True])
+def test_the_base_of_a_prediction_takes_estimated_parameters(tmp_path: Path, *, is_inline: bool) -> None:
+    write_fit(tmp_path)
+    base = sliding()
+    base["model"]["forces"]["push"] = {"type": "force", "body": "block", "value": [0.0, 0.0]}
+    (tmp_path / "base.yaml").write_text(write_yaml(base), "utf-8")
+    path = tmp_path / "predict.yaml"
+    sections = {"controls": {PUSH: {"bounds": [0, 2]}}, "duration": 1.0, "minimize": EFFORT}
+    path.write_text(write_yaml({"mbdkit_predict": 1, "base": base if is_inline else "base.yaml", **sections}), "utf-8")
+    spec = load_predict_spec(path)
+    assert spec.parameters == {"stiffness": STIFFNESS, "mass": MASS}
+    assert spec.estimated is not None
+    assert [file.name for file in spec.files_read] == ["fit.h5"]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         METHOD as METHOD, MODEL as MODEL, Points as Points, STEP as STEP, family as family, value as value,
     )
     from mbdkit_studies.spec.sample_section import frozen as frozen
-    from mbdkit_studies.spec.study_loading import base_source as base_source, document_of as document_of
+    from mbdkit_studies.spec.study_loading import base_document as base_document, document_of as document_of
     from mbdkit_studies.spec.study_spec import Overrides as Overrides
     from mbdkit_studies.store.storage import storage_in as storage_in
     from mbdkit_studies.store.study_point import StudyPoint as StudyPoint

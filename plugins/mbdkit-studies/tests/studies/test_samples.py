@@ -12,15 +12,20 @@ import scipy.stats
 from tests.analysis.ishigami import FIRST, TOTAL, ishigami
 
 import mbdkit
-from mbdkit import MbdkitError, SpecError
+from mbdkit import MbdkitError, RunSpec, SpecError
+from mbdkit.plugin.specs import read_file, write_yaml
+from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.points import sampled_values as module
 from mbdkit_studies.points.sampled_values import sampled_values
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.results.study_notes import notes
 from mbdkit_studies.spec.sample_section import Sample
+from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.statistics.sensitivity import sensitivity
 from mbdkit_studies.statistics.sobol_indices import sobol_indices
+from tests import identified
+from tests.identified import COVARIANCE, STIFFNESS, sliding, write_fit
 from tests.runs.oscillator import oscillator
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
@@ -379,3 +384,90 @@ def test_indices_of_errors_are_not_shown(tmp_path: Path) -> None:
     assert "no variable explains it: the values of noise differ by" in told["noise"]
     assert "NUMERICAL" not in told["swing"]
     assert "error of a run" in told["swing"]
+
+
+@pytest.fixture
+def estimated(tmp_path: Path) -> Path:
+    """A study of a base with estimated stiffness and mass, which draws them."""
+    write_fit(tmp_path)
+    (tmp_path / "base.yaml").write_text(write_yaml(sliding()), "utf-8")
+    study = {"mbdkit_study": 1, "base": "base.yaml", "sample": {"n": 1024, "estimates": True, "seed": 4}}
+    path = tmp_path / "study.yaml"
+    path.write_text(write_yaml(study | {"measures": {"end": "final(block.x)"}}), "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("method", ["sobol", "halton", "latin-hypercube", "random"])
+def test_drawn_estimates_have_their_means_and_covariances(estimated: Path, method: str) -> None:
+    # expected: errors of means and covariances of independent Gaussian members, of which 4 deviations are allowed
+    n = 4096
+    spec = load_study_spec(estimated, [f"sample.n={n}", f"sample.method={method}"])
+    columns = module.values_of(spec)
+    assert list(columns) == ["parameters.stiffness", "parameters.mass"]
+    drawn = np.array([*columns.values()])
+    variances = np.diagonal(COVARIANCE)
+    assert np.all(np.abs(drawn.mean(axis=1) - [STIFFNESS, identified.MASS]) < 4.0 * np.sqrt(variances / n))
+    spread = np.sqrt((np.outer(variances, variances) + COVARIANCE**2) / n)
+    assert np.all(np.abs(np.cov(drawn) - COVARIANCE) < 4.0 * spread)
+    assert scipy.stats.kstest(drawn[1], "norm", (identified.MASS, np.sqrt(variances[1]))).pvalue > 1e-3
+
+
+def test_a_study_of_estimates_needs_no_file_and_draws_what_a_check_estimates(estimated: Path, tmp_path: Path) -> None:
+    study = mbdkit.study(estimated, out=tmp_path / "out", assignments=["sample.n=64"])
+    (tmp_path / "fit.h5").unlink()
+    (tmp_path / "base.yaml").unlink()
+    again = mbdkit.study(tmp_path / "out" / "study.yaml", out=tmp_path / "again")
+    np.testing.assert_array_equal(study.to_frame()["end"], again.to_frame()["end"])
+    checked = mbdkit.run(study.spec.base, check=True, measures={"end": "final(block.x)"})
+    deviation = checked.measures.parameter_errors["end"] / 1.96
+    assert study.to_frame()["end"].std() == pytest.approx(deviation, rel=0.1)
+    member = study.remake(1)
+    assert member.spec["parameters"]["mass"] != identified.MASS
+    assert RunSpec(**member.spec).estimated is None  # its values are given
+
+
+@pytest.mark.parametrize(
+    ("assignments", "drawn"),
+    [
+        (["parameters.mass=2.5"], ["parameters.stiffness"]),
+        (["sample.variables={parameters.mass: {uniform: [1, 2]}}"], ["parameters.mass", "parameters.stiffness"]),
+        (["sample.variables={model.bodies.block.inertia: {uniform: [1, 2]}}"],
+         ["model.bodies.block.inertia", "parameters.stiffness", "parameters.mass"]),
+    ],
+)  # fmt: skip
+def test_estimates_that_the_study_sets_are_not_drawn(estimated: Path, assignments: list[str], drawn: list[str]) -> None:
+    columns = module.values_of(load_study_spec(estimated, assignments))
+    assert list(columns) == drawn
+    assert columns["parameters.stiffness"].std() == pytest.approx(0.2, rel=0.05)
+
+
+def test_an_axis_of_an_estimate_takes_precedence(estimated: Path) -> None:
+    data = read_file(estimated).data | {"axes": [{"parameters.mass": [1.0, 2.0]}]}
+    (estimated.parent / "axes.yaml").write_text(write_yaml(data), "utf-8")
+    assert list(module.values_of(load_study_spec(estimated.parent / "axes.yaml"))) == ["parameters.stiffness"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "message"),
+    [
+        ({"sample": {"n": 4}}, "sample.variables", "needs at least one key of a run spec"),
+        ({"sample": {"n": 4, "estimates": True, "design": "saltelli"}}, "sample.design", "estimates are correlated"),
+        ({"base": "double-pendulum"}, "sample.estimates", "draws nothing: the base takes no parameters"),
+        ({"overrides": {"parameters": {"stiffness": 1, "mass": 1}}}, "sample.estimates", "draws nothing"),
+        ({"overrides": {"parameters.from": "fit.h5"}}, "overrides.\"parameters.from\"", "cannot be set here"),
+        ({"base": sliding(parameters={"from": "no.h5"})}, "base", "No such file"),
+        ({"base": sliding(parameters={"from": 3})}, "base.parameters.from", "should be the file of an identification"),
+        ({"base": sliding(parameters={}, estimates={"values": {"a": 1.0}, "covariance": [[-1.0]]})},
+         "base.estimates.covariance", "should be symmetric"),
+        ({"base": None, "axes": [], "families": {
+            "a": {"base": "base.yaml"}, "b": {"base": sliding(parameters={"from": "fit.h5", "mass": 1.0})}}},
+         "sample.estimates", "draws different parameters for the families"),
+    ],
+)  # fmt: skip
+def test_wrong_samples_of_estimates_are_refused(estimated: Path, changes: Any, key: str, message: str) -> None:
+    path = estimated.parent / "wrong.yaml"
+    data = {name: value for name, value in (read_file(estimated).data | changes).items() if value is not None}
+    path.write_text(write_yaml(data), "utf-8")
+    with pytest.raises(SpecError, match=message) as caught:
+        plan_study(load_study_spec(path))
+    assert caught.value.key == key

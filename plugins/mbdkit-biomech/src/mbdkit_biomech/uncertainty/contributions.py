@@ -97,7 +97,7 @@ def contributions(run: Run, joint: str, at: float | None = None) -> Contribution
     if joint not in run.joint_names:
         raise UnknownNameError("joint", joint, list(run.joint_names))
     accuracy = run.accuracy
-    if accuracy is None or not accuracy.parts:
+    if accuracy is None or "contribution" not in accuracy.parts:
         raise SpecError("the run has no contributions: its spec has no `uncertainty`", key="uncertainty")
     place, time = list(run.joint_names).index(joint), np.asarray(run.time)
     force = _forces(run)[:, place]
@@ -120,7 +120,7 @@ def contributions_of(run: Run) -> Callable[..., Contributions]:
 
 def has_contributions(run: Run) -> bool:
     """Return whether a run has contributions."""
-    return run.accuracy is not None and bool(run.accuracy.parts)
+    return run.accuracy is not None and "contribution" in run.accuracy.parts
 
 
 def _forces(run: Run) -> np.ndarray:

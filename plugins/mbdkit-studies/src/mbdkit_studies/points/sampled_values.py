@@ -6,6 +6,7 @@ import numpy as np
 
 from mbdkit.plugin import MbdkitError, SpecError, path_text
 from mbdkit.plugin.files import Path
+from mbdkit.plugin.specs import Estimated
 from mbdkit_studies.folder import member_table
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.spec.sample_section import Sample, frozen
@@ -16,12 +17,17 @@ _SMALLEST = 2.0**-54
 """Smallest coordinate of a point; it replaces 0, whose quantile is infinite for many distributions."""
 
 
-def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
+def sampled_values(sample: Sample, estimated: Estimated | None = None) -> dict[str, np.ndarray]:
     """Return the values of each variable, (N,) by dotted key, where N is the number of runs.
 
     The runs of each member of the sample are consecutive. In a Saltelli design with d variables, a member has one run
     with a point of the matrix A, one with a point of B, and d runs with the point of A in which one coordinate is taken
     from B. In other designs, a member is one run.
+
+    Parameters
+    ----------
+    estimated
+        Parameters that are drawn from the joint normal distribution of their estimates; None for none.
 
     Raises
     ------
@@ -30,7 +36,7 @@ def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
     """
     d = len(sample.variables)
     if sample.design == "plain":
-        points = unit_points(sample, d)
+        points = unit_points(sample, d + (0 if estimated is None else len(estimated.names)))
     else:
         both = unit_points(sample, 2 * d)
         first, second = both[:, :d], both[:, d:]
@@ -46,6 +52,11 @@ def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
         if not np.all(np.isfinite(values[key])):
             message = "the distribution yields values that are too large for double precision"
             raise SpecError(message, key=path_text(("variables", key)))
+    if estimated is not None:
+        from scipy.special import ndtri
+
+        drawn = estimated.values + ndtri(points[:, d:]) @ estimated.factor.T
+        values |= {f"parameters.{name}": column for name, column in zip(estimated.names, drawn.T, strict=True)}
     return values
 
 
@@ -111,8 +122,9 @@ def values_of(spec: StudySpec) -> dict[str, np.ndarray]:
     if spec.sample is None:
         return {}
     if spec._columns is None:
+        estimated = spec.estimated()
         try:
-            spec._columns = sampled_values(spec.sample)
+            spec._columns = sampled_values(spec.sample, estimated)
         except SpecError as error:
             raise spec.placed(error.located(prefix="sample")) from None
     return spec._columns

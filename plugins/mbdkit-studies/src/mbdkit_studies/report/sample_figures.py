@@ -196,7 +196,8 @@ def _scatters(one: _Measured) -> Iterator[Figure]:
 def _is_logarithmic(study: Study, key: str) -> bool:
     """Return whether the axis of a variable is logarithmic, because its distribution is."""
     sample = study.spec.sample
-    return sample is not None and next(iter(sample.variables[key])).startswith(("log", "reciprocal"))
+    given = {} if sample is None else sample.variables.get(key, {})
+    return next(iter(given), "").startswith(("log", "reciprocal"))
 
 
 def _convergence(one: _Measured) -> list[Figure]:

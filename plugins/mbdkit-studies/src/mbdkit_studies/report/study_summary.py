@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -119,6 +120,9 @@ def _sample_lines(spec: StudySpec) -> Iterator[tuple[str, str]]:
             (low, high), unit = central_range(given), unit_of(given)
             size = f"{low:.4g} to {high:.4g} {unit.si if unit else ''}".rstrip()
             yield "variable", f"{key}: {json_text(given)} (5 % to 95 %: {size})"
+        if (estimated := spec.estimated()) is not None:
+            for name, value, row in zip(estimated.names, estimated.values, estimated.factor, strict=True):
+                yield "estimate", f"parameters.{name}: {value:.6g}, standard deviation {math.hypot(*row):.2g}"
 
 
 def _measure_lines(defined: Mapping[str, Description]) -> Iterator[tuple[str, str]]:

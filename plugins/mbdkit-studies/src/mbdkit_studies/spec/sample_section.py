@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
 from mbdkit.base.units import QUANTITY
 from mbdkit.plugin import SpecError, Unit, did_you_mean, listed, quoted, read_quantity, value_text
@@ -231,8 +231,6 @@ def _check_number(variables: object) -> Any:
 
 
 def _check_variables(variables: dict[str, Any]) -> dict[str, Any]:
-    if not variables:
-        raise SpecError("needs at least one key of a run spec, such as `model.angles.0: {uniform: [-1, 1]}`")
     taken: dict[tuple[str, ...], str] = {}
     for key in variables:
         path = parse_key(key)
@@ -260,6 +258,8 @@ class Sample(Section):
     values.
     """
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("estimates",)
+
     n: Annotated[int, BeforeValidator(whole), Field(ge=1, le=1_000_000)]
     """Number of members of the sample. The Sobol sequence is balanced if this number is a power of 2."""
     method: Literal["sobol", "halton", "latin-hypercube", "random"] = "sobol"
@@ -270,8 +270,23 @@ class Sample(Section):
     design: Literal["plain", "saltelli"] = "plain"
     """`plain` makes one run for each member. `saltelli` makes d + 2 runs for each member, where d is the number of
     variables; `study.sensitivity` computes Sobol indices from these runs."""
-    variables: Annotated[dict[str, Distribution], BeforeValidator(_check_number), AfterValidator(_check_variables)]
-    """Distribution of each key, such as `model.angles.0: {uniform: [-1, 1]}`."""
+    variables: Annotated[dict[str, Distribution], BeforeValidator(_check_number), AfterValidator(_check_variables)] = (
+        Field(default_factory=dict)
+    )
+    """Distribution of each key, such as `model.angles.0: {uniform: [-1, 1]}`. May be left out with `estimates`."""
+    estimates: bool = False
+    """Whether the parameters that the base takes from an identification, by `parameters: {from: FILE.h5}`, are drawn
+    from their joint normal distribution. Those that `variables`, `overrides` or `axes` set are not drawn."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Sample:
+        if not self.variables and not self.estimates:
+            raise SpecError(
+                "needs at least one key of a run spec, such as `model.angles.0: {uniform: [-1, 1]}`", key="variables"
+            )
+        if self.estimates and self.design == "saltelli":
+            raise SpecError("needs independent variables, but estimates are correlated; use `plain`", key="design")
+        return self
 
     @property
     def runs_of_member(self) -> int:

@@ -223,17 +223,34 @@ def _write_out_bases(data: dict[str, object], folder: FilePath) -> dict[Path, Do
                 families[name] = holders["families", name] = dict(family)
     for path, holder in holders.items():
         base = holder.get("base")
-        if base is None or isinstance(base, Mapping):
+        if base is None:
             continue
-        if isinstance(base, str):
-            base = base_source(base, folder, path_text((*path, "base")), "study")
-        documents[*path, "base"] = document = read_source(base)
+        document = base_document(base, folder, path_text((*path, "base")), "study")
+        holder["base"] = document.data
+        if isinstance(base, Mapping):
+            continue
+        documents[*path, "base"] = document
         if (kind := kind_of(document.data)).run_kind not in ("forward", ""):
             raise document.place(
                 SpecError(f"this is {kind.phrase}; the base of a study is a run spec", key=kind.marker)
             )
-        holder["base"] = document.data
     return documents
+
+
+def base_document(base: object, folder: FilePath, key: str, owner: str) -> Document:
+    """Return the document of a base: of a mapping, of a Python object, or of `base_source` for a name.
+
+    Raises
+    ------
+    SpecError
+        If there is no such file or example, or if the parameters cannot be taken from the file that the base names.
+    """
+    if not isinstance(base, Mapping):
+        return read_source(base_source(base, folder, key, owner) if isinstance(base, str) else base)
+    try:
+        return read_source(Document(copied(base), folder=folder))
+    except SpecError as error:
+        raise error.located(prefix=key) from None
 
 
 def base_source(base: str, folder: FilePath, key: str, owner: str) -> str | FilePath:

@@ -8,12 +8,24 @@ from pathlib import Path as FilePath
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from mbdkit.plugin import FormatVersion, SpecError, copied, listed, parse_path, path_text, quoted
 from mbdkit.plugin.files import LONGEST_NAME, Path
-from mbdkit.plugin.specs import DefinedMeasure, Document, Measures, Section, StrictSpec, defined, parse_key, put
+from mbdkit.plugin.specs import (
+    DefinedMeasure,
+    Document,
+    Estimated,
+    Estimates,
+    Measures,
+    Section,
+    StrictSpec,
+    defined,
+    parse_key,
+    put,
+    spec_error,
+)
 from mbdkit.plugin.terminal import shortened
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN, built_in, built_in_measures
 from mbdkit_studies.spec.sample_section import Sample, comparable
@@ -332,6 +344,11 @@ class StudySpec(StrictSpec):
 
     def _measures_of_bases(self) -> Iterator[DefinedMeasure]:
         """Yield the measures of the base of each family, with the overrides of the study and of the family."""
+        for base, place, keys, _ in self._bases_of_families():
+            yield from _measures_of(base, place, keys)
+
+    def _bases_of_families(self) -> Iterator[tuple[Mapping[str, Any], Path, dict[Path, object], Axes]]:
+        """Yield the base of each family, its key path, the overrides by their key path, and the axes."""
         families: dict[str, Family | None] = {**self.families} or {"": None}
         for name, family in families.items():
             base: Base | None = self.base
@@ -341,9 +358,40 @@ class StudySpec(StrictSpec):
                 if family.base is not None:
                     base, place = family.base, ("families", name, "base")
                 keys |= {("families", name, "overrides", key): value for key, value in family.overrides.items()}
-            if not isinstance(base, Mapping):
-                continue  # a name or a file that has not been read yet
-            yield from _measures_of(base, place, keys)
+            if isinstance(base, Mapping):  # otherwise, a name or a file that has not been read yet
+                yield base, place, keys, self.axes if family is None else family.axes
+
+    def estimated(self) -> Estimated | None:
+        """Return the estimated parameters that the sample draws; None if it draws none.
+
+        Raises
+        ------
+        SpecError
+            If the bases have no estimates, or different ones.
+        """
+        if self.sample is None or not self.sample.estimates:
+            return None
+        found: list[Estimated] = []
+        for base, place, overrides, axes in self._bases_of_families():
+            set_by_study = [str(path[-1]) for path in overrides] + [*self.sample.variables]
+            set_by_study += [key for axis in axes for name, values in axis.items() for key in _keys_set(name, values)]
+            others = {parse_key(key)[1:] for key in set_by_study if parse_key(key)[:1] == ("parameters",)}
+            free = {name: value for name, value in (base.get("parameters") or {}).items() if not {(), (name,)} & others}
+            try:
+                found.append(Estimates(**base.get("estimates") or {"values": {}, "covariance": []}).within(free))
+            except ValidationError as error:
+                raise self.placed(spec_error(error, Estimates, prefix=path_text((*place, "estimates")))) from None
+        if not found or not found[0].names:
+            message = "draws nothing: the base takes no parameters from an identification, or all are set otherwise"
+            raise self.placed(SpecError(message, key="sample.estimates"))
+        names, values, factor = found[0]
+        if any(
+            one.names != names or not np.array_equal(one.values, values) or not np.array_equal(one.factor, factor)
+            for one in found
+        ):
+            message = "draws different parameters for the families; make a study of each"
+            raise self.placed(SpecError(message, key="sample.estimates"))
+        return found[0]
 
     def placed(self, error: SpecError) -> SpecError:
         """Return an error about this study with file and line of its key, which may be in the file of a base."""

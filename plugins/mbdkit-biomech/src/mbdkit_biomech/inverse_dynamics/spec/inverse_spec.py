@@ -62,6 +62,7 @@ class InverseSpec(ModelSpec):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         "subject",
         "parameters",
+        "estimates",
         "loads",
         "actuators",
         "recruitment",

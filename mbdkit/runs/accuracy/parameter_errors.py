@@ -1,0 +1,103 @@
+"""Errors of a run by its estimated parameters, from runs with other values of these parameters.
+
+The covariance of the estimates p has the Cholesky factor L. To first order in the deviations of the parameters, the
+variance of a result y(p) is the sum over the columns L_k of ``((y(p + L_k) - y(p - L_k)) / 2)^2``.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.result_table import TableColumn
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import listed
+from mbdkit.methods.kinds import Method
+from mbdkit.quantities.array import MIXED
+from mbdkit.runs.accuracy.check_run import watch_of
+from mbdkit.runs.accuracy.companion import Budget, run_companion
+from mbdkit.runs.accuracy.companion_choice import choose_companions
+from mbdkit.runs.accuracy.compared_measures import Measure
+from mbdkit.runs.preparation import build
+from mbdkit.runs.run_seams import Progress
+from mbdkit.spec import RunSpec
+
+COVERAGE = 1.959964
+"""Ratio of errors to standard deviations. The error of a number holds with a probability of 95 %; that of the norm of a
+vector with 95 to 98 %, because the deviation of a norm is that of the whole vector.
+"""
+
+
+def with_parameter_errors(
+    accuracy: Accuracy,
+    spec: RunSpec,
+    method: Method,
+    steps: int,
+    expressions: Sequence[str],
+    measure: Measure,
+    interrupted: Callable[[], bool],
+    progress: Progress | None = None,
+) -> Accuracy:
+    """Return the errors of a run with those by its estimated parameters added, if it has any.
+
+    - `accuracy`: errors of the integration.
+    - `spec`, `method`, `steps`: the run, its method and the number of its steps.
+    - `expressions`, `measure`: expressions of measures, and the function that evaluates them in another run.
+    - `interrupted`: function that returns whether the user has asked to stop; the errors are then unknown.
+    - `progress`: called with (time reached, end time) [s] of each run.
+    """
+    if (estimated := spec.estimated) is None or len(accuracy.time) < 2:
+        return accuracy
+    begin, budget = time.perf_counter(), Budget(spec.limits.wall_time, interrupted)
+
+    def results(values: np.ndarray) -> list[np.ndarray]:
+        other = _with_parameters(spec, dict(zip(estimated.names, values.tolist(), strict=True)))
+        workspace, _ = build(other)
+        companion = choose_companions(other, method, workspace, accuracy.time, steps).finer[0]
+        rows = run_companion(companion, workspace, accuracy.time, budget.stopped, progress, watch_of(other)).rows
+        measured = measure(other) if expressions and not budget.stopped() else None
+        return [rows.position, rows.force, np.array(measured or [math.nan] * len(expressions))]
+
+    shapes = accuracy.position_error.shape, accuracy.reaction_error.shape, (len(expressions),)
+    variances = [np.zeros(shape) for shape in shapes]
+    how = f"Bounds of 95 % on the errors by the estimates of {listed(estimated.names, 'and')}"
+    try:
+        for column in estimated.factor.T:
+            ends = zip(results(estimated.values + column), results(estimated.values - column), strict=True)
+            position, force, measured = ((a - b) / 2.0 for a, b in ends)
+            squares = position**2, np.sum(force**2, axis=-1), measured**2
+            variances = [variance + square for variance, square in zip(variances, squares, strict=True)]
+        how += f" from {2 * len(estimated.names)} runs, each one standard deviation from the estimates."
+    except MbdkitError as error:  # the mechanism does not exist there, for example because a mass would be negative
+        variances = [np.full(shape, np.nan) for shape in shapes]
+        how += f" are unknown, because a run with other values is not possible: {error}"
+    position, force, measured = (COVERAGE * np.sqrt(variance) for variance in variances)
+    about = "bound of 95 % on the error of {} at this time by the estimates of parameters, nan where unknown"
+    further = {
+        "position_error_parameters": TableColumn(
+            position, ("time", "body", "coordinate"), MIXED, about.format("position and angle"), "row_units"
+        ),
+        "reaction_error_parameters": TableColumn(force, ("time", "joint"), "N", about.format("reaction_force")),
+    }
+    return replace(
+        accuracy,
+        further={**accuracy.further, **further},
+        measured_parameters=dict(zip(expressions, measured[:, None].tolist(), strict=True)),
+        method=f"{accuracy.method} {how}",
+        check_s=accuracy.check_s + time.perf_counter() - begin,
+    )
+
+
+def _with_parameters(spec: RunSpec, values: Mapping[str, float]) -> RunSpec:
+    """Return the spec of the run with other values of some parameters, without checks and gradients."""
+    parameters = {**spec.parameters, **values}
+    plain_run: dict[str, Any] = {"check": False, "accuracy": None, "choose": None, "gradients": []}
+    varied = type(spec)(**spec.sections() | plain_run | {"parameters": parameters})
+    varied._document = spec._document
+    return varied
