@@ -108,23 +108,20 @@ def limit_sentence(run: Run) -> str:
     estimated, or the integration; empty without such errors.
     """
     accuracy = run.accuracy
-    if accuracy is None or not (count := accuracy.rows_known) or accuracy.position_error_parameters is None:
+    if accuracy is None or not (count := accuracy.rows_known):
         return ""
-    assert accuracy.reaction_error_parameters is not None
-    by_data = replace(
-        accuracy,
-        position_error=accuracy.position_error_parameters,
-        reaction_error=accuracy.reaction_error_parameters,
-    )
+    position, reaction = accuracy.position_error_parameters, accuracy.reaction_error_parameters
+    if position is None or reaction is None:
+        return ""
+    of_data = replace(accuracy, position_error=position, reaction_error=reaction)
     errors = (
-        [one.position_error_max, one.angle_error_max, largest_known(one.reaction_error[:count])]
-        for one in (by_data, accuracy)
+        (one.position_error_max, one.angle_error_max, largest_known(one.reaction_error[:count]))
+        for one in (of_data, accuracy)
     )
     clauses = []
     for what, unit, data, steps in zip(("positions", "angles", "forces"), ("m", "rad", "N"), *errors, strict=True):
         which = "unknown" if math.isnan(data + steps) else "the data" if data > steps else "the integration"
         if data or steps:
-            clauses.append(
-                f"{what} by {which} ({data:.2g} {unit} from parameters, {steps:.2g} {unit} from integration)"
-            )
+            sizes = f"{data:.2g} {unit} from parameters, {steps:.2g} {unit} from integration"
+            clauses.append(f"{what} by {which} ({sizes})")
     return "; ".join(clauses)
