@@ -1,0 +1,1 @@
+"""Identification: finds parameters of a model from measured motion, with intervals."""
