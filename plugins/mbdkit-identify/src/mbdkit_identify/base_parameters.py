@@ -75,16 +75,16 @@ def _eliminate(quantities: list[sp.Expr], transfers: list[tuple[list[sp.Expr], i
     while transfers:
         (transfer, pivot), *transfers = transfers
         if pivot is None:
-            places = [place for place, entry in enumerate(transfer) if entry != 0]
-            if not places:
+            nonzero = [index for index, entry in enumerate(transfer) if entry != 0]
+            if not nonzero:
                 continue
-            pivot = max(places, key=lambda place: (place // 4, place % 4 in (1, 2)))
+            pivot = max(nonzero, key=lambda index: (index // 4, index % 4 in (1, 2)))
         rows = [quantities, *(other for other, _ in transfers)]
         rows = [
             [sp.expand(sp.cancel(a - row[pivot] / transfer[pivot] * b)) for a, b in zip(row, transfer, strict=True)]
             for row in rows
         ]
-        quantities, transfers = rows[0], [(row, place) for row, (_, place) in zip(rows[1:], transfers, strict=True)]
+        quantities, transfers = rows[0], [(row, index) for row, (_, index) in zip(rows[1:], transfers, strict=True)]
     return quantities
 
 
@@ -111,13 +111,13 @@ class _Texts:
 
     def point(self, value: Sequence[Any], *path: str | int) -> sp.Matrix:
         """Return a point (2, 1)."""
-        return sp.Matrix([self.formula(part, *path, place) for place, part in enumerate(value)])
+        return sp.Matrix([self.formula(part, *path, index) for index, part in enumerate(value)])
 
     def points(self, name: str, joint: Mapping[str, Any], bodies: Mapping[str, _Body]) -> list[sp.Matrix]:
         """Return the point of each body at a joint, in the frame of the body."""
         path = ("model", "joints", name)
         if joint.get("points") is not None:
-            return [self.point(point, *path, "points", place) for place, point in enumerate(joint["points"])]
+            return [self.point(point, *path, "points", index) for index, point in enumerate(joint["points"])]
         at = self.point(joint["at"], *path, "at")
         return [at if body == GROUND else bodies[body].local(at) for body in joint["bodies"]]
 

@@ -23,7 +23,7 @@ TOLERANCES = (1e-7, 1e-2)
 """Range of the relative error of null vectors; unequal ones differ by about `WALK` between points."""
 WALK = 0.08
 """Largest relative change of a parameter between points."""
-ATTEMPTS = 8
+ATTEMPTS = 5
 """Steps that are tried, each half as long as the one before, where the model cannot be evaluated."""
 
 
@@ -176,7 +176,7 @@ def _local(
         raise RunError("the derivatives of the residuals with respect to the parameters are not finite")
     # Columns of equal norm, because the effects of parameters may differ by many orders of magnitude.
     norms = np.linalg.norm(matrix, axis=0)
-    norms[norms <= error * norms.max()] = np.inf
+    norms[norms <= error * norms.max(initial=0.0)] = np.inf
     _, singular, rows = np.linalg.svd(np.linalg.qr(np.vstack([matrix / norms, np.zeros(2 * norms.shape)]), mode="r"))
     rank = int(np.sum(singular > MARGIN * error))
     units = size / np.where(np.isinf(norms), 1.0, norms)
@@ -232,7 +232,7 @@ def _groups(
     nulls: NullVectors, is_free: np.ndarray, spec: RunSpec | None, size: np.ndarray, units: Mapping[str, str]
 ) -> tuple[Combination, ...]:
     """Return the parameters that are not determined in groups, with what is determined of each group."""
-    free = [s for s, is_one in zip(nulls.symbols, is_free, strict=True) if is_one]
+    free = [s for s, is_unknown in zip(nulls.symbols, is_free, strict=True) if is_unknown]
     formulas: list[sp.Expr] = []
     if nulls.near > 2:  # fewer points do not show which null vectors are the same everywhere
         formulas = invariants(nulls, free)

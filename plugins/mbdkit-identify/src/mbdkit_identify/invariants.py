@@ -140,8 +140,8 @@ def _of_block(
         )
         for choice in choices:
             if _hold(choice, scales, gaps[nulls.near :], nulls.near):
-                found = invariants(nulls, [_formula(formulas, powers, row) for row in choice])
-                best = min(best, found, key=cost)
+                combined = invariants(nulls, [_formula(formulas, powers, row) for row in choice])
+                best = min(best, combined, key=cost)
                 break
         if len(best) == rank and not cost(best)[1]:
             break

@@ -17,7 +17,7 @@ UNNAMED = {"motor, speed measured"}
 """Cases whose combinations have no form that is looked for."""
 
 
-def found(case: Case, *, exact: bool) -> Identifiability:
+def identify(case: Case, *, exact: bool) -> Identifiability:
     sensitivity, error = (case.exact, 1e-11) if exact else (case.differences, 1e-6)
     return combinations([*case.values], [*case.values.values()], sensitivity, spec=case.spec, error=error)
 
@@ -62,24 +62,24 @@ def check(case: Case, result: Identifiability) -> None:
 @pytest.mark.parametrize("exact", [True, False], ids=["exact", "differences"])
 @pytest.mark.parametrize("case", UNIDENTIFIABLE, ids=lambda case: case.name)
 def test_right_combinations_are_named_and_nothing_else_has_an_interval(case: Case, exact: bool) -> None:
-    check(case, found(case, exact=exact))
+    check(case, identify(case, exact=exact))
 
 
 @pytest.mark.parametrize("case", UNIDENTIFIABLE, ids=lambda case: case.name)
 def test_combinations_do_not_depend_on_the_values(case: Case) -> None:
     factors = np.random.default_rng(len(case.name)).uniform(0.7, 1.4, len(case.values))
     moved = {name: value * factor for (name, value), factor in zip(case.values.items(), factors, strict=True)}
-    check(case := replace(case, values=moved), found(case, exact=True))
+    check(case := replace(case, values=moved), identify(case, exact=True))
 
 
 @pytest.mark.parametrize("case", SIMULATED, ids=lambda case: case.name)
 def test_base_parameters_of_mechanisms_are_named(case: Case) -> None:
-    check(case, found(case, exact=False))
+    check(case, identify(case, exact=False))
 
 
 @pytest.mark.parametrize("case", IDENTIFIABLE, ids=lambda case: case.name)
 def test_badly_determined_parameters_are_not_called_undetermined(case: Case) -> None:
-    result = found(case, exact=case.spec is None)
+    result = identify(case, exact=case.spec is None)
     assert result.rank == len(case.values)
     assert result.identifiable.all()
     assert not result.combinations
@@ -90,19 +90,19 @@ def test_badly_determined_parameters_are_not_called_undetermined(case: Case) -> 
 def test_deviations_are_those_of_the_normal_equations() -> None:
     case = IDENTIFIABLE[0]
     matrix = case.exact(np.array([*case.values.values()]))
-    assert found(case, exact=True).covariance == pytest.approx(np.linalg.inv(matrix.T @ matrix), rel=1e-9)
+    assert identify(case, exact=True).covariance == pytest.approx(np.linalg.inv(matrix.T @ matrix), rel=1e-9)
 
 
 def test_a_determined_parameter_has_the_same_deviation_whatever_the_others_do() -> None:
     """The sum of two stiffnesses and the start, from a model with the sum as one parameter."""
     split = Case("", {"k1": 3.0, "k2": 1.0, "x0": 0.3}, lambda a, b, x0: swing(a + b, 0.0, x0))
     whole = Case("", {"k": 4.0, "x0": 0.3}, lambda k, x0: swing(k, 0.0, x0))
-    assert found(split, exact=True).covariance[2, 2] == pytest.approx(found(whole, exact=True).covariance[1, 1])
+    assert identify(split, exact=True).covariance[2, 2] == pytest.approx(identify(whole, exact=True).covariance[1, 1])
 
 
 def test_texts() -> None:
     cases = [case for case in UNIDENTIFIABLE if len(case.values) < 5]
-    texts = {case.name: [group.text for group in found(case, exact=True).combinations] for case in cases}
+    texts = {case.name: [group.text for group in identify(case, exact=True).combinations] for case in cases}
     assert texts["oscillator without force"] == ["only the ratio m/k is determined"]
     assert texts["springs in parallel"] == ["only the sum k1 + k2 is determined"]
     assert texts["gain of a sensor and length"] == ["only the product gain*l is determined"]
@@ -147,3 +147,11 @@ def test_points_where_the_model_fails_are_avoided() -> None:
 
     (group,) = combinations(["k1", "k2"], [3.0, 5.0], sensitivity, error=1e-11).combinations
     assert group.formulas == ("k1 + k2",)
+
+
+def test_at_rest_only_the_start_is_determined() -> None:
+    """At rest, stiffness and mass have no effect at any values; the start has."""
+    case = Case("", {"k": 3.0, "m": 2.0, "x0": 0.0}, lambda k, m, x0: swing(k / m, 0.0, x0), "x0")
+    result = identify(case, exact=True)
+    check(case, result)
+    assert [group.names for group in result.combinations] == [("k",), ("m",)]
