@@ -233,7 +233,7 @@ def insert(data: object, written: Written) -> Any:
             holder[path[-1]]
         except (LookupError, TypeError):  # a model may store its options in another form
             continue
-        holder[path[-1]] = text
+        holder[path[-1]] = str(text)
     return data
 
 

@@ -448,7 +448,7 @@ def _times(spec: RunSpec, given: Sequence[float] | np.ndarray) -> np.ndarray:
     outside = times[(times < start - margin) | (times > end + margin)]
     if len(outside):
         raise SpecError(f"{outside[0]:.9g} s is outside of the run, from {start:g} s to {end:g} s", key="times")
-    return np.clip(times, start, end)
+    return np.asarray(np.clip(times, start, end))
 
 
 def _grid(spec: RunSpec, times: np.ndarray) -> int | None:

@@ -91,7 +91,10 @@ CASES: dict[str, dict[str, Any]] = {
     },
     "controller": {
         "controllers": {"pd": {"period": 0.05, "delay": 0.01, "outputs": {"u": "-k*elbow.angle"}}},
-        "forces": {**ARM["forces"], "motor": {"type": "torque", "body": "b", "reaction_body": "a", "value": "controllers.pd.u"}},
+        "forces": {
+            **ARM["forces"],
+            "motor": {"type": "torque", "body": "b", "reaction_body": "a", "value": "controllers.pd.u"},
+        },
     },
     "input": {
         "inputs": {"u": {"unit": "N*m", "hold": "linear"}},

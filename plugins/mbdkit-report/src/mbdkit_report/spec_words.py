@@ -117,7 +117,7 @@ def _parameter_unit(spec: ModelSpec, name: str) -> str:
     units = numbers.units if isinstance(numbers, ParameterValues) else {}
     if name in units:
         return units[name].si.removesuffix("1")
-    uses = [(text, key_unit(key, [spec])) for key, text in spec.written.items() if name in names_in(text)]
+    uses = [(str(text), key_unit(key, [spec])) for key, text in spec.written.items() if name in names_in(text)]
     for other, text in spec.parameters.items():
         if name in names_in(text):
             uses.append((str(text), _parameter_unit(spec, other)))

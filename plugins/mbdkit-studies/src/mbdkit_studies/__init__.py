@@ -15,7 +15,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_studies.compute.executor_pool import Engine as Engine
     from mbdkit_studies.compute.tasks import Message as Message, PASSING as PASSING, Task as Task
     from mbdkit_studies.folder.owned_folder import OwnedFolder as OwnedFolder
-    from mbdkit_studies.lanes.given_start import GivenStart as GivenStart
     from mbdkit_studies.lanes.prepared_run import PreparedRun as PreparedRun
     from mbdkit_studies.points.varied_values import start_warnings_of_study as start_warnings_of_study
     from mbdkit_studies.results.cost import at_equal_work as at_equal_work, work_for as work_for

@@ -12,10 +12,9 @@ from mbdkit.plugin import Run, RunSpec, SpecError, did_you_mean, listed, simulat
 from mbdkit.plugin.archives import utc_now
 from mbdkit.plugin.equations import CompiledMechanism, Starts, one_thread_of_linear_algebra, with_ground
 from mbdkit.plugin.files import Path
-from mbdkit.plugin.runs import run_in_memory
+from mbdkit.plugin.runs import GivenStart, run_in_memory, spec_started_at
 from mbdkit.plugin.specs import RunSource, Sections, VariedSpecs, load_spec, variable_path
 from mbdkit_report import keys_ending_in
-from mbdkit_studies.lanes.given_start import GivenStart, spec_started_at
 from mbdkit_studies.lanes.lane_runs import LaneRuns
 
 LONG = 15_000

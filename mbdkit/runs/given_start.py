@@ -7,12 +7,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.units import number_in
 from mbdkit.engine.assembly import search_for
-from mbdkit.engine.linear_systems import least_norm
-from mbdkit.plugin import Mechanism, QuantityNames, RunSpec, SpecError, quoted
-from mbdkit.plugin.equations import Starts, compile_mechanism, product
-from mbdkit.plugin.mechanisms import Coordinate, Quantity
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.engine.linear_systems import least_norm, product
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_quantities import Coordinate, Quantity
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.spec.run_spec import RunSpec
 
 RATES = {"vx": "x", "vy": "y", "angular_velocity": "angle"}
 """Coordinates of bodies and markers, by the name of their velocity."""
