@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 
 import numpy as np
 
@@ -26,6 +27,8 @@ LONGEST = 0.2
 
 The given values are approached in small steps, so that closed loops stay in their configuration.
 """
+INDEPENDENT = 1e-6
+"""A quantity is independent of others if its gradient deviates from theirs by more than this share."""
 DEPENDENT = 1e-12
 """Rows that depend on others to this share are redundant."""
 
@@ -112,6 +115,44 @@ class GivenStart:
         if held:
             q = self._positions(q, held)
         return q, self._velocities(q, v, moving)
+
+    def independent(self, names: Iterable[str]) -> list[str]:
+        """Return those names of positional quantities, in order, that are independent of each other and of the joints.
+
+        If the names of all coordinates of bodies are among them, their values determine the positions. Names of other
+        quantities are left out.
+        """
+        joints, _, _ = self._rows(self.start.q0[: self.n], [])
+        basis: list[np.ndarray] = []
+        found = []
+        for name, rows in [*(("", row[None]) for row in joints), *self._named_rows(names)]:
+            row = (rows * self.light)[0]
+            size = float(np.sqrt(product(row, row)))
+            for _ in range(2):
+                for other in basis:
+                    row = row - product(other, row) * other
+            rest = float(np.sqrt(product(row, row)))
+            if rest > INDEPENDENT * size > 0.0:
+                basis.append(row / rest)
+                found += [name] if name else []
+        return found
+
+    def _named_rows(self, names: Iterable[str]) -> Iterator[tuple[str, np.ndarray]]:
+        for name in names:
+            with suppress(SpecError):
+                rows = np.zeros((1, self.n))
+                self.names.find(name, "initial").add_gradient(self.start.q0[: self.n][None], rows)
+                yield name, rows
+
+    def value(self, name: str) -> float:
+        """Return the value of a quantity at the start, such as ``crank.angle`` or ``crank.angular_velocity``."""
+        element, _, axis = name.rpartition(".")
+        q, v = self.start.q0[: self.n], self.start.v0[: self.n]
+        if axis not in RATES:
+            return float(self._values([self.names.find(name, "initial")], q)[0])
+        rows = np.zeros((1, self.n))
+        self.names.find(f"{element}.{RATES[axis]}", "initial").add_gradient(q[None], rows)
+        return float(product(rows, v)[0])
 
     def _positions(self, q: np.ndarray, held: Mapping[str, tuple[Quantity, float]]) -> np.ndarray:
         quantities = [quantity for quantity, _ in held.values()]

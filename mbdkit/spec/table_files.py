@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,11 +15,11 @@ LARGEST_FILE = 16 * 2**20
 """Largest size of a file [bytes]."""
 
 
-def read_columns(path: Path, columns: Sequence[str]) -> list[list[float]]:
+def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) -> list[list[float]]:
     """Return the numbers in the columns of a CSV file with the given headings, in the order of `columns`.
 
     The file has a line of headings, and commas, semicolons or tabs between its cells; lines that begin with ``#`` are
-    ignored. Raises SpecError, with the file and line, if it has no such columns, or if a cell is not a number.
+    ignored. With `has_gaps`, empty cells are nan. Raises SpecError, with the file and line, if it has no such columns, or if a cell is not a number.
     """
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     try:
@@ -41,7 +42,7 @@ def read_columns(path: Path, columns: Sequence[str]) -> list[list[float]]:
     for (line, _), row in zip(numbered[1:], rows[1:], strict=True):
         try:
             for own, place in zip(numbers, places, strict=True):
-                own.append(float(row[place]))
+                own.append(math.nan if has_gaps and not row[place].strip() else float(row[place]))
         except (ValueError, IndexError):
             names = listed([f"'{column}'" for column in columns], "and")
             raise SpecError(f"the columns {names} should have numbers here", file=path, line=line) from None

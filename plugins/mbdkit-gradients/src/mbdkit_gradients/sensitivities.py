@@ -130,6 +130,8 @@ def sensitivities(
     ((1, 2), (1, 2, 1), '')
     """
     given, names = read_names(source, parameters, None, sections)
+    if not names:
+        raise SpecError("give at least one parameter", key="parameters")
     spec = load_spec(given, (), **sections)
     with one_thread_of_linear_algebra():
         prepared = PreparedSensitivities(spec, quantities, times, names, initial=initial)
@@ -173,8 +175,6 @@ class PreparedSensitivities:
         plain = [name for name in names if not name.startswith(f"{INITIAL}.")]
         known = {one.name: one for one in resolved(spec, plain)} if plain else {}
         self.parameters = tuple(known[name] if name in known else self._initial(name) for name in names)
-        if not names:
-            raise SpecError("give at least one parameter", key="parameters")
         self._expressions = self._parsed(spec)
         self._uses_parameters = bool(set().union(*map(names_in, self.quantities)) & spec.parameters.keys())
         self.units = tuple(_unit(text, spec) for text in self.quantities)
@@ -259,6 +259,10 @@ class PreparedSensitivities:
             If the run ends before the last time.
         """
         plain, start = self._split(values, initial)
+        if not self.parameters:
+            found = self.values(values, initial)
+            names = self.quantities, self.units, (), self.time
+            return Sensitivities(*names, found, np.zeros((*found.shape, 0)), self.differences, np.zeros(0))
         if not self.differences:
             try:
                 found, slopes, error = self._exact(plain, start)
@@ -274,9 +278,9 @@ class PreparedSensitivities:
         """Return the quantities (Q, T) without derivatives; see `at`."""
         plain, start = self._split(values, initial)
         if self.differences:
-            return self._stepped(plain, start)[:, self._places]
-        preparation = self._preparation(plain, start)
-        found, _ = self._states(preparation, NO_SEEDS)
+            found = self._stepped(plain, start)
+        else:
+            found, _ = self._states(self._preparation(plain, start), NO_SEEDS)
         return np.asarray(found[:, self._places])
 
     def _split(

@@ -224,15 +224,14 @@ class Identification(HtmlView):
                 continue
             low, high = (f"{x:.6g}" if np.isfinite(x) else "no limit" for x in (one.lower, one.upper))
             value = plus_minus(one.value, one.deviation) if np.isfinite(one.deviation) else f"{one.value:.6g}"
-            rows.append(
-                [one.name, f"{value}{f', at its {one.at_bound} bound' * bool(one.at_bound)}", low, high, one.unit]
-            )
+            value += f", at its {one.at_bound} bound" if one.at_bound else ""
+            rows.append([one.name, value, low, high, one.unit])
         return rows
 
     def summary(self) -> str:
         """Return the result as text."""
         level = f"{100 * self.level:g} %"
-        lines = [table(["parameter", "value", f"{level} from", "to", "unit"], self.rows())]
+        lines = [table([["parameter", "value", f"{level} from", "to", "unit"], *self.rows()])]
         lines += self.combinations
         for one in self.residuals:
             told = "predicted" if one.is_hold_out else "fitted"

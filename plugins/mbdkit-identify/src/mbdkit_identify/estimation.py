@@ -1,0 +1,190 @@
+"""Estimation: least squares of whitened residuals, alternating with the estimation of the noise of the signals.
+
+Y. Bard, Nonlinear Parameter Estimation (1974); G. A. F. Seber, C. J. Wild, Nonlinear Regression (1989).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import qmc
+
+from mbdkit.plugin import RunError
+from mbdkit_identify.noise import Noise, estimated_noise
+from mbdkit_identify.problem import FAILED, Problem
+
+TOLERANCE = 1e-8
+"""Relative change of the sum of squares, and of the unknowns, at which a search ends."""
+MOST_EVALUATIONS = 200
+MOST_ROUNDS = 20
+"""Largest number of alternations between unknowns and noise."""
+SETTLED = 1e-3
+"""Relative change of deviations, and change of correlations, at which the noise counts as settled."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The best fit.
+
+    Attributes
+    ----------
+    x
+        (n,) the unknowns.
+    white, jacobian
+        (R + P,) whitened residuals with priors, and their derivatives (R + P, n).
+    cost
+        Sum of their squares.
+    at_low, at_high
+        (n,) whether each unknown is at its lower or upper bound.
+    starts
+        Costs of the searches from all starts.
+    is_settled
+        Whether the noise has settled.
+    """
+
+    x: np.ndarray
+    white: np.ndarray
+    jacobian: np.ndarray
+    cost: float
+    at_low: np.ndarray
+    at_high: np.ndarray
+    starts: tuple[float, ...] = ()
+    is_settled: bool = True
+
+    @property
+    def free(self) -> np.ndarray:
+        """(n,) whether each unknown is between its bounds."""
+        return np.asarray(~(self.at_low | self.at_high))
+
+
+def best_fit(
+    problem: Problem, starts: int, seed: int, loss: str, notify: Callable[[str], None] = lambda _: None
+) -> Fit:
+    """Return the best fit of a problem, and leave the noise that was estimated in it.
+
+    Raises
+    ------
+    RunError
+        If the run fails at every start.
+    """
+    found: list[tuple[float, np.ndarray]] = []
+    reasons = []
+    for number, start in enumerate(_starts(problem, starts, seed)):
+        if np.all(np.isnan(problem.predicted(start))):
+            reasons.append(_why(problem, start))
+            continue
+        x = _search(problem, start, loss)
+        cost = float(np.sum(problem.residuals(x) ** 2))
+        found.append((cost, x))
+        notify(f"start {number + 1} of {starts}: sum of squares {cost:.6g}")
+    if not found:
+        raise RunError(f"the run fails at the start of the parameters: {reasons[0]}")
+    _, x = min(found, key=lambda one: one[0])
+    is_settled = False
+    for number in range(MOST_ROUNDS):
+        before = list(problem.noises)
+        raw = problem.predicted(x) - problem.measured
+        problem.noises = estimated_noise(
+            raw, problem.slopes(x), problem.information, problem.pieces, before, problem.known,
+            problem.may_correlate, problem.scales,
+        )  # fmt: skip
+        is_settled = _is_settled(before, problem.noises)
+        if is_settled and number:
+            break
+        x = _search(problem, x, loss)
+        notify(f"noise, round {number + 1}: sum of squares {np.sum(problem.residuals(x) ** 2):.6g}")
+    return fit_at(problem, x, tuple(cost for cost, _ in found), is_settled=is_settled)
+
+
+def fit_at(problem: Problem, x: np.ndarray, starts: tuple[float, ...] = (), *, is_settled: bool = True) -> Fit:
+    """Return the fit at unknowns x (n,)."""
+    jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
+    white = problem.residuals(x)
+    low, high = problem.bounds
+    close = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
+    gradient = jacobian.T @ white
+    at_low, at_high = (x <= low + close) & (gradient >= 0), (x >= high - close) & (gradient <= 0)
+    return Fit(x, white, jacobian, float(white @ white), at_low, at_high, starts, is_settled)
+
+
+def _search(problem: Problem, start: np.ndarray, loss: str) -> np.ndarray:
+    low, high = problem.bounds
+    inside = np.clip(start, low + 1e-9 * problem.sizes, high - 1e-9 * problem.sizes)
+    size = problem.sizes
+    result = least_squares(
+        lambda y: problem.residuals(y * size),
+        inside / size,
+        lambda y: problem.jacobian(y * size) * size,
+        bounds=(low / size, high / size),
+        x_scale="jac",
+        loss=loss,
+        ftol=TOLERANCE,
+        xtol=TOLERANCE,
+        gtol=1e-12,
+        max_nfev=MOST_EVALUATIONS,
+    )
+    return np.asarray(result.x * size)
+
+
+def _starts(problem: Problem, count: int, seed: int) -> list[np.ndarray]:
+    """Return the first start, and others whose bounded unknowns are points of a Sobol sequence."""
+    first = problem.first
+    if count < 2:
+        return [first]
+    low, high = problem.bounds
+    bounded = np.flatnonzero(np.isfinite(low) & np.isfinite(high))
+    points = qmc.Sobol(len(bounded), seed=seed).random_base2(int(np.ceil(np.log2(count - 1))) if count > 2 else 0)
+    found = [first]
+    for point in points[: count - 1]:
+        start = first.copy()
+        start[bounded] = low[bounded] + point * (high - low)[bounded]
+        found.append(start)
+    return found
+
+
+def _why(problem: Problem, start: np.ndarray) -> str:
+    try:
+        problem.slopes(start)
+    except RunError as error:
+        return str(error)
+    return "the measured quantities are not finite"
+
+
+def _is_settled(before: list[Noise], now: list[Noise]) -> bool:
+    return all(
+        abs(a.deviation - b.deviation) <= SETTLED * b.deviation and abs(a.correlation - b.correlation) <= SETTLED
+        for a, b in zip(before, now, strict=True)
+    )
+
+
+def failed(fit: Fit) -> bool:
+    """Return whether a run fails at the fit."""
+    return bool(np.any(np.abs(fit.white) >= FAILED))
+
+
+def fit_some(problem: Problem, x: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return unknowns x (n,) of which those at some `places` (n,) are fitted."""
+    if not np.any(places):
+        return x
+    low, high = (bound[places] for bound in problem.bounds)
+    size = problem.sizes[places]
+
+    def whole(y: np.ndarray) -> np.ndarray:
+        found = x.copy()
+        found[places] = y * size
+        return found
+
+    result = least_squares(
+        lambda y: problem.residuals(whole(y)),
+        np.clip(x[places], low, high) / size,
+        lambda y: problem.jacobian(whole(y))[:, places] * size,
+        bounds=(low / size, high / size),
+        x_scale="jac",
+        ftol=TOLERANCE,
+        xtol=TOLERANCE,
+        max_nfev=MOST_EVALUATIONS,
+    )
+    return whole(np.asarray(result.x))

@@ -1,0 +1,424 @@
+"""`identify`: parameters of a model from measured motion, with intervals."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mbdkit.plugin import MbdkitError, RunSpec, SpecError, copied, path_text
+from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.specs import parameter_values, put, variable_path
+from mbdkit_identify.estimation import best_fit, failed, fit_at, fit_some
+from mbdkit_identify.identifiability import Identifiability, combinations
+from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
+from mbdkit_identify.identify_spec import IdentifySpec
+from mbdkit_identify.intervals import Goal, covariance_of, freedom_of, profile_of, quantile
+from mbdkit_identify.loading import load_identify_spec
+from mbdkit_identify.measured_data import ExperimentData, read_experiment
+from mbdkit_identify.next_experiment import next_experiment
+from mbdkit_identify.problem import Problem
+from mbdkit_identify.segments import Segment, segments_of
+
+EXACT, DIFFERENCES = 1e-9, 1e-6
+"""Relative errors of exact derivatives and of central differences."""
+PERTURBATIONS = 8
+"""Number of pairs of perturbed inputs by which the bias due to noise of measured inputs is estimated."""
+MATTERS = 0.1
+"""A bias is told if it exceeds this share of the standard deviation."""
+
+
+def identify(
+    source: object,
+    assignments: Iterable[str] = (),
+    notify: Callable[[str], None] = lambda _: None,
+    **sections: object,
+) -> Identification:
+    """Estimate parameters of a model from measured motion, with intervals.
+
+    Parameters
+    ----------
+    source
+        A file, the name of a packaged identification, a mapping, or an `IdentifySpec`; see `mbdkit guide identify`.
+    assignments
+        Assignments to keys of the spec, such as ``"starts=8"``.
+    notify
+        Called with messages on the progress.
+    **sections
+        Top-level keys of the spec; they replace those in `source`.
+
+    Raises
+    ------
+    SpecError
+        If the spec or the data are not valid, with the key.
+    RunError
+        If runs fail at the start of the parameters.
+    """
+    begin = time.process_time()
+    with one_thread_of_linear_algebra():
+        spec = load_identify_spec(source, assignments, **sections)
+        try:
+            found = _Identification(spec, notify).result()
+        except SpecError as error:
+            raise spec.placed(error) from None
+    return replace(found, seconds=time.process_time() - begin)
+
+
+class _Identification:
+    def __init__(self, spec: IdentifySpec, notify: Callable[[str], None]):
+        self.spec, self.notify = spec, notify
+        data = [read_experiment(spec, name) for name in spec.experiments]
+        self.data = [one for one in data if one.experiment.role == "fit"]
+        self.held_out = [one for one in data if one.experiment.role == "hold-out"]
+        unknowns, segments, names = segments_of(spec, self.data)
+        self.problem = Problem(unknowns, names, segments)
+        self.names = [one.name for one in unknowns if not one.is_initial]
+        self.notes: list[str] = []
+        self.doubts: list[Doubt] = []
+
+    def result(self) -> Identification:
+        """Return the result of all stages."""
+        spec, problem = self.spec, self.problem
+        self.fit = best_fit(problem, spec.starts, spec.seed, spec.loss, self.notify)
+        if failed(self.fit):
+            self.doubts.append(Doubt("", "runs fail at the best fit, so that the estimates mean nothing"))
+        if not self.fit.is_settled:
+            self.notes.append("the noise of the signals has not settled; its correlation may be close to 1")
+        self.covariance = covariance_of(self.fit.jacobian, self.fit.free)
+        self.notify("identifiability")
+        self.known = self._identifiability()
+        self.level = quantile(spec.intervals.level, freedom_of(self.fit))
+        self.bias = self._integration_bias()
+        self.input_bias = self._input_bias()
+        estimates, profiles = self._estimates()
+        residuals = [*self._residuals(problem, self.fit.x, self.covariance, is_hold_out=False), *self._held_out()]
+        self._check(residuals)
+        following = next_experiment(self) if spec.candidates else None
+        count = len(self.names)
+        lost = ~self.known.identifiable[:count]
+        covariance = self.covariance[:count, :count] + np.outer(self.bias, self.bias)[:count, :count]
+        covariance = np.where(lost | lost[:, None], np.nan, covariance)
+        is_bad = failed(self.fit)
+        raw = problem.white(problem.predicted(self.fit.x) - problem.measured)
+        return Identification(
+            spec=self._plain_spec(),
+            base=self._base_with_estimates(),
+            level=spec.intervals.level,
+            estimates=estimates,
+            parameters=tuple(self.names),
+            covariance=covariance,
+            combinations=tuple(one.text for one in self.known.combinations),
+            residuals=tuple(residuals),
+            profiles=profiles,
+            next_experiment=following,
+            verdict="bad" if is_bad else "doubtful" if self.doubts else "good",
+            doubts=tuple(self.doubts),
+            notes=tuple(self.notes),
+            cost=self.fit.cost,
+            log_likelihood=problem.log_likelihood(raw),
+            evaluations=(problem.runs, problem.derived),
+            way=problem.differences or "exact",
+            title=spec.title,
+        )
+
+    # ---- what the data determine -----------------------------------------------------------------------------------
+
+    def _identifiability(self) -> Identifiability:
+        problem = self.problem
+        count = len(problem.measured)
+
+        def sensitivity(x: np.ndarray) -> np.ndarray:
+            return problem.jacobian(np.clip(x, *problem.bounds))[:count]
+
+        units = {one.name: one.unit for one in problem.unknowns if one.unit}
+        names = [one.name for one in problem.unknowns]
+        error = DIFFERENCES if problem.differences else EXACT
+        at = self.fit.x
+        found = combinations(
+            names, at, sensitivity, spec=self._base_at(at), error=error, sizes=problem.sizes, units=units
+        )
+        has_prior = np.array([one.prior is not None for one in problem.unknowns])
+        return replace(found, identifiable=found.identifiable | has_prior)
+
+    # ---- biases ----------------------------------------------------------------------------------------------------
+
+    def _shift(self, change: np.ndarray, jacobian: np.ndarray | None = None) -> np.ndarray:
+        """Return how the estimates (n,) follow a change (R,) of the whitened predictions."""
+        fit = self.fit
+        j = (fit.jacobian if jacobian is None else jacobian)[: len(change)]
+        shift = np.zeros(len(fit.x))
+        shift[fit.free] = -self.covariance[np.ix_(fit.free, fit.free)] @ (j[:, fit.free].T @ change)
+        return shift
+
+    def _integration_bias(self) -> np.ndarray:
+        """Return the errors (n,) of the estimates that follow from the integration error of the runs."""
+        problem, x = self.problem, self.fit.x
+        finer = [segment_with(one, _finer(one.spec)) for one in problem.segments]
+        other = Problem(problem.unknowns, problem.names, finer)
+        other.noises = problem.noises
+        change = other.predicted(x) - problem.predicted(x)
+        if not np.all(np.isfinite(change)):
+            self.notes.append("the integration error of the runs is not known, because runs with finer steps fail")
+            return np.zeros(len(x))
+        bias = self._shift(problem.white(change))
+        deviation = np.sqrt(np.diagonal(self.covariance))
+        for place, name in enumerate(self.names):
+            if abs(bias[place]) > max(deviation[place], 1e-12):
+                self.doubts.append(
+                    Doubt("integration", f"the integration error changes {name} by more than its standard deviation; "
+                          "use smaller steps or tolerances in the base")
+                )  # fmt: skip
+        return bias
+
+    def _input_bias(self) -> np.ndarray:
+        """Return the bias (n,) of the estimates due to the noise of measured inputs.
+
+        The measured values are perturbed once more by noise of the same size, in pairs of opposite signs, whose mean
+        effect is the bias of the first order in the variance (J. R. Cook, L. A. Stefanski, Journal of the American
+        Statistical Association 89 (1994) 1314-1328).
+        """
+        problem, x = self.problem, self.fit.x
+        if not any(one.input_deviations for one in self.data):
+            return np.zeros(len(x))
+        dice, shifts = np.random.default_rng(self.spec.seed), []
+        for _ in range(PERTURBATIONS):
+            noise = {
+                (one.name, name): dice.normal(0.0, deviation, len(one.inputs[name][0]))
+                for one in self.data
+                for name, deviation in one.input_deviations.items()
+            }
+            for side in (1.0, -1.0):
+                data = [_perturbed(one, noise, side) for one in self.data]
+                unknowns, segments, names = segments_of(self.spec, data)
+                other = Problem(unknowns, names, segments)
+                other.noises = problem.noises
+                jacobian = other.jacobian(x)
+                white = other.residuals(x)
+                free = self.fit.free
+                step = np.zeros(len(x))
+                step[free] = np.linalg.lstsq(jacobian[:, free], -white, rcond=1e-12)[0]
+                shifts.append(step)
+        bias = np.mean(shifts, axis=0)
+        spread = np.std(np.mean(np.reshape(shifts, (PERTURBATIONS, 2, -1)), axis=1), axis=0) / np.sqrt(PERTURBATIONS)
+        # inputs that are noisy move predictions, as noise of the signals does
+        self.covariance = self.covariance + np.cov(np.array(shifts).T).reshape(len(x), len(x))
+        deviation = np.sqrt(np.diagonal(self.covariance))
+        told = [
+            f"{name} by {bias[place]:.2g} +- {spread[place]:.2g}"
+            for place, name in enumerate(self.names)
+            if abs(bias[place]) > MATTERS * deviation[place]
+        ]
+        self.notes.append(
+            f"noise of the measured inputs biases {', '.join(told)}; the estimates are not corrected"
+            if told
+            else f"noise of the measured inputs biases no parameter by more than {MATTERS:g} standard deviations"
+        )
+        return np.asarray(bias)
+
+    # ---- estimates -------------------------------------------------------------------------------------------------
+
+    def _goals(self) -> list[Goal]:
+        goals = []
+        for place, name in enumerate(self.names):
+            one, direction = self.problem.unknowns[place], np.eye(len(self.fit.x))[place]
+            goals.append(
+                Goal(
+                    name,
+                    lambda x, place=place: float(x[place]),  # type: ignore[misc]
+                    lambda x, direction=direction: direction,  # type: ignore[misc]
+                    one.low,
+                    one.high,
+                )
+            )
+        for name, text in self.spec.intervals.of.items():
+            goals.append(self._expression(name, text))
+        return goals
+
+    def _expression(self, name: str, text: str) -> Goal:
+        known = {key: value for key, value in self.spec.run_spec.numbers.items() if key not in self.names}
+        where = path_text(("intervals", "of", name))
+
+        def value(x: np.ndarray) -> float:
+            values = known | {one: float(x[place]) for place, one in enumerate(self.names) if one.isidentifier()}
+            try:
+                return parameter_values({**values, "_": text})["_"]
+            except SpecError as error:
+                raise SpecError(error.message, key=where) from None
+
+        def slope(x: np.ndarray) -> np.ndarray:
+            found = np.zeros(len(x))
+            for place in range(len(self.names)):
+                change = 1e-6 * self.problem.sizes[place] * np.eye(len(x))[place]
+                found[place] = (value(x + change) - value(x - change)) / (2 * change[place])
+            return found
+
+        value(self.fit.x)
+        return Goal(name, value, slope)
+
+    def _is_determined(self, slope: np.ndarray) -> bool:
+        """Return whether no combination of parameters that is not determined changes a goal."""
+        lost = ~self.known.identifiable
+        if not np.any(slope[lost]):
+            return True
+        names = [one.name for one in self.problem.unknowns]
+        for one in self.known.combinations:
+            places = [names.index(name) for name in one.names]
+            size = np.abs(slope[places]) * np.abs(one.directions).max(axis=0)
+            if np.any(np.abs(one.directions @ slope[places]) > 1e-3 * np.sum(size)):
+                return False
+        return not np.any(slope[lost & ~np.isin(names, [n for one in self.known.combinations for n in one.names])])
+
+    def _estimates(self) -> tuple[dict[str, Estimate], dict[str, Profile]]:
+        estimates: dict[str, Estimate] = {}
+        profiles: dict[str, Profile] = {}
+        for goal in self._goals():
+            slope, value = goal.slope(self.fit.x), goal.value(self.fit.x)
+            place = self.names.index(goal.name) if goal.name in self.names else None
+            unit = "" if place is None else self.problem.unknowns[place].unit
+            if not self._is_determined(slope):
+                estimates[goal.name] = Estimate(goal.name, unit, value, -np.inf, np.inf, np.nan, False)
+                continue
+            bias = abs(float(slope @ self.bias))
+            deviation = float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
+            at = ""
+            if place is not None:
+                at = "lower" if self.fit.at_low[place] else "upper" if self.fit.at_high[place] else ""
+            if self.spec.intervals.method == "linear" and not at:
+                lower, upper = value - self.level * deviation, value + self.level * deviation
+            else:
+                self.notify(f"profile of {goal.name}")
+                lower, upper, profile = profile_of(
+                    self.problem, self.fit, goal, self.covariance, self.spec.intervals.level
+                )
+                profiles[goal.name] = profile
+            lower = goal.low if at == "lower" else max(lower - bias, goal.low) if np.isfinite(lower) else lower
+            upper = goal.high if at == "upper" else min(upper + bias, goal.high) if np.isfinite(upper) else upper
+            total = float(np.hypot(deviation, bias)) if not at else np.nan
+            estimates[goal.name] = Estimate(goal.name, unit, value, lower, upper, total, True, at)
+        return estimates, profiles
+
+    # ---- residuals -------------------------------------------------------------------------------------------------
+
+    def _residuals(
+        self, problem: Problem, x: np.ndarray, covariance: np.ndarray, *, is_hold_out: bool
+    ) -> list[Residuals]:
+        """Return the signals of a problem with their bands."""
+        predicted, slopes = problem.predicted(x), problem.slopes(x)
+        white = problem.white(predicted - problem.measured)
+        of_fit = np.maximum(np.einsum("rk,kl,rl->r", slopes, covariance, slopes), 0.0)
+        time_of = np.concatenate(
+            [segment.time[np.isfinite(signal.values)] for segment in problem.segments for signal in segment.signals]
+        )
+        units = {(s.experiment, one.quantity): one.unit for s in problem.segments for one in s.signals}
+        found = []
+        for key, piece, noise in zip(problem.signals, problem.pieces, problem.noises, strict=True):
+            some = piece.places
+            band = self.level * np.sqrt(of_fit[some] + noise.deviation**2)
+            measured, fitted = problem.measured[some], predicted[some]
+            covered = float(np.mean(np.abs(measured - fitted) <= band))
+            found.append(
+                Residuals(
+                    key.experiment, key.quantity, units[key.experiment, key.quantity], time_of[some], measured, fitted,
+                    white[some], noise.deviation, noise.correlation, is_hold_out, band, covered,
+                )
+            )  # fmt: skip
+        return found
+
+    def _held_out(self) -> list[Residuals]:
+        """Return the signals of the experiments that are held out, predicted with the estimates.
+
+        Their initial states, and parameters that only their sensors have, are estimated from their own data.
+        """
+        found: list[Residuals] = []
+        for one in self.held_out:
+            unknowns, segments, names = segments_of(self.spec, [one])
+            problem = Problem(unknowns, names, segments)
+            x, own = problem.first, np.ones(len(unknowns), dtype=bool)
+            for name, place in names.items():
+                if name in self.names:
+                    x[place], own[place] = self.fit.x[self.names.index(name)], False
+            for number, (key, known) in enumerate(zip(problem.signals, problem.known, strict=True)):
+                same = [k for k, other in enumerate(self.problem.signals) if other.quantity == key.quantity]
+                if known is None and same:
+                    problem.noises[number] = self.problem.noises[same[0]]
+            try:
+                x = fit_some(problem, x, own)
+                fit = fit_at(problem, x)
+                covariance = np.zeros((len(x), len(x)))
+                places = [names[name] for name in self.names if name in names]
+                of_fit = [self.names.index(name) for name in self.names if name in names]
+                shared = self.covariance[np.ix_(of_fit, of_fit)]
+                own_covariance = covariance_of(fit.jacobian, own)
+                # own unknowns follow the shared ones
+                follow = -own_covariance @ fit.jacobian.T @ fit.jacobian[:, places]
+                transfer = follow + np.eye(len(x))[:, places]
+                covariance = transfer @ shared @ transfer.T + own_covariance
+                found += self._residuals(problem, x, covariance, is_hold_out=True)
+            except MbdkitError as error:
+                self.doubts.append(Doubt(one.name, f"the prediction of '{one.name}' fails: {error}"))
+        return found
+
+    def _check(self, residuals: Sequence[Residuals]) -> None:
+        """Add the doubts about the model."""
+
+    # ---- specs -----------------------------------------------------------------------------------------------------
+
+    def _base_data(self, x: np.ndarray) -> dict[str, Any]:
+        base = self.spec.run_spec
+        assert base._document is not None
+        data: dict[str, Any] = copied(base._document.data)
+        for place, name in enumerate(self.names):
+            path = variable_path(name)
+            if name in base.parameters or path[0] != "parameters":
+                put(data, path, float(x[place]))
+        return data
+
+    def _base_at(self, x: np.ndarray) -> RunSpec | None:
+        try:
+            spec = RunSpec(**self._base_data(x))
+            spec.mechanism()
+        except SpecError:
+            return None
+        return spec
+
+    def _base_with_estimates(self) -> Mapping[str, object]:
+        return self._base_data(self.fit.x)
+
+    def _plain_spec(self) -> Mapping[str, object]:
+        assert self.spec._document is not None
+        return dict(copied(self.spec._document.data))
+
+
+def segment_with(segment: Segment, spec: RunSpec) -> Segment:
+    """Return a window with another spec of its run."""
+    return replace(segment, spec=spec, _prepared=None)
+
+
+def _finer(spec: RunSpec) -> RunSpec:
+    """Return the spec of a run with half the step, or with a hundredth of the tolerances."""
+    data = spec.sections()
+    integrator = (
+        data["integrator"].model_dump() if hasattr(data["integrator"], "model_dump") else dict(data["integrator"])
+    )
+    changed = {"integrator": integrator | {"name": spec.integrator_item.name}}
+    if spec.claims.adaptive:
+        integrator |= {key: integrator[key] / 100 for key in ("rtol", "atol") if integrator.get(key)}
+    else:
+        time_section = {"start": spec.time.start, "end": spec.time.final, "stops": list(spec.time.stops)}
+        changed["time"] = time_section | {"step": (spec.time.step or 1.0) / 2}
+    assert spec._document is not None
+    made = RunSpec(**(data | changed))
+    made.mechanism()
+    made._document = spec._document
+    return made
+
+
+def _perturbed(data: ExperimentData, noise: Mapping[tuple[str, str], np.ndarray], side: float) -> ExperimentData:
+    inputs = {
+        name: (times, values + side * noise[data.name, name] if (data.name, name) in noise else values)
+        for name, (times, values) in data.inputs.items()
+    }
+    return replace(data, inputs=inputs)

@@ -1,0 +1,134 @@
+"""Loading of specs of identifications, with their bases."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path as FilePath
+
+from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, path_text
+from mbdkit.plugin.files import Path
+from mbdkit.plugin.seams import spec_loader
+from mbdkit.plugin.specs import Document, example_names, parse_key, put, read_source, set_value, variable_path
+from mbdkit_identify.identify_spec import IdentifySpec
+from mbdkit_studies import base_document, document_of
+
+
+def load_identify_spec(source: object, assignments: Iterable[str] = (), **sections: object) -> IdentifySpec:
+    """Load and validate the spec of an identification and its base.
+
+    Parameters
+    ----------
+    source
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged identification, a mapping, a
+        `Document` that was already read, or an `IdentifySpec`. Names of files are relative to the folder of the spec
+        or, without a file, to the working folder.
+    assignments
+        Assignments to keys of the spec, such as ``"starts=8"``, with values in YAML.
+    sections
+        Top-level keys of the spec; they replace those in `source`.
+
+    Raises
+    ------
+    SpecError
+        If the spec or its base is not valid, with the file, line and key path if known.
+    """
+    assignments = tuple(assignments)
+    if isinstance(source, IdentifySpec):
+        if not assignments and not sections:
+            return source
+        source = source._document or source.model_dump(exclude_unset=True)
+
+    def packaged(name: str) -> tuple[Document, FilePath] | None:
+        return (document := read_source(name), document.folder) if name in example_names("identify") else None
+
+    document, folder = document_of(
+        source, ("identification", "identifications"), packaged, lambda: example_names("identify")
+    )
+    document = Document(copied(document.data), document.file, folder=document.folder) if sections else document
+    document.data |= sections
+    document.keywords = frozenset(sections)
+    if "mbdkit_identify" not in document.data:
+        for key, command in (("mbdkit_study", "study"), ("mbdkit_design", "design"), ("mbdkit", "run")):
+            if key in document.data:
+                message = f"this is the spec of a {command}; that of an identification begins with `mbdkit_identify: 1`"
+                raise document.place(SpecError(message, key=key))
+    try:
+        for assignment in assignments:
+            set_value(document, assignment)
+        spec = IdentifySpec(**document.data)
+        spec._document = document
+        spec._base = _base(spec, folder)
+        _check_names(spec)
+    except SpecError as error:
+        raise document.place(error) from None
+    return spec
+
+
+spec_loader(load_identify_spec)
+
+
+def _base(spec: IdentifySpec, folder: FilePath) -> RunSpec:
+    """Return the validated base, with the parameters at their start values."""
+    document = base_document(spec.base, folder, "base", "identification")
+    data = copied(document.data)
+    given: dict[str, tuple[Path, object]] = {
+        path_text(("overrides", key)): (parse_key(key), value) for key, value in spec.overrides.items()
+    }
+    for name, one in spec.parameters.items():
+        path = variable_path(name)
+        is_of_run = path[0] != "parameters" or path[-1] in data.get("parameters", {})
+        if one.start is not None and is_of_run:
+            given[path_text(("parameters", name, "start"))] = path, one.start
+    for where, (path, value) in given.items():
+        try:
+            put(data, path, value)
+        except SpecError as error:
+            raise SpecError(error.message, key=where) from None
+    for key in ("measures", "gradients", "check", "accept"):
+        data.pop(key, None)
+    try:
+        base = RunSpec(**data)
+        mechanism = base.mechanism()
+    except SpecError as error:
+        for where, (path, _) in given.items():
+            if error.key == path_text(path):
+                raise SpecError(error.message, key=where) from None
+        raise error.located(prefix="base") from None
+    if base.is_to_be_chosen:
+        raise SpecError("an identification needs runs with equal steps: give `integrator` and `time.step`", key="base")
+    base._document = Document(data, document.file, folder=document.folder)
+    for name, experiment in spec.experiments.items():
+        for key in experiment.inputs:
+            if key not in mechanism.inputs:
+                hint = did_you_mean(key, mechanism.inputs) or f"; it has {listed([*mechanism.inputs], 'and') or 'none'}"
+                where = path_text(("experiments", name, "inputs", key))
+                raise SpecError(f"the mechanism has no input '{key}'{hint}", key=where)
+    return base
+
+
+def sensor_names(spec: IdentifySpec) -> set[str]:
+    """Return the names of parameters that sensors use."""
+    sensors = [*spec.sensors.values(), *(one for each in spec.experiments.values() for one in each.sensors.values())]
+    values = [value for sensor in sensors for value in (sensor.gain, sensor.offset, sensor.delay)]
+    return {value for value in values if isinstance(value, str)}
+
+
+def _check_names(spec: IdentifySpec) -> None:
+    """Raise SpecError for a parameter that neither the base nor a sensor has, or a sensor's unknown parameter."""
+    base, of_sensors = spec.run_spec, sensor_names(spec)
+    for name in sorted(of_sensors - spec.parameters.keys()):
+        hint = did_you_mean(name, [*spec.parameters])
+        raise SpecError(f"a sensor has the parameter '{name}', which is not among `parameters`{hint}", key="sensors")
+    for name, one in spec.parameters.items():
+        known = name in base.parameters or variable_path(name)[0] != "parameters"
+        if not known and name not in of_sensors:
+            hint = did_you_mean(name, [*base.parameters])
+            message = f"neither the base nor a sensor has the parameter '{name}'{hint}"
+            raise SpecError(message, key=path_text(("parameters", name)))
+        if known and name in base.parameters and isinstance(base.parameters[name], str):
+            message = f"is the expression '{base.parameters[name]}' in the base; estimate the parameters in it"
+            raise SpecError(message, key=path_text(("parameters", name)))
+        if not known and one.start is None and one.bounds is None:
+            raise SpecError(
+                "needs `start` or `bounds`, because the base has no value", key=path_text(("parameters", name))
+            )

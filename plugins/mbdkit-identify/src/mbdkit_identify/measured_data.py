@@ -1,0 +1,153 @@
+"""Measured data of an experiment: columns of a file, in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from mbdkit.plugin import SpecError, path_text, read_unit
+from mbdkit.plugin.measures import MeasureExpression
+from mbdkit.plugin.specs import read_columns
+from mbdkit_identify.identify_spec import Experiment, IdentifySpec, Sensor
+
+LEAST_SAMPLES = 3
+"""Smallest number of values of a signal."""
+
+
+@dataclass(frozen=True)
+class SignalData:
+    """A measured signal.
+
+    Attributes
+    ----------
+    quantity, unit
+        The expression that is measured, and the unit of `values`: that of the quantity, or "" if the sensor has a gain.
+    sensor
+        The sensor.
+    values
+        (T,) measured values; nan in gaps.
+    deviation
+        Standard deviation of the noise; None if it is estimated.
+    may_correlate
+        Whether the noise may be correlated.
+    """
+
+    quantity: str
+    unit: str
+    sensor: Sensor
+    values: np.ndarray
+    deviation: float | None
+    may_correlate: bool
+
+
+@dataclass(frozen=True)
+class ExperimentData:
+    """The data of one experiment.
+
+    Attributes
+    ----------
+    name, experiment
+        Name and spec.
+    time
+        (T,) times [s].
+    signals
+        The measured quantities.
+    inputs
+        Times and values of the measured inputs, by name, in the units of the inputs.
+    input_deviations
+        Standard deviations of their noise, by name, where they are given.
+    """
+
+    name: str
+    experiment: Experiment
+    time: np.ndarray
+    signals: tuple[SignalData, ...]
+    inputs: dict[str, tuple[np.ndarray, np.ndarray]]
+    input_deviations: dict[str, float]
+
+
+def read_experiment(spec: IdentifySpec, name: str) -> ExperimentData:
+    """Return the data of an experiment of a spec.
+
+    Raises
+    ------
+    SpecError
+        If the file has no such columns, a cell is not a number, times do not increase, a unit does not fit, or a signal
+        has fewer than three values in the window.
+    """
+    one = spec.experiments[name]
+    place = ("experiments", name)
+    headings = [
+        one.time,
+        *(signal.column for signal in one.observed.values()),
+        *(i.column for i in one.inputs.values()),
+    ]
+    path = (spec._document.folder if spec._document is not None else FilePath()) / one.file
+    try:
+        columns: np.ndarray = np.array(read_columns(path, headings, has_gaps=True))
+    except FileNotFoundError:
+        raise SpecError(f"there is no file '{one.file}'", key=path_text((*place, "file"))) from None
+    time, values = columns[0], columns[1:]
+    if not np.all(np.isfinite(time)):
+        raise SpecError(f"the column '{one.time}' of '{one.file}' has an empty cell", key=path_text((*place, "time")))
+    if np.any(late := np.diff(time) <= 0):
+        row = int(np.argmax(late)) + 1
+        message = f"times should increase, but {time[row]:.9g} s follows {time[row - 1]:.9g} s in '{one.file}'"
+        raise SpecError(message, key=path_text((*place, "time")))
+    known = time, values
+    if one.window is not None:
+        some = (time >= one.window[0] - 1e-9) & (time <= one.window[1] + 1e-9)
+        time, values = time[some], values[:, some]
+    signals = []
+    for number, (quantity, signal) in enumerate(one.observed.items()):
+        where = path_text((*place, "observed", quantity))
+        sensor = one.sensors.get(quantity) or spec.sensors.get(quantity) or Sensor()
+        unit = _unit_of(quantity, spec, where)
+        has_gain = sensor.gain != 1.0
+        factor = _factor(signal.unit, unit, where) if not has_gain else 1.0
+        if has_gain and signal.unit is not None:
+            raise SpecError("a sensor with a gain has counts, which need no unit", key=f"{where}.unit")
+        found = factor * values[number]
+        if np.sum(np.isfinite(found)) < LEAST_SAMPLES:
+            raise SpecError(f"the column '{signal.column}' has fewer than {LEAST_SAMPLES} values here", key=where)
+        deviation = None if signal.deviation is None else abs(factor) * signal.deviation
+        signals.append(
+            SignalData(quantity, "" if has_gain else unit, sensor, found, deviation, signal.correlation == "ar")
+        )
+    inputs, deviations = {}, {}
+    first = 1 + len(one.observed)
+    for number, (named, given) in enumerate(one.inputs.items(), first):
+        where = path_text((*place, "inputs", named))
+        factor = _factor(given.unit, spec.run_spec.mechanism().inputs[named].unit, where)
+        column = factor * known[1][number - 1]
+        is_known = np.isfinite(column) & (known[0] <= time[-1])
+        if not is_known.any():
+            raise SpecError(f"the column '{given.column}' has no values here", key=where)
+        inputs[named] = known[0][is_known], column[is_known]
+        if given.deviation is not None:
+            deviations[named] = abs(factor) * given.deviation
+    return ExperimentData(name, one, time, tuple(signals), inputs, deviations)
+
+
+def _unit_of(quantity: str, spec: IdentifySpec, where: str) -> str:
+    try:
+        return MeasureExpression.parse(f"final(abs({quantity}))", spec.run_spec).unit.text
+    except SpecError as error:
+        if "unit of this expression is unknown" in error.message:
+            return ""
+        raise SpecError(error.message, key=where) from None
+
+
+def _factor(given: str | None, unit: str, where: str) -> float:
+    """Return the factor from a unit to the SI unit of a quantity."""
+    if given is None:
+        return 1.0
+    try:
+        found = read_unit(given)
+        if unit and not found.fits(read_unit(unit)):
+            raise SpecError(f"the unit {given} does not fit the unit {unit} of the quantity")
+    except SpecError as error:
+        raise SpecError(error.message, key=f"{where}.unit") from None
+    return found.factor

@@ -1,0 +1,123 @@
+"""The next experiment: which of some candidates narrows an interval most."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.plugin import RunSpec, SpecError, copied, path_text
+from mbdkit.plugin.specs import parse_key, put
+from mbdkit_identify.identification import NextExperiment
+from mbdkit_identify.identify_spec import IdentifySpec, Signal
+from mbdkit_identify.intervals import Goal, covariance_of
+from mbdkit_identify.measured_data import SignalData
+from mbdkit_identify.problem import Problem
+from mbdkit_identify.segments import segments_of
+
+if TYPE_CHECKING:
+    from mbdkit_identify.identify import _Identification
+
+
+def next_experiment(done: _Identification) -> NextExperiment:
+    """Return the expected intervals after each candidate was added to the experiments.
+
+    The derivatives of the candidate's signals at the estimates are added to those of the experiments. The first of
+    `intervals.of` is to be narrowed, or else the parameter whose interval is widest relative to its value.
+    """
+    goals = done._goals()
+    known = [goal for goal in goals if done._is_determined(goal.slope(done.fit.x))]
+    widths = {"": _widths(done, goals, done.fit.jacobian, done.fit.free)}
+    for name in done.spec.candidates:
+        widths[name] = _widths(done, goals, *_with_candidate(done, name))
+    of = done.spec.intervals.of
+    if of:
+        narrows = next(iter(of))
+    else:
+        relative = {goal.name: widths[""][goal.name] / max(abs(goal.value(done.fit.x)), 1e-300) for goal in known}
+        narrows = max(relative, key=relative.__getitem__) if relative else goals[0].name
+    best = min(done.spec.candidates, key=lambda name: np.nan_to_num(widths[name][narrows], nan=np.inf))
+    return NextExperiment(narrows, widths, best)
+
+
+def _widths(done: _Identification, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
+    covariance = covariance_of(jacobian, free)
+    scaled = jacobian[:, free] / np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
+    _, values, directions = np.linalg.svd(scaled, full_matrices=False)
+    lost = directions[values < 1e-7 * values[0]]
+    found = {}
+    for goal in goals:
+        slope = np.zeros(jacobian.shape[1])
+        own = goal.slope(done.fit.x)
+        slope[: len(own)] = own
+        weighted = slope[free] / np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
+        is_lost = np.any(np.abs(lost @ weighted) > 1e-3 * np.linalg.norm(weighted))
+        found[goal.name] = np.inf if is_lost else done.level * float(np.sqrt(slope @ covariance @ slope))
+    return found
+
+
+def _with_candidate(done: _Identification, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives of the whitened residuals with those of a candidate, and which unknowns are free."""
+    spec, problem = done.spec, done.problem
+    candidate = spec.candidates[name]
+    where = path_text(("candidates", name))
+    like = candidate.like or next(iter(one.name for one in done.data))
+    data = next((one for one in done.data if one.name == like), None)
+    if data is None:
+        raise SpecError(f"'{like}' is held out; name an experiment with the role fit", key=f"{where}.like")
+    own = IdentifySpec(**copied(spec._document.data))  # type: ignore[union-attr]
+    own._document, base = spec._document, spec.run_spec
+    settings = done._base_data(done.fit.x)
+    for key, value in candidate.overrides.items():
+        try:
+            put(settings, parse_key(key), value)
+        except SpecError as error:
+            raise SpecError(error.message, key=path_text(("candidates", name, "overrides", key))) from None
+    try:
+        own._base = RunSpec(**settings)
+        own._base.mechanism()
+    except SpecError as error:
+        raise SpecError(error.message, key=f"{where}.overrides") from None
+    own._base._document = replace(base._document, data=settings)  # type: ignore[type-var]
+    time = data.time
+    if candidate.duration is not None:
+        interval = float(np.median(np.diff(time)))
+        time = time[0] + interval * np.arange(max(3, round(candidate.duration / interval) + 1))
+    quantities = candidate.observed or [signal.quantity for signal in data.signals]
+    noise_of = {key.quantity: one for key, one in zip(problem.signals, problem.noises, strict=True)}
+    signals = []
+    for quantity in quantities:
+        if quantity not in noise_of:
+            raise SpecError(f"the noise of '{quantity}' is not known from an experiment", key=f"{where}.observed")
+        sensor = next((one.sensor for one in data.signals if one.quantity == quantity), None)
+        sensor = (
+            sensor
+            or spec.sensors.get(quantity)
+            or next(one.sensor for other in done.data for one in other.signals if one.quantity == quantity)
+        )
+        signals.append(SignalData(quantity, "", sensor, np.zeros(len(time)), noise_of[quantity].deviation, False))
+    experiment = data.experiment.model_copy(
+        update={"observed": {quantity: Signal(column="none") for quantity in quantities}}
+    )
+    added = replace(data, name=name, experiment=experiment, time=time, signals=tuple(signals))
+    unknowns, segments, names = segments_of(own, [added])
+    extra = Problem(unknowns, names, segments)
+    extra.noises = [noise_of[key.quantity] for key in extra.signals]
+    x = extra.first
+    for parameter, place in names.items():
+        x[place] = done.fit.x[done.names.index(parameter)]
+    slopes = extra.white(extra.slopes(x))
+    count = len(done.fit.x)
+    wide = np.zeros((len(slopes), count + len(x) - len(names)))
+    fresh = count
+    for place, one in enumerate(unknowns):
+        if one.is_initial:
+            wide[:, fresh] = slopes[:, place]
+            fresh += 1
+        else:
+            wide[:, done.names.index(one.name)] = slopes[:, place]
+    jacobian = np.zeros((len(done.fit.jacobian) + len(wide), wide.shape[1]))
+    jacobian[: len(done.fit.jacobian), :count] = done.fit.jacobian
+    jacobian[len(done.fit.jacobian) :] = wide
+    return jacobian, np.concatenate([done.fit.free, np.ones(wide.shape[1] - count, dtype=bool)])

@@ -1,0 +1,157 @@
+"""The noise of measured signals: independent, or autoregressive of order 1; its estimation by restricted likelihood.
+
+With residuals r at samples k and the correlation phi from sample to sample, the innovations ``r_k - phi*r_(k-1)`` are
+independent with the variance ``deviation**2*(1 - phi**2)``; see G. E. P. Box, G. M. Jenkins, Time Series Analysis
+(1970). Restricted likelihood accounts for the parameters that were fitted; see H. D. Patterson, R. Thompson, Biometrika
+58 (1971) 545-554.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+MOST = 0.999
+"""Largest correlation from sample to sample."""
+LEAST_DEVIATION = 1e-9
+"""Smallest deviation of noise, relative to the magnitude of the measured values."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation and correlation from sample to sample of the noise of one signal."""
+
+    deviation: float
+    correlation: float = 0.0
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The places of the valid samples of a signal among the residuals, in pieces whose samples are in sequence.
+
+    Attributes
+    ----------
+    places
+        (N,) places of the samples in the vector of all residuals.
+    gaps
+        (N,) number of sampling intervals since the sample before; 0 at the beginning of a window.
+    """
+
+    places: np.ndarray
+    gaps: np.ndarray
+
+    def white(self, values: np.ndarray, noise: Noise) -> np.ndarray:
+        """Return whitened residuals (N,), or derivatives (N, K), from those of all signals."""
+        own = values[self.places]
+        return self.white_part(own, noise)
+
+    def white_part(self, own: np.ndarray, noise: Noise) -> np.ndarray:
+        """Return whitened residuals (N,), or derivatives (N, K), from those of this signal."""
+        if noise.correlation == 0.0:
+            return np.asarray(own / noise.deviation)
+        power = self._powers(noise.correlation)
+        before = np.concatenate([own[:1], own[:-1]])
+        more = (slice(None), *(None,) * (own.ndim - 1))
+        return np.asarray((own - power[more] * before) / (noise.deviation * np.sqrt(1.0 - power**2)[more]))
+
+    def _powers(self, correlation: float) -> np.ndarray:
+        """Return the correlation (N,) of each sample with the one before."""
+        with np.errstate(invalid="ignore"):
+            power = correlation**self.gaps if correlation >= 0 else np.where(self.gaps == 1.0, correlation, 0.0)
+        return np.where(self.gaps > 0, power, 0.0)
+
+    def log_deviations(self, noise: Noise) -> float:
+        """Return the sum of the logarithms of the deviations of the innovations."""
+        if noise.correlation == 0.0:
+            return len(self.places) * float(np.log(noise.deviation))
+        power = self._powers(noise.correlation)
+        return float(np.sum(np.log(noise.deviation) + 0.5 * np.log1p(-(power**2))))
+
+
+def estimated_noise(
+    residuals: np.ndarray,
+    jacobian: np.ndarray,
+    information: np.ndarray,
+    pieces: Sequence[Pieces],
+    noises: Sequence[Noise],
+    known: Sequence[float | None],
+    may_correlate: Sequence[bool],
+    scales: Sequence[float],
+) -> list[Noise]:
+    """Return the noise of each signal, by restricted likelihood, one signal after another.
+
+    Parameters
+    ----------
+    residuals, jacobian
+        (R,) residuals at the best fit, and their derivatives (R, K).
+    information
+        (K, K) what priors know.
+    pieces, noises
+        Samples and present noise of each signal.
+    known
+        Given deviations, or None.
+    may_correlate
+        Whether the noise of each signal may be correlated.
+    scales
+        Magnitudes of the measured values.
+    """
+    found = list(noises)
+    parts = [_normal(piece, jacobian, noise) for piece, noise in zip(pieces, found, strict=True)]
+    for s, piece in enumerate(pieces):
+        others = information + sum(part for k, part in enumerate(parts) if k != s)
+        own = residuals[piece.places], jacobian[piece.places]
+        likelihood = _Likelihood(piece, *own, others, known[s], found[s].deviation, LEAST_DEVIATION * scales[s])
+        correlation = 0.0
+        if may_correlate[s]:
+            result = minimize_scalar(
+                lambda z, likelihood=likelihood: likelihood.at(float(np.tanh(z)))[1],
+                bounds=(-2.0, np.arctanh(MOST)), method="bounded", options={"xatol": 1e-4},
+            )  # fmt: skip
+            correlation = float(np.tanh(result.x))
+        found[s] = Noise(likelihood.at(correlation)[0], correlation)
+        parts[s] = _normal(piece, jacobian, found[s])
+    return found
+
+
+@dataclass(frozen=True)
+class _Likelihood:
+    """The restricted likelihood of one signal as a function of its correlation.
+
+    `others` (K, K) is what priors and other signals know, `known` the given deviation, and `first` a first guess.
+    """
+
+    piece: Pieces
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    others: np.ndarray
+    known: float | None
+    first: float
+    least: float
+
+    def at(self, correlation: float) -> tuple[float, float]:
+        """Return the best deviation, and the negative logarithm of the restricted likelihood."""
+        unit = Noise(1.0, correlation)
+        e, j = self.piece.white_part(self.residuals, unit), self.piece.white_part(self.jacobian, unit)
+        own, total, deviation = j.T @ j, float(e @ e), self.known or self.first
+        for _ in range(0 if self.known else 3):
+            used = float(np.trace(_solve(self.others + own / deviation**2, own))) / deviation**2
+            deviation = max(float(np.sqrt(total / max(len(e) - used, 1.0))), self.least)
+        matrix = self.others + own / deviation**2
+        _, log_det = np.linalg.slogdet(matrix + 1e-300 * np.eye(len(matrix)))
+        logs = self.piece.log_deviations(unit) + len(e) * float(np.log(deviation))
+        return deviation, 0.5 * total / deviation**2 + logs + 0.5 * (log_det if np.isfinite(log_det) else 0.0)
+
+
+def _normal(piece: Pieces, jacobian: np.ndarray, noise: Noise) -> np.ndarray:
+    white = piece.white(jacobian, noise)
+    return np.asarray(white.T @ white)
+
+
+def _solve(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return ``matrix^-1 other``, also for matrices that are singular in directions in which both vanish."""
+    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    scaled = matrix / np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) @ (other / np.outer(scale, scale)))

@@ -1,0 +1,185 @@
+"""An identification as a problem of least squares: residuals of all signals, whitened by their noise, and priors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.plugin import MbdkitError, RunError
+from mbdkit_identify.measured_data import SignalData
+from mbdkit_identify.noise import LEAST_DEVIATION, Noise, Pieces
+from mbdkit_identify.segments import Segment, Unknown
+
+FAILED = 1e3
+"""Whitened residuals of runs that fail, so large that no search ends there."""
+
+
+@dataclass(frozen=True)
+class SignalKey:
+    """A signal: experiment and quantity."""
+
+    experiment: str
+    quantity: str
+
+
+class Problem:
+    """Residuals of the windows of some experiments, as functions of the unknowns.
+
+    Parameters
+    ----------
+    unknowns
+        All n unknowns.
+    names
+        Places of those that are parameters, by name.
+    segments
+        The windows.
+
+    Attributes
+    ----------
+    measured
+        (R,) measured values of all signals, without gaps.
+    signals
+        The S signals.
+    pieces
+        Samples of each signal among the residuals.
+    noises
+        Present noise of each signal.
+    runs, derived
+        Numbers of runs, and of runs with derivatives.
+    """
+
+    def __init__(self, unknowns: Sequence[Unknown], names: dict[str, int], segments: Sequence[Segment]):
+        self.unknowns, self.names, self.segments = list(unknowns), names, list(segments)
+        self.runs = self.derived = 0
+        self._values: dict[bytes, np.ndarray] = {}
+        self._slopes: tuple[bytes, np.ndarray] = b"", np.empty(0)
+        self._index()
+
+    def _index(self) -> None:
+        """Find the places of the samples of each signal."""
+        keys: dict[SignalKey, list[tuple[np.ndarray, np.ndarray]]] = {}
+        first: dict[SignalKey, SignalData] = {}
+        measured, self._some, count = [], [], 0
+        for segment in self.segments:
+            interval = float(np.median(np.diff(segment.time)))
+            some = np.array([np.isfinite(signal.values) for signal in segment.signals])
+            self._some.append(some)
+            for row, signal in enumerate(segment.signals):
+                known = np.flatnonzero(some[row])
+                gaps = np.concatenate([[0.0], np.diff(segment.time[known]) / interval])[: len(known)]
+                gaps = np.where(np.abs(gaps - np.round(gaps)) < 0.05, np.round(gaps), gaps)
+                key = SignalKey(segment.experiment, signal.quantity)
+                keys.setdefault(key, []).append((count + np.arange(len(known)), gaps))
+                first.setdefault(key, signal)
+                measured.append(signal.values[known])
+                count += len(known)
+        self.measured = np.concatenate(measured)
+        self.signals = tuple(keys)
+        self.pieces = [Pieces(*map(np.concatenate, zip(*parts, strict=True))) for parts in keys.values()]
+        self.known = [first[key].deviation for key in keys]
+        self.may_correlate = [first[key].may_correlate for key in keys]
+        self.scales = [float(np.max(np.abs(self.measured[one.places]), initial=1e-300)) for one in self.pieces]
+        self.noises = [
+            Noise(known or max(_roughness(self.measured[one.places]), LEAST_DEVIATION * scale))
+            for known, one, scale in zip(self.known, self.pieces, self.scales, strict=True)
+        ]
+
+    @property
+    def first(self) -> np.ndarray:
+        """First values (n,) of the unknowns."""
+        return np.array([one.start for one in self.unknowns])
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds (n,) of the unknowns."""
+        return np.array([one.low for one in self.unknowns]), np.array([one.high for one in self.unknowns])
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Magnitudes (n,) of the unknowns."""
+        return np.array([one.size for one in self.unknowns])
+
+    @property
+    def differences(self) -> str:
+        """Why derivatives are differences; empty if they are exact."""
+        return next((one.prepared.differences for one in self.segments if one.prepared.differences), "")
+
+    def predicted(self, x: np.ndarray) -> np.ndarray:
+        """Return what the sensors show (R,) for unknowns (n,); nan where a run fails."""
+        key = x.tobytes()
+        if key not in self._values:
+            parts = []
+            for segment, some in zip(self.segments, self._some, strict=True):
+                self.runs += 1
+                try:
+                    values = segment.prepared.values(*segment.given(x))
+                    shown, _ = segment.shown(values, None, x, self.names)
+                    parts.append(shown[some])
+                except MbdkitError:
+                    parts.append(np.full(int(np.sum(some)), np.nan))
+            self._values = {key: np.concatenate(parts)}
+        return self._values[key]
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives (R, n) of `predicted`; raise RunError if a run fails."""
+        key = x.tobytes()
+        if self._slopes[0] != key:
+            parts, values = [], []
+            for segment, some in zip(self.segments, self._some, strict=True):
+                self.derived += 1
+                found = segment.prepared.at(*segment.given(x))
+                shown, every = segment.shown(found.values, found.derivatives, x, self.names)
+                assert every is not None
+                parts.append(every[some])
+                values.append(shown[some])
+            self._slopes = key, np.concatenate(parts)
+            self._values = {key: np.concatenate(values)}
+        return self._slopes[1]
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Return the whitened residuals (R + P,): prediction minus measurement in deviations, and P priors."""
+        raw = self.predicted(x) - self.measured
+        found = [self.white(raw), self._priors(x)]
+        return np.asarray(np.nan_to_num(np.concatenate(found), nan=FAILED, posinf=FAILED, neginf=-FAILED))
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives (R + P, n) of `residuals`."""
+        priors = [place for place, one in enumerate(self.unknowns) if one.prior is not None]
+        rows = np.zeros((len(priors), len(x)))
+        for row, place in enumerate(priors):
+            rows[row, place] = 1.0 / self.unknowns[place].prior[1]  # type: ignore[index]
+        try:
+            slopes = self.white(self.slopes(x))
+        except RunError:
+            slopes = np.zeros((len(self.measured), len(x)))
+        return np.asarray(np.concatenate([np.nan_to_num(slopes), rows]))
+
+    def _priors(self, x: np.ndarray) -> np.ndarray:
+        pairs = [(x[place], one.prior) for place, one in enumerate(self.unknowns) if one.prior is not None]
+        return np.array([(value - prior[0]) / prior[1] for value, prior in pairs])
+
+    @property
+    def information(self) -> np.ndarray:
+        """(n, n) what the priors know."""
+        return np.diag([0.0 if one.prior is None else one.prior[1] ** -2 for one in self.unknowns])
+
+    def white(self, raw: np.ndarray) -> np.ndarray:
+        """Return residuals (R,), or their derivatives (R, n), whitened by the noise of their signals."""
+        found = np.empty_like(raw)
+        for piece, noise in zip(self.pieces, self.noises, strict=True):
+            found[piece.places] = piece.white(raw, noise)
+        return found
+
+    def log_likelihood(self, white: np.ndarray) -> float:
+        """Return the logarithm of the likelihood of the data for whitened residuals (R,)."""
+        logs = sum(piece.log_deviations(noise) for piece, noise in zip(self.pieces, self.noises, strict=True))
+        return float(-0.5 * white @ white - logs - 0.5 * len(white) * np.log(2.0 * np.pi))
+
+
+def _roughness(values: np.ndarray) -> float:
+    """Return a first guess of the deviation of noise, from second differences."""
+    if len(values) < 4:
+        return 0.0
+    return float(np.std(np.diff(values, 2)) / np.sqrt(6.0))

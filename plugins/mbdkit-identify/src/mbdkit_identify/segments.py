@@ -1,0 +1,329 @@
+"""Predictions of the measured signals: a run for each window of an experiment, and what its sensors show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from mbdkit.plugin import RunSpec, SpecError, copied, path_text
+from mbdkit.plugin.equations import Starts
+from mbdkit.plugin.runs import GivenStart
+from mbdkit_gradients import PreparedSensitivities
+from mbdkit_identify.identify_spec import Experiment, IdentifySpec
+from mbdkit_identify.loading import sensor_names
+from mbdkit_identify.measured_data import ExperimentData, SignalData
+
+INITIAL = "initial"
+"""First part of the names of initial values among the parameters of a run."""
+UNIFORM = 1e-6
+"""Largest relative difference between sampling intervals that count as equal."""
+FEW = 12
+"""Number of samples by which initial values are guessed."""
+SPLINE = 5
+"""Degree of the splines in time by which signals are delayed."""
+
+
+@dataclass
+class Unknown:
+    """A number to be estimated.
+
+    Attributes
+    ----------
+    name
+        Name of the parameter, or of the initial value, such as ``swing: crank.angle``.
+    start, low, high
+        First value, and bounds.
+    prior
+        Mean and standard deviation of what is known of it; None if nothing is.
+    size
+        Magnitude, to which changes are relative.
+    unit
+        SI unit.
+    is_initial
+        Whether it is an initial value of one window.
+    """
+
+    name: str
+    start: float
+    low: float = -np.inf
+    high: float = np.inf
+    prior: tuple[float, float] | None = None
+    size: float = 1.0
+    unit: str = ""
+    is_initial: bool = False
+
+
+@dataclass
+class Segment:
+    """One window of an experiment.
+
+    Attributes
+    ----------
+    experiment
+        Name of the experiment.
+    is_hold_out
+        Whether its data do not affect the parameters.
+    time
+        (T,) times [s].
+    signals
+        The measured quantities in this window.
+    spec
+        The spec of the run.
+    parameters
+        Places of the unknowns that are parameters of the run, by name.
+    initial
+        Initial values: the place of an unknown, or a number, by quantity.
+    """
+
+    experiment: str
+    is_hold_out: bool
+    time: np.ndarray
+    signals: tuple[SignalData, ...]
+    spec: RunSpec
+    parameters: dict[str, int]
+    initial: dict[str, int | float]
+    _prepared: PreparedSensitivities | None = field(default=None, repr=False)
+
+    @property
+    def prepared(self) -> PreparedSensitivities:
+        """Evaluates the quantities of the run."""
+        if self._prepared is None:
+            self._prepared = self.prepare(self.spec)
+        return self._prepared
+
+    def prepare(self, spec: RunSpec) -> PreparedSensitivities:
+        """Return what evaluates the quantities of another run of this window."""
+        start = {name: 0.0 if isinstance(value, int) else value for name, value in self.initial.items()}
+        own = [f"{INITIAL}.{name}" for name, value in self.initial.items() if isinstance(value, int)]
+        quantities = [signal.quantity for signal in self.signals]
+        try:
+            return PreparedSensitivities(spec, quantities, self.time, [*self.parameters, *own], initial=start)
+        except SpecError as error:
+            raise error.located(prefix=path_text(("experiments", self.experiment))) from None
+
+    def given(self, x: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the parameters and the initial values of the run for unknowns x (n,)."""
+        start = {name: float(x[v]) if isinstance(v, int) else float(v) for name, v in self.initial.items()}
+        return {name: float(x[place]) for name, place in self.parameters.items()}, start
+
+    @property
+    def run_places(self) -> list[int]:
+        """Places of the unknowns on which the run depends, in the order of the derivatives of `prepared`."""
+        return [*self.parameters.values(), *(value for value in self.initial.values() if isinstance(value, int))]
+
+    def shown(
+        self, values: np.ndarray, slopes: np.ndarray | None, x: np.ndarray, names: Mapping[str, int]
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return what the sensors show, (S, T), and its derivatives (S, T, n) with respect to the unknowns x (n,).
+
+        Parameters
+        ----------
+        values, slopes
+            (S, T) quantities, and their derivatives (S, T, K) with respect to `run_places`.
+        names
+            Places of the unknowns by name of the parameter.
+        """
+        shown = np.empty_like(values)
+        every = None if slopes is None else np.zeros((*values.shape, len(x)))
+        for row, signal in enumerate(self.signals):
+            sensor = signal.sensor
+            gain, offset, delay = (
+                float(x[names[value]]) if isinstance(value, str) else value
+                for value in (sensor.gain, sensor.offset, sensor.delay)
+            )
+            y, own = values[row], None if slopes is None else slopes[row]
+            rate = np.zeros_like(y)
+            if sensor.delay != 0.0:
+                spline = make_interp_spline(self.time, y, k=SPLINE)
+                y, rate = spline(self.time - delay), spline.derivative()(self.time - delay)
+                own = None if own is None else make_interp_spline(self.time, own, k=SPLINE)(self.time - delay)
+            shown[row] = gain * y + offset
+            if every is not None and own is not None:
+                every[row][:, self.run_places] += gain * own
+                for value, slope in ((sensor.gain, y), (sensor.offset, np.ones_like(y)), (sensor.delay, -gain * rate)):
+                    if isinstance(value, str):
+                        every[row, :, names[value]] += slope
+        return shown, every
+
+
+def segments_of(
+    spec: IdentifySpec, data: Sequence[ExperimentData]
+) -> tuple[list[Unknown], list[Segment], dict[str, int]]:
+    """Return the unknowns of some experiments, their windows, and the places of the parameters.
+
+    Parameters that only sensors of other experiments have are left out.
+    """
+    of_run = [name for name in spec.parameters if name in spec.run_spec.parameters or name.startswith("model.")]
+    sensors = [signal.sensor for one in data for signal in one.signals]
+    shown = {value for one in sensors for value in (one.gain, one.offset, one.delay)}
+    unknowns = [_parameter(spec, name) for name in spec.parameters if name in of_run or name in shown]
+    names = {one.name: place for place, one in enumerate(unknowns)}
+    segments: list[Segment] = []
+    for one in data:
+        for number, some in enumerate(_windows(one.time, spec.shooting.window if spec.shooting else None)):
+            segments.append(_segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run}))
+    return unknowns, segments, names
+
+
+def _parameter(spec: IdentifySpec, name: str) -> Unknown:
+    from mbdkit_report import key_unit
+
+    given, base = spec.parameters[name], spec.run_spec
+    low, high = given.bounds or (-np.inf, np.inf)
+    start = given.start
+    if start is None and name in base.numbers:
+        start = base.numbers[name]
+    if start is None and name.startswith("model."):
+        from mbdkit.plugin.specs import variable_path
+
+        holder: object = base.model_dump()
+        for part in variable_path(name):
+            holder = holder[int(part) if isinstance(holder, list | tuple) else part]  # type: ignore[index]
+        start = float(holder)  # type: ignore[arg-type]
+    if start is None:
+        start = 0.5 * (low + high)
+    prior = None if given.prior is None else (given.prior.mean, given.prior.deviation)
+    size = max(abs(start), 1e-3 * (high - low) if np.isfinite(high - low) else 0.0, 1e-12) if start else 1.0
+    if start == 0.0 and np.isfinite(high - low):
+        size = 0.1 * (high - low)
+    unit = "" if name in sensor_names(spec) and name not in base.numbers else key_unit(name, [base])
+    return Unknown(name, float(np.clip(start, low, high)), low, high, prior, size, unit)
+
+
+def _windows(time: np.ndarray, duration: float | None) -> list[np.ndarray]:
+    """Return the places of the samples of each window; a last window with few samples is joined with the one before."""
+    if duration is None:
+        return [np.arange(len(time))]
+    number = np.floor((time - time[0]) / duration * (1 + 1e-9)).astype(int)
+    parts = [np.flatnonzero(number == k) for k in np.unique(number)]
+    if len(parts) > 1 and len(parts[-1]) < 0.5 * len(parts[0]):
+        last = parts.pop()
+        parts[-1] = np.concatenate([parts[-1], last])
+    return parts
+
+
+def _segment(
+    spec: IdentifySpec,
+    data: ExperimentData,
+    some: np.ndarray,
+    number: int,
+    unknowns: list[Unknown],
+    parameters: dict[str, int],
+) -> Segment:
+    """Return a window of an experiment; its unknown initial values are added to the unknowns."""
+    experiment, time = data.experiment, data.time[some]
+    signals = tuple(_in_window(signal, time, some, spec) for signal in data.signals)
+    run = run_of_window(spec.run_spec, time, data.inputs)
+    choice = experiment.initial if number == 0 or experiment.initial is not None else "estimated"
+    if number > 0 and choice != "estimated":
+        choice = "estimated"
+    initial: dict[str, int | float] = {}
+    where = path_text(("experiments", data.name, "initial"))
+    if choice is not None:
+        label = data.name if number == 0 else f"{data.name}, window {number + 1}"
+        try:
+            given = GivenStart(run.mechanism(), run, Starts())
+            for name, value, bounds in _initial_values(given, choice, run, experiment, signals, time):
+                if bounds is None:
+                    initial[name] = value
+                    continue
+                initial[name] = len(unknowns)
+                size = max(abs(value), 1.0 if "angle" in name or "angular" in name else given.length)
+                unknowns.append(Unknown(f"{label}: {name}", value, *bounds, size=size, is_initial=True))
+        except SpecError as error:
+            raise SpecError(error.message, key=where) from None
+    return Segment(data.name, experiment.role == "hold-out", time, signals, run, parameters, initial)
+
+
+def _in_window(signal: SignalData, time: np.ndarray, some: np.ndarray, spec: IdentifySpec) -> SignalData:
+    """Return a signal in a window, without the values that a delay moves out of it."""
+    values, delay = signal.values[some].copy(), signal.sensor.delay
+    low, high = (delay, delay) if not isinstance(delay, str) else spec.parameters[delay].bounds or (np.nan, np.nan)
+    if np.isnan(low):
+        raise SpecError("the delay of a sensor needs bounds", key=path_text(("parameters", str(delay), "bounds")))
+    values[(time < time[0] + max(high, 0.0)) | (time > time[-1] + min(low, 0.0))] = np.nan
+    return SignalData(signal.quantity, signal.unit, signal.sensor, values, signal.deviation, signal.may_correlate)
+
+
+def run_of_window(base: RunSpec, time: np.ndarray, inputs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> RunSpec:
+    """Return the base for the times (T,) of a window, whose samples are at ends of steps if they are equidistant."""
+    assert base._document is not None
+    data = copied(base._document.data)
+    step, section = base.time.step, {key: value for key, value in data["time"].items() if key == "stops"}
+    interval = float(time[-1] - time[0]) / (len(time) - 1)
+    is_uniform = bool(np.all(np.abs(np.diff(time) - interval) < UNIFORM * interval))
+    end = float(time[-1])
+    if step is not None and is_uniform:
+        step = interval / np.ceil(interval / step * (1 - 1e-9))
+        end = float(time[0]) + step * round((end - time[0]) / step)
+    data["time"] = section | {"start": float(time[0]), "end": end} | ({} if step is None else {"step": step})
+    data["output"] = {"every": 1}
+    if inputs:
+        tables = {}
+        for name, (times, values) in inputs.items():
+            first = max(0, int(np.searchsorted(times, time[0], side="right")) - 1)
+            some = slice(first, int(np.searchsorted(times, end, side="right")) + 1)
+            tables[name] = {"table": [times[some].tolist(), values[some].tolist()]}
+        data["inputs"] = data.get("inputs", {}) | tables
+    spec = RunSpec(**data)
+    spec.mechanism()
+    spec._document = base._document
+    return spec
+
+
+def _initial_values(
+    given: GivenStart,
+    choice: str | Mapping[str, float | tuple[float, float]],
+    run: RunSpec,
+    experiment: Experiment,
+    signals: Sequence[SignalData],
+    time: np.ndarray,
+) -> list[tuple[str, float, tuple[float, float] | None]]:
+    """Return initial values as name, first value, and bounds, which are None for values that are exact."""
+    if not isinstance(choice, str):
+        found: list[tuple[str, float, tuple[float, float] | None]] = []
+        for name, value in choice.items():
+            if isinstance(value, tuple):
+                found.append((name, float(np.clip(_guess(name, given, signals, time), *value)), value))
+            else:
+                found.append((name, float(value), None))
+        return found
+    observed = [_plain(signal.quantity) for signal in signals]
+    bodies = [f"{body}.{axis}" for axis in ("angle", "x", "y") for body in run.mechanism().bodies]
+    names = given.independent(dict.fromkeys([*observed, *bodies]))
+    free = (-np.inf, np.inf)
+    found = [(name, _guess(name, given, signals, time), free) for name in names]
+    for name in names:
+        element, _, axis = name.rpartition(".")
+        rate = f"{element}.{RATES[axis]}"
+        found.append((rate, 0.0, None) if choice == "rest" else (rate, _guess(rate, given, signals, time), free))
+    return found
+
+
+RATES = {"angle": "angular_velocity", "x": "vx", "y": "vy"}
+
+
+def _plain(quantity: str) -> str:
+    """Return the name of a measured coordinate without its kind, such as ``crank.angle`` for ``bodies.crank.angle``."""
+    kind, _, rest = quantity.partition(".")
+    return rest if kind in ("bodies", "joints", "markers") and rest else quantity
+
+
+def _guess(name: str, given: GivenStart, signals: Sequence[SignalData], time: np.ndarray) -> float:
+    """Return a first value of an initial value: by the first samples if it is measured, or else that of the base."""
+    element, _, axis = name.rpartition(".")
+    of_rate = {rate: coordinate for coordinate, rate in RATES.items()}
+    is_rate = axis in of_rate
+    coordinate = f"{element}.{of_rate[axis]}" if is_rate else name
+    for signal in signals:
+        known = np.flatnonzero(np.isfinite(signal.values))[:FEW]
+        sensor = signal.sensor
+        numbers = all(not isinstance(value, str) for value in (sensor.gain, sensor.offset))
+        if _plain(signal.quantity) == coordinate and numbers and len(known) >= 4:
+            y = (signal.values[known] - sensor.offset) / sensor.gain  # type: ignore[operator]
+            slope, value = np.polyfit(time[known] - time[0], y, 1 if len(known) < 6 else 2)[-2:]
+            return float(slope if is_rate else value)
+    return given.value(name)
