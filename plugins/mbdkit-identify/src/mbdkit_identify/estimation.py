@@ -107,6 +107,7 @@ def fit_at(problem: Problem, x: np.ndarray, starts: tuple[float, ...] = (), *, i
     close = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
     gradient = jacobian.T @ white
     at_low, at_high = (x <= low + close) & (gradient >= 0), (x >= high - close) & (gradient <= 0)
+    x = np.where(at_low, low, np.where(at_high, high, x))
     return Fit(x, white, jacobian, float(white @ white), at_low, at_high, starts, is_settled)
 
 

@@ -128,20 +128,17 @@ class _Identification:
 
     def _identifiability(self) -> Identifiability:
         problem = self.problem
-        count = len(problem.measured)
 
         def sensitivity(x: np.ndarray) -> np.ndarray:
-            return problem.jacobian(np.clip(x, *problem.bounds))[:count]
+            return problem.jacobian(np.clip(x, *problem.bounds))
 
         units = {one.name: one.unit for one in problem.unknowns if one.unit}
         names = [one.name for one in problem.unknowns]
         error = DIFFERENCES if problem.differences else EXACT
         at = self.fit.x
-        found = combinations(
+        return combinations(
             names, at, sensitivity, spec=self._base_at(at), error=error, sizes=problem.sizes, units=units
         )
-        has_prior = np.array([one.prior is not None for one in problem.unknowns])
-        return replace(found, identifiable=found.identifiable | has_prior)
 
     # ---- biases ----------------------------------------------------------------------------------------------------
 
@@ -290,9 +287,8 @@ class _Identification:
                 lower, upper = value - self.level * deviation, value + self.level * deviation
             else:
                 self.notify(f"profile of {goal.name}")
-                lower, upper, profile = profile_of(
-                    self.problem, self.fit, goal, self.covariance, self.spec.intervals.level
-                )
+                covariance = covariance_of(self.fit.jacobian, self.fit.free | (slope != 0)) if at else self.covariance
+                lower, upper, profile = profile_of(self.problem, self.fit, goal, covariance, self.spec.intervals.level)
                 profiles[goal.name] = profile
             lower = goal.low if at == "lower" else max(lower - bias, goal.low) if np.isfinite(lower) else lower
             upper = goal.high if at == "upper" else min(upper + bias, goal.high) if np.isfinite(upper) else upper
