@@ -4,10 +4,10 @@ multipliers of the joint.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 
 REACTIONS = ("reaction_0", "reaction_1")
 """Names of the law parameters for the multipliers of the first rows of the joint; kernels update their values."""
+SIDES = tuple(f"mbdkit_side_{i}" for i in range(4))
+"""Names of additional parameters, 1 or -1, of the laws of friction in runs with derivatives
+(`mbdkit_gradients.law_corners`): whether the slip velocity is above the transition speed, whether it is below its
+negative, and, for slides, the signs of the normal forces at both ends.
+"""
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ class FrictionForce:
     @cached_property
     def force_law(self) -> TracedLaw:
         """The law of the force."""
-        return friction_law(_pin if isinstance(self.friction, PinFriction) else _slide)
+        return PIN if isinstance(self.friction, PinFriction) else SLIDE
 
     @property
     def reactions(self) -> tuple[tuple[int, str], ...]:
@@ -138,14 +143,16 @@ def _side_force(length: Recorded, rate: Recorded, time: Recorded, p: Mapping[str
     return p["ratio"] * square / np.sqrt(square + least * least)
 
 
-_SIDE = TracedLaw(_side_force, lambda one: one.numbers)
+TINY = 1e-300
+"""Square of a reaction that counts as none [N^2]."""
 
-Law: TypeAlias = "Callable[[Recorded, Mapping[str, Recorded]], Recorded]"
+_SIDE = TracedLaw(_side_force, lambda one: one.numbers)
 
 
 def _pin(rate: Recorded, p: Mapping[str, Recorded]) -> Recorded:
     """Return the friction torque of a pin of radius `arm` at an angular rate; the multipliers are its reaction."""
-    force = np.sqrt(p["reaction_0"] * p["reaction_0"] + p["reaction_1"] * p["reaction_1"])
+    square = p["reaction_0"] * p["reaction_0"] + p["reaction_1"] * p["reaction_1"]
+    force = square / np.sqrt(square + TINY)  # unlike the root, 0 has derivatives with respect to parameters: zeros
     return p["arm"] * _against(force, p["arm"] * rate, p)
 
 
@@ -155,18 +162,26 @@ def _slide(rate: Recorded, p: Mapping[str, Recorded]) -> Recorded:
     The multipliers are the normal force and the moment, which are equivalent to one normal force at each end.
     """
     half, couple = 0.5 * p["reaction_0"], p["arm"] * p["reaction_1"]
-    return _against(np.absolute(half + couple) + np.absolute(half - couple), rate, p)
+    first, second = half + couple, half - couple
+    if SIDES[2] in p:
+        return _against(p[SIDES[2]] * first + p[SIDES[3]] * second, rate, p)
+    return _against(np.absolute(first) + np.absolute(second), rate, p)
 
 
 def _against(normal: Recorded, slip: Recorded, p: Mapping[str, Recorded]) -> Recorded:
-    numbers = p["static"], p["kinetic"], p["transition"]
-    return -regularised_friction(normal, slip, numbers, lambda x, a, b: np.where(x > 0.0, a, b))
+    numbers, share = (p["static"], p["kinetic"], p["transition"]), None
+    if SIDES[0] in p:
+        forwards, backwards = p[SIDES[0]] > 0.0, p[SIDES[1]] > 0.0
+        # steps that are repeated from the corner on go beyond it: without bounds, the joint could lock itself there
+        inside = slip / p["transition"]
+        inside = np.where(inside > 1.25, 1.25, np.where(inside < -1.25, -1.25, inside))
+        share = np.where(forwards, 1.0, np.where(backwards, -1.0, inside))
+    return -regularised_friction(normal, slip, numbers, lambda x, a, b: np.where(x > 0.0, a, b), share)
 
 
-@lru_cache(maxsize=2)
-def friction_law(force: Law) -> TracedLaw:
-    """Return the law of one kind of friction; `force` is `_pin` or `_slide`."""
-    return TracedLaw(lambda length, rate, time, p: force(rate, p), lambda one: one.numbers, passive=True)
+PIN = TracedLaw(lambda length, rate, time, p: _pin(rate, p), lambda one: one.numbers, passive=True)
+SLIDE = TracedLaw(lambda length, rate, time, p: _slide(rate, p), lambda one: one.numbers, passive=True)
+"""Laws of the friction of pins and of slides."""
 
 
 def friction_forces(mechanism: Mechanism) -> list[FrictionForce]:

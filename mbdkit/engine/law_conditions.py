@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Never, Protocol
+from typing import TYPE_CHECKING, Never, Protocol
 
 import numpy as np
 
 from mbdkit.registry.seam import OwnSeam
+
+if TYPE_CHECKING:
+    from mbdkit.engine.kernels.observe import Observed
 
 
 class LawCondition(Protocol):
@@ -21,11 +24,11 @@ class LawCondition(Protocol):
     def side(self) -> int:
         """Index in ``Topology.law_parameters`` of the parameter that says on which side the law is evaluated."""
 
-    def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
+    def values(self, observed: Observed, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
         """Return g in T states.
 
-        `forces`: (T, F, 5) values of the force elements; see `mbdkit.engine.kernels.acting.force_values`. `q`, `v`: (T,
-        n) positions and velocities. `numbers`: (L,) parameters of all laws.
+        `observed`: quantities of the states. `q`, `v`: (T, n) positions and velocities. `numbers`: (L,) parameters of
+        all laws.
         """
 
     def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:

@@ -12,7 +12,9 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.values import NotNegative, Positive
 
 
-def regularised_friction(normal: Any, slip: Any, numbers: Sequence[Any], choose: Callable[[Any, Any, Any], Any]) -> Any:
+def regularised_friction(
+    normal: Any, slip: Any, numbers: Sequence[Any], choose: Callable[[Any, Any, Any], Any], share: Any = None
+) -> Any:
     """Return Coulomb's friction force, which opposes the slip velocity, regularised as in Simbody.
 
     The magnitude of the force is largest, `static` times the normal force, at the slip velocity `transition`. At larger
@@ -20,12 +22,14 @@ def regularised_friction(normal: Any, slip: Any, numbers: Sequence[Any], choose:
 
     `normal`, `slip`: normal force [N] and slip velocity [m/s]: numbers, or symbols of any kind with the operators of
     numbers. `numbers`: the coefficients `static` and `kinetic`, and the slip velocity `transition` [m/s]. `choose`:
-    function ``choose(x, a, b)`` that returns a where x > 0, else b.
+    function ``choose(x, a, b)`` that returns a where x > 0, else b. `share`: the share of the largest force at this
+    slip velocity, from -1 to 1, if it is not to be chosen by the slip velocity.
     """
     static, kinetic, transition = numbers
     ratio = slip**2 / transition**2
     size = kinetic + 2 * (static - kinetic) / (1 + ratio)
-    share = choose(1 - ratio, slip / transition, choose(slip, 1, -1))
+    if share is None:
+        share = choose(1 - ratio, slip / transition, choose(slip, 1, -1))
     return -normal * size * share
 
 

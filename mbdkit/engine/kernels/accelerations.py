@@ -259,7 +259,7 @@ def settle_by_newton(top, w, solver, v, acc, lam, refine):
 
 @inlined
 def _not_settled(top, w, solver, v, acc, lam, refine):
-    """Return OK: runs with friction in joints are neither vectorized nor differentiated with respect to parameters."""
+    """Return OK: runs with friction in joints are not vectorized."""
     return OK
 
 
@@ -270,6 +270,8 @@ def settle_friction(top, w, solver, v, acc, lam, refine):
 
 @overload(settle_friction)
 def _settle_friction(top, w, solver, v, acc, lam, refine):
+    if "numbers" in solver.bundle.fields:  # a solver of dual numbers; see `mbdkit.engine.kernels.dual_system`
+        return None
     settle = settle_by_newton if "pivoted" in solver.bundle.fields else _not_settled
     return lambda top, w, solver, v, acc, lam, refine: settle(top, w, solver, v, acc, lam, refine)
 

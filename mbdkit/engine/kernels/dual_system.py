@@ -6,6 +6,9 @@ With the solution a, lambda of the values, differentiation of ``M a + Phi_q^T la
 
 where the derivatives on the right are those of M, Phi_q, Q and gamma at constant a and lambda. The values are computed
 as in a run, with the same working arrays and pivots, and are bitwise identical.
+
+Friction in joints T satisfies ``T = F(lambda(T))``. Its values are those of a run, too. Its derivatives follow from
+Newton's method of dual numbers, which begins with these values and therefore changes derivatives only.
 """
 
 from __future__ import annotations
@@ -14,9 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.accelerations import by_pivots_or_schur, solve_system
+from mbdkit.engine.kernels.accelerations import by_pivots_or_schur, settle_by_newton, settle_friction, solve_system
 from mbdkit.engine.kernels.bundle_types import IntMatrix
 from mbdkit.engine.kernels.engine_bundles import Engine
+from mbdkit.engine.kernels.friction_kernels import add_friction, change_frictions, newton_step, take_reactions
 from mbdkit.engine.kernels.lu import Factors, substitute
 from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import OK
@@ -24,6 +28,12 @@ from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.arithmetic import value_of, with_value
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 from mbdkit.engine.native.number_arrays import new_duals
+
+PASSES = 3
+"""Steps of Newton's method for the derivatives of the friction in joints.
+
+The error of its matrix, about 1e-6 due to differences, is the factor by which each step reduces their error.
+"""
 
 
 class DualSolver(NamedTuple):
@@ -35,8 +45,9 @@ class DualSolver(NamedTuple):
     """Factors of the pivoted system of the values, with a dual work array."""
     row_index: IntMatrix
     """Numbers: as in `mbdkit.engine.kernels.engine_bundles.Solver`."""
+    v: np.ndarray
+    """(3 (B + 1),) velocities and accelerations; numbers."""
     acc: np.ndarray
-    """(3 (B + 1),) accelerations; numbers."""
     lam: np.ndarray
     """(P, 2) multipliers; numbers."""
     lack: np.ndarray
@@ -55,6 +66,7 @@ def new_dual_solver(numbers: Engine, row_index: np.ndarray) -> DualSolver:
         numbers=numbers._replace(top=top._replace(gravity=top.gravity.copy())),
         factors=factors._replace(work=new_duals(len(factors.work))),
         row_index=row_index,
+        v=np.zeros(size),
         acc=np.zeros(size),
         lam=np.zeros((len(top.pairs), 2)),
         lack=new_duals(size),
@@ -156,6 +168,14 @@ def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
     for k in range(len(lam)):
         for r in range(2):
             lam[k, r] = solver.lam[k, r] if r < top.rows[k] else 0.0
+    _change_derivatives(top, w, solver, has_forces, acc, lam, refine)
+    return OK
+
+
+@subkernel
+def _change_derivatives(top, w, solver, has_forces, acc, lam, refine):
+    """Change the derivatives of accelerations and multipliers so that they satisfy the system, whose values do."""
+    n = solver.numbers
     pivoted = n.solver.pivoted[0] != 0
     # with the values as accelerations, the residual has no value but all derivatives; the second pass refines them
     for _ in range(2 if refine or pivoted else 1):
@@ -170,6 +190,48 @@ def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
         for k in range(len(lam)):
             for r in range(top.rows[k]):
                 lam[k, r] = with_value(lam[k, r] + solver.rows[k, r], solver.lam[k, r])
+
+
+@subkernel
+def _begin_frictions(top, w, n, acc, lam, solver):
+    """Begin with the values of accelerations, multipliers and friction that `settle_by_newton` has found."""
+    count = len(top.frictions)
+    for d in range(len(acc)):
+        acc[d] = with_value(acc[d], solver.acc[d])
+    for k in range(len(lam)):
+        for r in range(top.rows[k]):
+            lam[k, r] = with_value(lam[k, r], solver.lam[k, r])
+    for f in range(count):
+        scale = n.w.friction[f, count + 2]
+        w.friction[f, count + 1] = n.w.friction[f, count + 1]
+        w.friction[f, count + 2] = scale if scale > 0.0 else 1.0  # at rest, only derivatives differ from 0
+        add_friction(top, w, f, w.friction[f, count + 1])
+    for i in range(len(top.reactions)):
+        for j in range(count):
+            w.response[i, j] = n.w.response[i, j]
+
+
+@inlined
+def _settle(top, w, solver, v, acc, lam, refine):
+    """Change accelerations and multipliers until they agree with the friction in joints; return a status."""
+    n = solver.numbers
+    for d in range(len(v)):
+        solver.v[d] = value_of(v[d])
+    for f in range(len(top.frictions)):
+        k = top.frictions[f]
+        n.w.s[k, 0] = value_of(w.s[k, 0])
+        for i in range(6):
+            n.w.grad[k, i] = value_of(w.grad[k, i])
+    status = settle_by_newton(n.top, n.w, n.solver, solver.v, solver.acc, solver.lam, refine)
+    if status != OK:
+        return status
+    _begin_frictions(top, w, n, acc, lam, solver)
+    for left in range(PASSES, -1, -1):
+        _change_derivatives(top, w, solver, True, acc, lam, refine)
+        take_reactions(top, w, lam)
+        newton_step(top, w, v)  # which leaves the friction in ``w.tension``
+        if left > 0:
+            change_frictions(top, w)
     return OK
 
 
@@ -180,3 +242,10 @@ def _solve_system(top, w, solver, has_forces, acc, lam, refine):
     return lambda top, w, solver, has_forces, acc, lam, refine: _with_derivatives(
         top, w, solver, has_forces, acc, lam, refine
     )
+
+
+@overload(settle_friction)
+def _settle_friction(top, w, solver, v, acc, lam, refine):
+    if "numbers" not in solver.bundle.fields:
+        return None
+    return lambda top, w, solver, v, acc, lam, refine: _settle(top, w, solver, v, acc, lam, refine)

@@ -19,6 +19,9 @@ LOCKED = 1e-3
 its own joint, and 0 where the joint locks itself."""
 NUDGE = 1e-6
 """Relative change of a friction by which the laws are differentiated."""
+LEAST = 1e-4
+"""Least scale of a friction relative to the largest multiplier; differences from the law of 1e-11 of the scale count as
+round-off."""
 
 
 @inlined
@@ -55,18 +58,22 @@ def begin_frictions(top, w, v, lam):
     """Begin with the multipliers `lam` of the solution without friction; return whether friction changes it.
 
     The scale of each friction is the value of its law in that solution, at least `NUDGE` times the sum of all of them.
-    The result is false if no joint both moves and bears a force, and if numbers have overflowed.
+    A reaction that vanishes consists of rounding errors of other multipliers, so that the scale is also at least
+    `LEAST` times the largest of these. The result is false if no joint both moves and bears a force, and if numbers
+    have overflowed.
     """
     count, room = len(top.frictions), w.friction
     take_reactions(top, w, lam)
-    total = 0.0
+    total = largest = 0.0
+    for k in range(len(lam)):
+        largest = max(largest, max(abs(lam[k, 0]), abs(lam[k, 1])))
     for f in range(count):
         room[f, count + 1] = 0.0
         room[f, count + 2] = abs(friction_law(top, w, v, f))
         total += room[f, count + 2]
     # a joint at rest has no friction to begin with, but steps need a scale other than zero
     for f in range(count):
-        room[f, count + 2] = max(room[f, count + 2], NUDGE * total)
+        room[f, count + 2] = max(room[f, count + 2], max(NUDGE * total, LEAST * largest))
     return total > 0.0 and total < np.inf
 
 

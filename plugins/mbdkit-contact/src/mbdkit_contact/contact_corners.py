@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.kernels import Observed
 from mbdkit.plugin.equations import CompiledLaw
 from mbdkit.plugin.seams import gradient_doubts, law_sides
 from mbdkit_contact.acting_contacts import ActingContact, contact_law, has_sides, pairs_of_shapes
@@ -51,7 +52,7 @@ class Push:
     row: int
     rows: int
 
-    def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
+    def values(self, observed: Observed, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
         """Return g in T states; see `mbdkit.plugin.seams.LawCondition.values`."""
         return np.min(self._overlap_and_force(q, v, numbers), axis=0).tolist()
 

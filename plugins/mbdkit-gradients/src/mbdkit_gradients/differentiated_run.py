@@ -258,8 +258,6 @@ def differentiated_stepper(
     if start is not None:
         workspace = replace(workspace, q0=start[0], v0=start[1])
     workspace.mechanism.refuse_kinds("gradients")
-    workspace.mechanism.refuse_side_forces("the gradient of a run")
-    workspace.mechanism.refuse_friction("gradients of runs do not include friction in joints; leave it out")
     if needs != Needs():
         workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
@@ -381,7 +379,8 @@ class _Pass:
         """Return warnings about force laws that have, or may have, discontinuities inside steps."""
         mechanism = self.workspace.mechanism
         sided = None if self._sided is not None else with_sides(mechanism)
-        passed = () if sided is None else sided.passed(rows.observed.forces[..., 0], rows.q[..., 0], rows.v[..., 0])
+        observed = Observed(*(x[..., 0] for x in rows.observed))
+        passed = () if sided is None else sided.passed(observed, rows.q[..., 0], rows.v[..., 0])
         unknown = tuple(
             f"the law of the force '{name}' is a function, so its discontinuities are not known. If the run passes "
             f"one, the derivatives lack its contribution; write the law as a SymPy expression"

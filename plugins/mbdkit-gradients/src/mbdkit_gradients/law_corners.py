@@ -2,10 +2,11 @@
 corner.
 
 A law that is a SymPy expression, or the derivative of such a law, may be discontinuous where a condition of a
-``Piecewise`` changes, such as at the beginning of contact. Each condition compares a function g of length, rate and
-parameters with zero. In a mechanism with sides, additional parameters of the law, the *sides*, replace the conditions:
-a side is 1 where g > 0, and otherwise -1. The sides are constant during a step, so that the law is smooth in the states
-of all stages; steps end where g is zero. Laws of kinds of elements may have such sides, too.
+``Piecewise`` changes, such as at the beginning of contact; so is the derivative of friction in a joint at the
+transition speed. Each condition compares a function g of length, rate and parameters with zero. In a mechanism with
+sides, additional parameters of the law, the *sides*, replace the conditions: a side is 1 where g > 0, and otherwise -1.
+The sides are constant during a step, so that the law is smooth in the states of all stages; steps end where g is zero.
+Laws of kinds of elements may have such sides, too.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.kernels import LAW_ROW, STATE_ROW
-from mbdkit.plugin import ExpressionLaw, FunctionLaw, SpecError
+from mbdkit.engine.friction_forces import PIN, SLIDE
+from mbdkit.kernels import LAW_ROW, STATE_ROW, Observed
+from mbdkit.plugin import ExpressionLaw, FunctionLaw, SpecError, TracedLaw
 from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism, bind_law
 from mbdkit.plugin.mechanisms import ARGUMENTS
 from mbdkit.plugin.methods import Seeds
@@ -44,7 +46,7 @@ class SidedLaw:
         the parameters of the original law, in the order of the law.
     """
 
-    law: ExpressionLaw
+    law: ExpressionLaw | TracedLaw
     conditions: tuple[Callable[..., list[float]], ...]
 
 
@@ -64,6 +66,8 @@ class ForceCondition:
         Index of the parameter with the side in ``Topology.law_parameters``.
     function
         See `SidedLaw`.
+    multipliers
+        (N, 3) parameters that are multipliers of joints: pair and row of the multiplier, and index in `parameters`.
     """
 
     force: str
@@ -71,20 +75,19 @@ class ForceCondition:
     parameters: np.ndarray
     side: int
     function: Callable[..., list[float]]
+    multipliers: np.ndarray
 
-    def values(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
-        """Return g in T states.
+    def values(self, observed: Observed, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
+        """Return g in T states; see `mbdkit.plugin.seams.LawCondition.values`."""
+        rows = zip(observed.forces, observed.lam, strict=True)
+        return [self.function(*row[self.element, :2], *self.own(numbers, lam))[0] for row, lam in rows]
 
-        Parameters
-        ----------
-        forces
-            (T, F, 5) values of the force elements; see `mbdkit.engine.kernels.acting.force_values`.
-        q, v
-            (T, n) positions and velocities.
-        numbers
-            (L,) parameters of all laws.
-        """
-        return [self.function(*row[self.element, :2], *numbers[self.parameters])[0] for row in forces]
+    def own(self, numbers: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Return the parameters (n, ...) of the law, given those of all laws (L, ...) and multipliers (P, 2, ...)."""
+        pair, row, place = self.multipliers.T
+        own = np.array(numbers[self.parameters])
+        own[place] = lam[pair, row]
+        return own
 
 
 @dataclass(frozen=True)
@@ -105,12 +108,12 @@ class SidedMechanism:
     conditions: tuple[ForceCondition | LawCondition, ...]
     places: np.ndarray
 
-    def passed(self, forces: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[str, ...]:
+    def passed(self, observed: Observed, q: np.ndarray, v: np.ndarray) -> tuple[str, ...]:
         """Return the names of the forces for which a condition changes over time; see `LawCondition.values`."""
         numbers = self.mechanism.topology.law_parameters
         found = []
         for condition in self.conditions:
-            values = condition.values(forces, q, v, numbers)
+            values = condition.values(observed, q, v, numbers)
             if min(values) < 0.0 < max(values):
                 found.append(condition.force)
         return tuple(dict.fromkeys(found))
@@ -161,10 +164,13 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         held = np.ones(len(names))
         held[own_places] = given[1:]
         first = len(values) + 1
+        multipliers = np.column_stack([top.reactions[:, :2], top.reactions[:, 2] - begin - 1])
+        own_multipliers = multipliers[(multipliers[:, 2] >= 0) & (multipliers[:, 2] < len(own_places))]
         places[begin : begin + len(given)] = [first - 1, *(first + own_places).tolist()]
         for i, function in enumerate(own.conditions):
             side = first + names.index(SIDE.format(i))
-            conditions.append(ForceCondition(name, elements[row], first + own_places, side, function))
+            force = f"friction of {name}" if isinstance(own.law, TracedLaw) else name
+            conditions.append(ForceCondition(force, elements[row], first + own_places, side, function, own_multipliers))
         values += [float(len(held)), *held.tolist()]
 
     def places_of(law: int) -> np.ndarray:
@@ -217,7 +223,9 @@ def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:
 
 @cache
 def _sided(law: object, names: tuple[str, ...]) -> SidedLaw | None:
-    """Return a law with sides; None if the law is not an expression."""
+    """Return a law with sides; None if the law is neither an expression nor friction in a joint."""
+    if law is PIN or law is SLIDE:
+        return _sided_friction(law, names)
     if not isinstance(law, ExpressionLaw):
         return None
     import sympy as sp
@@ -256,6 +264,31 @@ def _sided(law: object, names: tuple[str, ...]) -> SidedLaw | None:
         ),
         functions,
     )
+
+
+def _sided_friction(law: TracedLaw, names: tuple[str, ...]) -> SidedLaw:
+    """Return the law of friction in a joint with sides (`SIDES`)."""
+
+    def is_slipping(sign: float) -> Callable[..., list[float]]:
+        def value_and_slopes(length: float, rate: float, *numbers: float) -> list[float]:
+            p = dict(zip(names, numbers, strict=True))
+            arm, by_arm = (p["arm"], sign * rate) if law is PIN else (1.0, 0.0)
+            slopes = {"arm": by_arm, "transition": -1.0}
+            return [sign * arm * rate - p["transition"], 0.0, sign * arm, *(slopes.get(name, 0.0) for name in names)]
+
+        return value_and_slopes
+
+    def is_pressed(sign: float) -> Callable[..., list[float]]:
+        def value_and_slopes(length: float, rate: float, *numbers: float) -> list[float]:
+            p = dict(zip(names, numbers, strict=True))
+            arm, moment = sign * p["arm"], sign * p["reaction_1"]
+            slopes = {"arm": moment, "reaction_0": 0.5, "reaction_1": arm}
+            return [0.5 * p["reaction_0"] + p["arm"] * moment, 0.0, 0.0, *(slopes.get(name, 0.0) for name in names)]
+
+        return value_and_slopes
+
+    ends = (is_pressed(1.0), is_pressed(-1.0)) if law is SLIDE else ()
+    return SidedLaw(replace(law, parameters=_as_given), (is_slipping(1.0), is_slipping(-1.0), *ends))
 
 
 def _as_given(options: Mapping[str, float]) -> Mapping[str, float]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from mbdkit.kernels import MODIFIED
+from mbdkit.kernels import MODIFIED, Observed
 from mbdkit.plugin import StepError
 from mbdkit.plugin.equations import StateObserver, Workspace
 from mbdkit.plugin.methods import CompiledMethod, Moment, Seeds, StepTaken, Stretch, Timetable
@@ -111,8 +111,12 @@ class SidedStepper(DifferentiatedStepper):
         self._evaluator = StateEvaluator(self.steps, seeds.count)
         self._observer = StateObserver(workspace)
         self._at_once = 0
-        self.set_sides(np.ones(len(conditions)))
-        self.set_sides(np.where(self._conditions(self._here())[0] >= 0.0, 1.0, -1.0))
+        self.set_sides(-np.ones(len(conditions)))
+        for _ in range(MOST_AT_ONCE):  # reactions, and so the sides that depend on them, depend on other sides
+            before = self.sides
+            self.set_sides(np.where(self._conditions(self._here())[0] >= 0.0, 1.0, -1.0))
+            if np.array_equal(self.sides, before):
+                break
         self.set_sides(self._ahead(self._here()))
         self._note()
 
@@ -199,8 +203,9 @@ class SidedStepper(DifferentiatedStepper):
         """Return the functions of the conditions (N, C) in N states."""
         q, v, z = (np.ascontiguousarray([state[i] for state in states]) for i in range(3))
         observed = self._observer.arrays(len(q))
+        observed.forces[:] = observed.lam[:] = np.nan  # of states that have no accelerations
         self._observer.observe(np.array(times), q, v, observed, z=z)
-        return np.transpose([condition.values(observed.forces, q, v, self._numbers) for condition in self.conditions])
+        return np.transpose([condition.values(observed, q, v, self._numbers) for condition in self.conditions])
 
     # --- corners
 
@@ -220,19 +225,21 @@ class SidedStepper(DifferentiatedStepper):
         motion = here.v[0, :, 0], here.observed.acc[0, :, 0], 0.0 * self._numbers
         for condition in self.conditions:
             if not isinstance(condition, ForceCondition):
-                values += condition.values(forces[None], state[0][None], state[1][None], self._numbers)
+                plain = Observed(*(x[..., 0] for x in here.observed))
+                values += condition.values(plain, state[0][None], state[1][None], self._numbers)
                 *own_slopes, own_rate = condition.slopes(state, [*directions, motion])
                 slopes.append(np.array(own_slopes))
                 rates.append(own_rate)
                 continue
             length, rate = forces[condition.element, :2]
-            g, by_length, by_rate, *by_parameter = condition.function(
-                length[0], rate[0], *self._numbers[condition.parameters]
-            )
-            own = numbers[condition.parameters, 1:]
+            own = condition.own(numbers, here.observed.lam[0])
+            g, by_length, by_rate, *by_parameter = condition.function(length[0], rate[0], *own[:, 0])
             values.append(g)
-            slopes.append(by_length * length[1:] + by_rate * rate[1:] + np.array(by_parameter) @ own)
-            rates.append(by_length * rate[0] + by_rate * rate_of(moved[:, condition.element], rate[0], distance))
+            slopes.append(by_length * length[1:] + by_rate * rate[1:] + np.array(by_parameter) @ own[:, 1:])
+            by_time = np.array([condition.own(numbers[:, 0], lam) for lam in around.observed.lam[..., 0]])
+            own_rates = rate_of(by_time, own[:, 0], distance)
+            turn = rate_of(moved[:, condition.element], rate[0], distance)
+            rates.append(by_length * rate[0] + by_rate * turn + np.array(by_parameter) @ own_rates)
         return np.array(values), np.array(slopes), np.array(rates)
 
     def _ahead(self, here: DifferentiatedStates) -> np.ndarray:
