@@ -293,11 +293,6 @@ class CompiledMechanism:
                 key=f"model.joints.{quoted(force.name)}.{force.side.key}",
             )
 
-    def refuse_friction(self, sentence: str) -> None:
-        """Raise SpecError with the message `sentence` if any joint has friction."""
-        if self.friction:
-            raise SpecError(sentence, key=f"model.joints.{quoted(self.joints[self.friction[0]])}.friction")
-
     def refuse_friction_of_shared_reactions(self) -> None:
         """Raise SpecError if a joint with friction has a reaction that is not unique."""
         for name in (self.joints[number] for number in self.friction):

@@ -140,7 +140,7 @@ NAMES = ["model.joints.A.friction.static", "model.joints.A.friction.kinetic", "m
          "model.joints.A.friction.radius", "model.bodies.two.mass"]  # fmt: skip
 
 
-def differences(spec: dict[str, Any], name: str) -> np.ndarray:
+def differences(spec: dict[str, Any], measures: Sequence[str], name: str) -> np.ndarray:
     """Return central differences of runs at two distances, extrapolated."""
     *path, last = name.split(".")
     place: Any = spec
@@ -150,7 +150,7 @@ def differences(spec: dict[str, Any], name: str) -> np.ndarray:
     for distance in (1e-3 * given, 5e-4 * given):
         ends = []
         for place[last] in (given - distance, given + distance):
-            run = mbdkit.run(spec, measures={f"m{i}": text for i, text in enumerate(MEASURES)})
+            run = mbdkit.run(spec, measures={f"m{i}": text for i, text in enumerate(measures)})
             ends.append(np.array(list(run.measures.values())))
         found.append((ends[1] - ends[0]) / (2.0 * distance))
     place[last] = given
@@ -171,7 +171,7 @@ def test_gradients_of_a_double_pendulum_with_friction_are_differences_of_runs(
     found = mbdkit.gradient(spec, MEASURES, NAMES, check=False)
     assert not found.doubts
     for k, name in enumerate(NAMES):
-        np.testing.assert_allclose(found.jacobian[:, k], differences(spec, name), rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(found.jacobian[:, k], differences(spec, MEASURES, name), rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize(("integrator", "more"), KINDS[1::2])
@@ -195,7 +195,7 @@ def test_adaptive_steps_across_corners_of_friction_are_doubted() -> None:
 
 
 def test_a_slide_whose_normal_forces_change_their_signs_has_accurate_derivatives() -> None:
-    # expected: differences of runs, with steps so small that corners inside steps hardly matter
+    # expected: differences of runs with small steps, in which corners inside steps cause errors of about 1e-4
     m, a = Mechanism(gravity=(0.0, -G)), 0.7
     b = -math.asin(math.sin(a) / 3.0)
     pin, x = vector(0.1, a), 0.1 * math.cos(a) + 0.3 * math.cos(b)
@@ -210,13 +210,10 @@ def test_a_slide_whose_normal_forces_change_their_signs_has_accurate_derivatives
     m.prismatic("cylinder", m.ground, "slider", at=(x, 0.0), axis=(1, 0), friction=guide)
     m.torque("engine", "crank", value=3.0)
     measures = ["final(crank.angle)", "integral(energy.kinetic)", "final(energy.dissipated)"]
-    names = [f"model.joints.cylinder.friction.{key}" for key in ("kinetic", "length")]
-    found = mbdkit.gradient(
-        spec_of(m, 0.4, 0.001, GAUSS), measures, [*names, "model.joints.shaft.friction.coefficient"]
-    )
-    assert found.error is not None
-    np.testing.assert_array_less(found.error, 1e-4 * np.abs(found.jacobian))
-    assert_passed(found)
+    names = [*(f"model.joints.cylinder.friction.{key}" for key in ("kinetic", "length")), "model.bodies.rod.mass"]
+    found, fine = mbdkit.gradient(spec_of(m, 0.3, 0.002, GAUSS), measures, names, check=False), spec_of(m, 0.3, 1e-4)
+    for k, name in enumerate(names):
+        np.testing.assert_allclose(found.jacobian[:, k], differences(fine, measures, name), rtol=5e-4)
 
 
 def test_radial_forces_of_gears_have_derivatives() -> None:
