@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
@@ -24,6 +24,8 @@ from mbdkit.base.plain_data import LONGEST_NAME, LONGEST_TITLE
 from mbdkit.base.text import shortened, shown
 from mbdkit.quantities.array import GROWING, TEXT, Kind
 from mbdkit.quantities.names import AXES, COORDINATES
+from mbdkit.registry.feature_items import FileFormat
+from mbdkit.registry.manager import registry
 
 
 def open_archive(path: Path) -> h5py.File:
@@ -53,8 +55,7 @@ def _check_format(file: h5py.File, path: Path) -> None:
     with reading("its format", path):
         kind, version = file.attrs.get("format"), file.attrs.get("format_version")
     if kind != FORMAT:
-        what = f"of the format {kind!r}" if isinstance(kind, str) else "an HDF5 file of another kind"
-        raise ArchiveError(f"this is not a run archive but {what}", file=path)
+        raise ArchiveError(f"this is not a run archive but {_words(kind)}", file=path)
     ours = FORMAT_VERSION.partition(".")[0]
     if not isinstance(version, str) or version.partition(".")[0] != ours:
         raise ArchiveError(
@@ -62,6 +63,16 @@ def _check_format(file: h5py.File, path: Path) -> None:
             "version that matches",
             file=path,
         )
+
+
+def _words(kind: object) -> str:
+    """Return a phrase for HDF5 files with the attribute `format`."""
+    if not isinstance(kind, str):
+        return "an HDF5 file of another kind"
+    formats = (cast(FileFormat, item.plugin) for item in registry().of_kind("file-format"))
+    summary = next((known.summary for known in formats if known.format and known.format == kind), "")
+    known = f"{summary[:1].lower()}{summary[1:].rstrip('.')}; `mbdkit report` writes a page about it"
+    return known if summary else f"of the format {kind!r}"
 
 
 #: Sections of a spec that are mappings if they are present.

@@ -12,6 +12,7 @@ PARTS = (
     "explore",
     "gradients",
     "gym",
+    "identify",
     "paper",
     "predict",
     "report",
@@ -37,6 +38,7 @@ MARKERS_OF_PARTS: Mapping[str, str] = {
     "mbdkit_design": "mbdkit-design",
     "motion": "mbdkit-biomech",
     "mbdkit_predict": "mbdkit-predict",
+    "mbdkit_identify": "mbdkit-identify",
 }
 """Parts by the markers of their specs, which are not run specs where the part is not installed either."""
 

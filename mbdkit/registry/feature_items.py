@@ -222,6 +222,8 @@ class FileFormat(Feature):
         Name of the file whose presence makes a folder one of this kind; empty for files.
     suffix
         Suffix of files of this kind; empty for folders.
+    format
+        Root attribute ``format`` of HDF5 files of this kind, of which `report` makes a page; empty for other files.
     problems
         Function that checks a file.
     export
@@ -242,6 +244,7 @@ class FileFormat(Feature):
 
     file: str = ""
     suffix: str = ""
+    format: str = ""
     problems: Target | None = None
     export: Target | None = None
     report: Target | None = None

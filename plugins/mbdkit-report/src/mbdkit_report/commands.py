@@ -149,7 +149,12 @@ def animate(
 
 
 def report(
-    path: Annotated[Path, typer.Argument(metavar="PATH", help="A run archive, or the folder of a study or design.")],
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PATH", help="A run archive, a result of `mbdkit identify`, or the folder of a study or design."
+        ),
+    ],
     output: Annotated[
         Path | None,
         output_to(

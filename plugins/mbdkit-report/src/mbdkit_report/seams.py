@@ -34,6 +34,6 @@ def film_data(run: Run, film: dict[str, object], /) -> dict[str, object]:
 
 
 @Seam
-def report_of_folder(folder: Path, workers: int, /) -> AbstractContextManager[ReportPage]:
-    """Return a context that yields the report on a folder of results, made with a number of processes."""
+def report_of_folder(path: Path, workers: int, /) -> AbstractContextManager[ReportPage]:
+    """Return a context that yields the report on a folder or a file of results, made with a number of processes."""
     raise NotImplementedError

@@ -1,15 +1,15 @@
-"""`report`: write the report of a run, study or design as one self-contained page, and its charts as images."""
+"""`report`: write the report of a run or of other results as one self-contained page, and its charts as images."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import cast
 
-from mbdkit.plugin import FileFormat, SpecError, listed, load
-from mbdkit.plugin.archives import hash_warnings
+from mbdkit.plugin import FileFormat, MbdkitError, SpecError, listed, load
+from mbdkit.plugin.archives import DAMAGE, hash_warnings, open_hdf5
 from mbdkit.plugin.files import check_output, check_suffix, replacing
 from mbdkit.plugin.specs import registry
 from mbdkit.plugin.terminal import warn_on_stderr
@@ -30,7 +30,7 @@ def report(
     figures: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write the report of a run, study or design and return the path of the page; see `write_report`."""
+    """Write the report of a run or of other results, and return the path of the page; see `write_report`."""
     return write_report(path, output, figures=figures, overwrite=overwrite)[0]
 
 
@@ -42,12 +42,12 @@ def write_report(
     overwrite: bool = False,
     workers: int = 1,
 ) -> tuple[Path, Verdict]:
-    """Write the report of a run, of a study or of a design, and return its path and the verdict.
+    """Write the report of a run, study, design or identification, and return its path and the verdict.
 
     Parameters
     ----------
     path
-        A run archive, or the folder of a study or of a design.
+        A run archive, the result of an identification, or the folder of a study or of a design.
     output
         Path of the page, ending in .html, .htm or .md; by default ``NAME-report.html`` beside the archive, or
         ``report.html`` in the folder. A page that ends in .md contains the verdict, the claims and the tables as
@@ -69,7 +69,7 @@ def write_report(
     """
     source = Path(path)
     is_folder = os.path.isdir(source)
-    kind = FileFormat.of_folder(source, _formats()) if is_folder else None
+    kind = FileFormat.of_folder(source, _formats()) if is_folder else _of_file(source)
     if output is None:
         target = source / "report.html" if is_folder else source.with_name(f"{source.stem}-report.html")
         if kind is not None and kind.saves_figures and figures is None:
@@ -96,19 +96,29 @@ def write_report(
 
 def _formats() -> list[FileFormat]:
     formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
-    return [one for one in formats if one.file and one.report is not None]
+    return [one for one in formats if one.report is not None]
+
+
+def _of_file(source: Path) -> FileFormat | None:
+    """Return the format of an HDF5 file that is no run archive; None if it is of no known kind, or cannot be read."""
+    if os.path.isfile(source):
+        with suppress(MbdkitError, *DAMAGE), open_hdf5(source, "run archive") as file:
+            kind = str(file.attrs.get("format"))
+            return next((one for one in _formats() if one.format and one.format == kind), None)
+    return None
 
 
 @contextmanager
 def _document(source: Path, kind: FileFormat | None, workers: int) -> Iterator[ReportPage]:
-    if not os.path.isdir(source):
+    if kind is None and not os.path.isdir(source):
         with load(source) as run:
             warnings = hash_warnings(run)
             warn_on_stderr(warnings)
             yield run_report(run, warnings)
     elif kind is None or kind.report is None:
-        phrases = listed([f"no {one.name}" for one in _formats()], "and")
-        files = ", ".join(f"no {one.file}" for one in _formats())
+        folders = [one for one in _formats() if one.file]
+        phrases = listed([f"no {one.name}" for one in folders], "and")
+        files = ", ".join(f"no {one.file}" for one in folders)
         raise SpecError(f"this folder contains {phrases}: {files}", file=source)
     else:
         with report_of_folder.of(kind.report)(source, workers) as page:

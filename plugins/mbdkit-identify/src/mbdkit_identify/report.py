@@ -1,0 +1,222 @@
+"""The report of an identification: estimates, data against fit, residuals, profiles, doubts, next experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.special import ndtri
+
+from mbdkit.plugin import counted, plus_minus
+from mbdkit.plugin.specs import write_yaml
+from mbdkit_identify.archive import origin, read_identification
+from mbdkit_identify.identification import Identification, Residuals
+from mbdkit_report import (
+    TONES,
+    Axis,
+    Band,
+    Cell,
+    Figure,
+    Guide,
+    Line,
+    Mark,
+    ReportPage,
+    Section,
+    Table,
+    Verdict,
+    View,
+    band_over_time,
+    bands,
+    columns_of,
+    environment,
+    methods,
+)
+from mbdkit_report.seams import report_of_folder
+
+POINTS = 2_000
+"""Largest number of points of a curve."""
+LAGS = 40
+"""Largest lag of autocorrelations [samples]."""
+SHOWN = 6
+"""Largest number of estimates in the headline."""
+_TIME = Axis("time", "s")
+_METHOD = (
+    "Parameters, initial values and noise are estimated together by maximum likelihood. Noise is normal; if it is "
+    "correlated in time, an autoregressive model of order 1 whitens the residuals. Limits of a profile are the values "
+    "at which the sum of squares of the whitened residuals, minimized over all other unknowns, exceeds its minimum by "
+    "the threshold. Bands contain the errors of the estimates and the noise."
+)
+_SOURCES = """
+@book{seber1989,
+  author = {G. A. F. Seber and C. J. Wild},
+  title = {Nonlinear Regression},
+  publisher = {Wiley},
+  year = {1989}
+}
+
+@article{raue2009,
+  author = {A. Raue and others},
+  title = {Structural and practical identifiability analysis of partially observed dynamical models by exploiting the
+    profile likelihood},
+  journal = {Bioinformatics},
+  volume = {25},
+  pages = {1923--1929},
+  year = {2009}
+}
+"""
+
+
+@report_of_folder
+@contextmanager
+def identification_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
+    """Context manager that provides the report of an identification, which is read from its file."""
+    result = read_identification(path)
+    experiments = {one.experiment for one in result.residuals}
+    settings = (
+        counted(len(result.parameters), "parameter"),
+        counted(len(experiments), "experiment"),
+        f"{100 * result.level:g} % intervals",
+        counted(result.evaluations[0], "run"),
+    )
+    own = methods([result.base], [_SOURCES])
+    yield ReportPage(
+        title=result.title or path.stem,
+        settings=" \u00b7 ".join(settings),
+        headline=(("verdict", result.verdict), *_headlines(result)),
+        tone=TONES.get(result.verdict, ""),
+        alarm=f"VERDICT: {result.verdict.upper()}" if result.verdict in ("doubtful", "bad") else "",
+        verdict=_verdict(result),
+        begins_with_verdict=True,
+        beside_verdict=("doubts", "estimates", "signals"),
+        sections=_sections(result),
+        methods=replace(own, paragraphs=(_METHOD, *own.paragraphs)),
+        environment=environment(origin(path), {}),
+        reproduce="Save the spec below as identify.yaml, in a folder with the files of the measured data.",
+        commands="mbdkit identify identify.yaml --report",
+        spec=write_yaml(dict(result.spec)),
+        spec_file="identify.yaml",
+    )
+
+
+def identification_view(result: Identification) -> View:
+    """Return what notebooks show of an identification."""
+    sentences = (f"Verdict {result.verdict}", *(doubt.text for doubt in result.doubts), *result.combinations)
+    tables = (_estimates(result), _signals(result))
+    title = f"Identification: {result.title}" if result.title else "Identification"
+    return View(title, sentences, TONES.get(result.verdict, ""), tables=tables)
+
+
+def _verdict(result: Identification) -> Verdict:
+    reasons = counted(len(result.doubts), "finding")
+    sentence = f"The result is {result.verdict}{f', because of {reasons}' if result.doubts else ''}."
+    doubts = tuple((doubt.text, doubt.place, *doubt.strength) for doubt in result.doubts)
+    columns = columns_of("finding; place; statistic; limit")
+    tables = (Table("doubts", "Reasons", columns, doubts),) if doubts else ()
+    figures = (*_charts(result), *_profiles(result))
+    tables = (*tables, _estimates(result), _signals(result))
+    return Verdict("identification", "Identification", sentence, (), tables, figures, result.notes)
+
+
+def _headlines(result: Identification) -> Iterator[tuple[str, str]]:
+    for one in [*result.estimates.values()][:SHOWN]:
+        value = plus_minus(one.value, one.deviation) if np.isfinite(one.deviation) else f"{one.value:.6g}"
+        yield one.name, f"{value} {one.unit}".rstrip() if one.identifiable else "not determined by the data"
+
+
+def _estimates(result: Identification) -> Table:
+    level = f"{100 * result.level:g} %"
+    columns = columns_of(f"name; value and standard deviation; {level} from; to; unit")
+    return Table("estimates", "Estimates", columns, tuple(map(tuple, result.rows())))
+
+
+def _signals(result: Identification) -> Table:
+    headings = "experiment; quantity; used for; rms error; unit; share in the band; noise; correlation of noise"
+    rows = tuple(
+        (
+            *(one.experiment, one.quantity, "prediction" if one.is_hold_out else "fit"),
+            *(one.rms, one.unit, one.covered, one.deviation, one.correlation),
+        )
+        for one in result.residuals
+    )
+    note = "Noise: its standard deviation, and its correlation from sample to sample."
+    return Table("signals", "Signals", columns_of(headings), rows, note)
+
+
+def _sections(result: Identification) -> tuple[Section, ...]:
+    sections = [Section("determined", "What the data determine", result.combinations)] if result.combinations else []
+    if (following := result.next_experiment) is not None:
+        units = {name: result.estimates[name].unit for name in following.half_widths[""]}
+        headings = "; ".join(["candidate", *(f"{name} [{unit}]" for name, unit in units.items())])
+        rows: tuple[tuple[Cell, ...], ...] = tuple(
+            (name or "none", *widths.values()) for name, widths in following.half_widths.items()
+        )
+        table = Table("next", "Expected half widths of the intervals", columns_of(headings), rows)
+        sentence = f"The experiment '{following.best}' narrows the interval of {following.narrows} most."
+        sections.append(Section("following", "The next experiment", (sentence,), tables=(table,)))
+    return tuple(sections)
+
+
+def _charts(result: Identification) -> Iterator[Figure]:
+    """Yield data against fit for each signal, then its whitened residuals and their autocorrelation."""
+    level = f"{100 * result.level:g} %"
+    limit = float(ndtri(0.5 + result.level / 2))
+    for number, one in enumerate(result.residuals, 1):
+        signal, told = f"{one.quantity} in {one.experiment}", "predicted" if one.is_hold_out else "fitted"
+        yield Figure(
+            f"fit-{number}", f"Measured and {told}: {signal}",
+            f"Shaded: band of {level}, in which {100 * one.covered:.0f} % of the measured values lie."
+            f"{' These data did not affect the parameters.' * one.is_hold_out}",
+            _TIME, Axis(one.quantity, one.unit), tuple(_fit_lines(one, told)),
+        )  # fmt: skip
+        yield Figure(
+            f"residuals-{number}", f"Whitened residuals: {signal}",
+            f"If model and noise are right, {level} of them lie in the shaded band, without a pattern.",
+            _TIME, Axis("whitened residual"), (_curve("whitened residual", one.time, one.white, "points"),),
+            bands=(Band(f"{level} of white noise", -limit, limit),),
+        )  # fmt: skip
+        correlation = autocorrelation(one.white)
+        bound = limit / np.sqrt(len(one.white))
+        yield Figure(
+            f"autocorrelation-{number}", f"Autocorrelation of the whitened residuals: {signal}",
+            f"If model and noise are right, {level} of the points lie in the shaded band.",
+            Axis("lag", "samples"), Axis("autocorrelation"),
+            (Line("autocorrelation", np.arange(1.0, len(correlation) + 1), correlation, "both"),),
+            bands=(Band(f"{level} of white noise", -bound, bound),),
+        )  # fmt: skip
+
+
+def _fit_lines(one: Residuals, label: str) -> Iterator[Line]:
+    fitted = bands(one.time, one.fitted[:, None], points=POINTS)
+    width = np.interp(fitted.time, one.time, one.band)
+    outline = band_over_time(fitted.time, fitted.low[:, 0], fitted.high[:, 0], width)
+    yield _curve("measured", one.time, one.measured, "points")
+    yield Line(label, *fitted.curve(0), band=outline)
+
+
+def _curve(label: str, time: np.ndarray, values: np.ndarray, kind: str) -> Line:
+    return Line(label, *bands(time, values[:, None], points=POINTS).curve(0), kind)  # type: ignore[arg-type]
+
+
+def autocorrelation(values: np.ndarray) -> np.ndarray:
+    """Return the autocorrelation of values (T,) at the lags 1, 2, ... up to a quarter of them, at most `LAGS`."""
+    centred = values - np.mean(values)
+    total = float(centred @ centred) or 1.0
+    return np.array([centred[:-lag] @ centred[lag:] / total for lag in range(1, min(LAGS, len(values) // 4) + 1)])
+
+
+def _profiles(result: Identification) -> Iterator[Figure]:
+    for number, one in enumerate(result.profiles.values(), 1):
+        estimate = result.estimates[one.name]
+        ends = np.array([one.values.min(), one.values.max()])
+        marks = [Mark("estimate", estimate.value)]
+        marks += [Mark(f"{100 * result.level:g} %", x) for x in (estimate.lower, estimate.upper) if np.isfinite(x)]
+        yield Figure(
+            f"profile-{number}", f"Profile of {one.name}",
+            "Increase of the sum of squares of the whitened residuals, minimized over all other unknowns. The interval "
+            "ends where it reaches the threshold.",
+            Axis(one.name, estimate.unit), Axis("increase"), (Line("profile", one.values, one.costs, "both"),),
+            marks=tuple(marks), guides=(Guide("threshold", ends, np.full(2, one.threshold)),),
+        )  # fmt: skip
