@@ -50,6 +50,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_explore.server import explore as explore
     from mbdkit_gradients.gradient import Gradient as Gradient, gradient as gradient
     from mbdkit_gradients.sensitivities import Sensitivities as Sensitivities, sensitivities as sensitivities
+    from mbdkit_identify.archive import load_identification as load_identification
+    from mbdkit_identify.identification import Identification as Identification
+    from mbdkit_identify.identify import identify as identify
+    from mbdkit_identify.identify_spec import IdentifySpec as IdentifySpec
     from mbdkit_predict.prediction import predict as predict
     from mbdkit_report import plot as plot
     from mbdkit_statics.equilibrium import Equilibrium as Equilibrium, equilibrium as equilibrium

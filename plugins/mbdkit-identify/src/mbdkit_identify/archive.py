@@ -81,7 +81,7 @@ def write_identification(result: Identification, path: str | Path, overwrite: bo
     return target
 
 
-def read_identification(path: str | Path) -> Identification:
+def load_identification(path: str | Path) -> Identification:
     """Read the result of an identification from a file of `mbdkit.identify` or ``mbdkit identify``.
 
     Raises

@@ -47,6 +47,6 @@ def mbdkit_items() -> Iterable[Item]:
             of="mbdkit_identify.identification:Identification",
             make=Target("mbdkit_identify.report:identification_view"),
         ),
-        *Example.folder(_HERE / "examples"),
+        *(item for item in Example.folder(_HERE / "examples") if "." not in item.name),  # without their bases
         *GuidePage.folder(_HERE / "guide"),
     ]

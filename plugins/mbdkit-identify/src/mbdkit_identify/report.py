@@ -8,12 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtri
 
 from mbdkit.plugin import counted, plus_minus
 from mbdkit.plugin.specs import write_yaml
-from mbdkit_identify.archive import origin, read_identification
-from mbdkit_identify.identification import Identification, Residuals
+from mbdkit_identify.archive import load_identification, origin
+from mbdkit_identify.identification import Identification, Profile, Residuals
 from mbdkit_report import (
     TONES,
     Axis,
@@ -33,13 +34,14 @@ from mbdkit_report import (
     columns_of,
     environment,
     methods,
+    report_of_folder,
 )
-from mbdkit_report.seams import report_of_folder
 
 POINTS = 2_000
 """Largest number of points of a curve."""
 LAGS = 40
 """Largest lag of autocorrelations [samples]."""
+PLUS_MINUS = "\u00b1"
 SHOWN = 6
 """Largest number of estimates in the headline."""
 _TIME = Axis("time", "s")
@@ -73,7 +75,7 @@ _SOURCES = """
 @contextmanager
 def identification_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
     """Context manager that provides the report of an identification, which is read from its file."""
-    result = read_identification(path)
+    result = load_identification(path)
     experiments = {one.experiment for one in result.residuals}
     settings = (
         counted(len(result.parameters), "parameter"),
@@ -123,13 +125,15 @@ def _verdict(result: Identification) -> Verdict:
 def _headlines(result: Identification) -> Iterator[tuple[str, str]]:
     for one in [*result.estimates.values()][:SHOWN]:
         value = plus_minus(one.value, one.deviation) if np.isfinite(one.deviation) else f"{one.value:.6g}"
-        yield one.name, f"{value} {one.unit}".rstrip() if one.identifiable else "not determined by the data"
+        text = f"{value.replace('+-', PLUS_MINUS)} {one.unit}".rstrip()
+        yield one.name, text if one.identifiable else "not determined by the data"
 
 
 def _estimates(result: Identification) -> Table:
     level = f"{100 * result.level:g} %"
     columns = columns_of(f"name; value and standard deviation; {level} from; to; unit")
-    return Table("estimates", "Estimates", columns, tuple(map(tuple, result.rows())))
+    rows = tuple(tuple(cell.replace("+-", PLUS_MINUS) for cell in row) for row in result.rows())
+    return Table("estimates", "Estimates", columns, rows)
 
 
 def _signals(result: Identification) -> Table:
@@ -150,10 +154,11 @@ def _sections(result: Identification) -> tuple[Section, ...]:
     if (following := result.next_experiment) is not None:
         units = {name: result.estimates[name].unit for name in following.half_widths[""]}
         headings = "; ".join(["candidate", *(f"{name} [{unit}]" for name, unit in units.items())])
-        rows: tuple[tuple[Cell, ...], ...] = tuple(
-            (name or "none", *widths.values()) for name, widths in following.half_widths.items()
-        )
-        table = Table("next", "Expected half widths of the intervals", columns_of(headings), rows)
+        rows: list[tuple[Cell, ...]] = [
+            (name or "present", *(width if np.isfinite(width) else "no limit" for width in widths.values()))
+            for name, widths in following.half_widths.items()
+        ]
+        table = Table("next", "Expected half widths of the intervals", columns_of(headings), tuple(rows))
         sentence = f"The experiment '{following.best}' narrows the interval of {following.narrows} most."
         sections.append(Section("following", "The next experiment", (sentence,), tables=(table,)))
     return tuple(sections)
@@ -208,15 +213,31 @@ def autocorrelation(values: np.ndarray) -> np.ndarray:
 
 
 def _profiles(result: Identification) -> Iterator[Figure]:
+    level = f"{100 * result.level:g} %"
     for number, one in enumerate(result.profiles.values(), 1):
         estimate = result.estimates[one.name]
-        ends = np.array([one.values.min(), one.values.max()])
-        marks = [Mark("estimate", estimate.value)]
-        marks += [Mark(f"{100 * result.level:g} %", x) for x in (estimate.lower, estimate.upper) if np.isfinite(x)]
+        x, y = smooth_profile(one, estimate.value)
+        marks = [Mark("", at) for at in (estimate.lower, estimate.value, estimate.upper) if np.isfinite(at)]
         yield Figure(
             f"profile-{number}", f"Profile of {one.name}",
-            "Increase of the sum of squares of the whitened residuals, minimized over all other unknowns. The interval "
-            "ends where it reaches the threshold.",
-            Axis(one.name, estimate.unit), Axis("increase"), (Line("profile", one.values, one.costs, "both"),),
-            marks=tuple(marks), guides=(Guide("threshold", ends, np.full(2, one.threshold)),),
+            "Increase of the sum of squares of the whitened residuals, minimized over all other unknowns. Points were "
+            f"computed. Vertical lines: estimate and limits of {level}, which the integration error moves outwards.",
+            Axis(one.name, estimate.unit), Axis("increase"),
+            (Line("profile", x, y), Line("computed", one.values, one.costs, "points", group="profile")),
+            marks=tuple(marks), guides=(Guide("threshold", x[[0, -1]], np.full(2, one.threshold)),),
         )  # fmt: skip
+
+
+def smooth_profile(profile: Profile, best: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and increases of a profile with an estimate, interpolated between those that were computed.
+
+    The signed root of the increase is interpolated, which is a straight line for a linear model; see D. M. Bates,
+    D. G. Watts, Nonlinear Regression Analysis and Its Applications (1988), 6.1.
+    """
+    known = np.isfinite(profile.costs)
+    values, costs = profile.values[known], profile.costs[known]
+    if len(values) < 2:
+        return values, costs
+    x = np.linspace(values[0], values[-1], 201)
+    root = PchipInterpolator(values, np.sign(values - best) * np.sqrt(np.maximum(costs, 0.0)))(x)
+    return x, root**2

@@ -13,7 +13,7 @@ from tests.identify.hand_made import COVARIANCE, result
 
 import mbdkit
 from mbdkit import ArchiveError, SpecError
-from mbdkit_identify.archive import problems, read_identification, write_identification
+from mbdkit_identify.archive import load_identification, problems, write_identification
 from mbdkit_identify.identification import Doubt, Identification
 from tests.identified import write_identified
 
@@ -44,7 +44,7 @@ PLAIN = {"next_experiment": None, "profiles": {}, "doubts": (), "notes": (), "co
 )
 def test_what_is_written_is_read(given: Identification, tmp_path: Path) -> None:
     path = write_identification(given, tmp_path / "fit.h5")
-    assert equal(read_identification(path), given)
+    assert equal(load_identification(path), given)
     assert problems(path) == []
 
 
@@ -81,7 +81,7 @@ def test_a_file_is_replaced_only_if_it_may_be_and_when_the_new_one_is_complete(t
     assert path.read_bytes() == before
     assert [one.name for one in tmp_path.iterdir()] == ["fit.h5"]
     write_identification(result(verdict="good"), path, overwrite=True)
-    assert read_identification(path).verdict == "good"
+    assert load_identification(path).verdict == "good"
     with pytest.raises(SpecError, match=r"ends in \.h5"):
         write_identification(result(), tmp_path / "fit.txt")
 
@@ -118,19 +118,19 @@ def test_damaged_and_foreign_files_are_refused_in_one_sentence(damage, sentence:
     path = write_identification(result(), tmp_path / "fit.h5")
     damage(path)
     with pytest.raises((SpecError, ArchiveError), match=sentence) as caught:
-        read_identification(path)
+        load_identification(path)
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_missing_and_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=r"no result of an identification of this name"):
-        read_identification(tmp_path / "fit.h5")
+        load_identification(tmp_path / "fit.h5")
     bare = write_identified(tmp_path / "bare.h5", {"mass": 1.0}, [[1.0]])
     with pytest.raises(ArchiveError, match="damaged"):
-        read_identification(bare)
+        load_identification(bare)
     mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}).save(tmp_path / "run.h5")
     with pytest.raises(SpecError, match="this is an HDF5 file, but not the result of an identification"):
-        read_identification(tmp_path / "run.h5")
+        load_identification(tmp_path / "run.h5")
     assert problems(tmp_path / "run.h5") is None
 
 

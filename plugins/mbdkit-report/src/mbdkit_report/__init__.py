@@ -51,6 +51,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.pages.verdict_text import json_values as json_values, terminal_text as terminal_text
     from mbdkit_report.plot.caption import Caption as Caption
     from mbdkit_report.plot.charts import draw_chart as draw_chart
+    from mbdkit_report.seams import report_of_folder as report_of_folder
     from mbdkit_report.plot.style import FORMATS as FORMATS, dress as dress, new_figure as new_figure, save as save
     # fmt: on
 else:

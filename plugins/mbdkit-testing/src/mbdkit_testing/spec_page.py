@@ -12,7 +12,7 @@ from typing import Any, cast, get_args
 from pydantic import BaseModel
 
 from mbdkit.mechanism.pathways import Coordinate, RelativeAngle
-from mbdkit.plugin import Body, Joint, JointKind, Table
+from mbdkit.plugin import Body, Joint, JointKind, SpecKind, Table
 from mbdkit.plugin.mechanisms import (
     AngleTable,
     Assembly,
@@ -30,6 +30,7 @@ from mbdkit.plugin.mechanisms import (
     TorsionSpring,
     TwoPoints,
 )
+from mbdkit.plugin.seams import spec_schema
 from mbdkit.plugin.specs import Registered, Registry, registry, run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
 from mbdkit_biomech.inverse_dynamics.spec.inverse_schema import inverse_schema
@@ -44,17 +45,17 @@ WIDTH = 120
 BEGINNING = """\
 # Spec reference
 
-Every key of run specs, study specs, specs of inverse dynamics and design specs. Each key is followed by its type and
-its default; a key without a default is optional unless it is marked as required.
+Every key of run specs, study specs, specs of inverse dynamics, design specs and specs of identifications. Each key is
+followed by its type and its default; a key without a default is optional unless it is marked as required.
 
 <!-- Written by `python -m mbdkit_testing.spec_page mbdkit/guide/spec.md`; do not edit. -->
 
 Specs are YAML, TOML or JSON files. Unknown keys are errors. A number without a unit is in the SI unit given in
 brackets, an angle in radians. Another unit of the same quantity can follow the number after a space, as in `30 deg`,
 `2 N/mm` and `500 ms`. Any number of the model may also be an expression of `parameters`, such as `0.5*crank` or
-`degrees(45)`. `mbdkit schema KIND`, where KIND is `run`, `study`, `inverse` or `design`, prints these keys, and those
-of installed plugins, as a JSON schema for editors; `mbdkit plugins show NAME` prints the options of one model,
-integrator or force law.
+`degrees(45)`. `mbdkit schema KIND`, where KIND is `run`, `study`, `inverse`, `design` or `identify`, prints these keys,
+and those of installed plugins, as a JSON schema for editors; `mbdkit plugins show NAME` prints the options of one
+model, integrator or force law.
 """
 
 PARTS = ("model", "integrator", "stabilization")
@@ -67,6 +68,7 @@ def page(installed: Registry) -> str:
     first = [f"- `{key}`: {_flat(run['properties'][key]['description'])} See below." for key in PARTS]
     study, design = StudySpec.model_json_schema(), DesignSpec.model_json_schema()
     inverse = inverse_schema(installed)
+    identify = _identify_schema(installed)
     parts = [
         BEGINNING.rstrip("\n"),
         "## Run spec",
@@ -133,8 +135,23 @@ def page(installed: Registry) -> str:
         "## Design spec",
         "The page `design` explains this spec.",
         "\n".join([_version("mbdkit_design", design), _keys(design)]),
+        "## Spec of an identification",
+        (
+            "The page `identify` explains this spec. Instead of a mapping, an observed quantity or an input may be given "
+            "by the heading of its column alone."
+        ),
+        "\n".join([_version("mbdkit_identify", identify), _keys(identify)]),
     ]
     return "\n\n".join("\n".join(_wrapped(part.splitlines())) for part in filter(None, parts)) + "\n"
+
+
+def _identify_schema(installed: Registry) -> dict[str, Any]:
+    """Return the schema of specs of identifications, without the keys of the base."""
+    kind = cast(SpecKind, installed.get("spec-kind", "identify").plugin)
+    assert kind.schema is not None
+    schema: dict[str, Any] = spec_schema.of(kind.schema)(installed)
+    schema["properties"]["base"] |= {"anyOf": [{"type": "string"}, {"type": "object"}]}
+    return schema
 
 
 def _without(schema: dict[str, Any], keys: Sequence[str]) -> dict[str, object]:
