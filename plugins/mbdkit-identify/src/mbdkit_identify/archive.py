@@ -36,7 +36,7 @@ FORMAT, VERSION = "mbdkit-identification", 1
 _WHAT = "result of an identification"
 _HINT = "repeat the identification"
 _TEXTS = ("verdict", "title", "way")
-_NUMBERS = ("level", "cost", "log_likelihood", "seconds")
+_NUMBERS = ("level", "cost", "log_likelihood", "seconds", "unknowns")
 _AS_JSON = {"spec": dict, "base": dict, "combinations": list, "notes": list, "doubts": list}
 _KINDS: Mapping[Any, Any] = {"str": object, "bool": int, "float": float}
 """Types of arrays, by the type of a field."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import listed, plus_minus, table
+from mbdkit.plugin import SpecError, listed, plus_minus, table
 from mbdkit.plugin.terminal import HtmlView
 
 
@@ -185,6 +185,8 @@ class Identification(HtmlView):
         How derivatives were computed: "exact", or why they are differences.
     seconds
         Processor time [s].
+    unknowns
+        Number of unknowns: parameters, initial values, and deviations and correlations of noise that are estimated.
     """
 
     spec: Mapping[str, Any]
@@ -205,6 +207,7 @@ class Identification(HtmlView):
     evaluations: tuple[int, int]
     way: str = "exact"
     seconds: float = 0.0
+    unknowns: float = 0
     title: str = field(default="")
 
     def __getitem__(self, name: str) -> Estimate:
@@ -214,6 +217,41 @@ class Identification(HtmlView):
     def hold_out(self) -> tuple[Residuals, ...]:
         """The signals of experiments that did not affect the parameters."""
         return tuple(one for one in self.residuals if one.is_hold_out)
+
+    @property
+    def information_criterion(self) -> float:
+        """Akaike's criterion, ``2*unknowns - 2*log_likelihood``; of two models of the same data, the better has the
+        smaller value (H. Akaike, IEEE Transactions on Automatic Control 19 (1974) 716-723).
+        """
+        return 2.0 * self.unknowns - 2.0 * self.log_likelihood
+
+    def compare(self, other: Identification) -> str:
+        """Return which of two models explains the same data better, by likelihood and by the data held out.
+
+        Raises
+        ------
+        SpecError
+            If the data differ.
+        """
+        pairs = list(zip(self.residuals, other.residuals, strict=False))
+        if len(self.residuals) != len(other.residuals) or not all(
+            (a.experiment, a.quantity) == (b.experiment, b.quantity) and np.array_equal(a.measured, b.measured)
+            for a, b in pairs
+        ):
+            raise SpecError("two models are compared by the same data, but these differ")
+        gain = other.information_criterion - self.information_criterion
+        verdict = (
+            f"the {'first' if gain > 0 else 'second'} model explains the data better"
+            if abs(gain) > 2
+            else ("both models explain the data equally well")
+        )
+        lines = [f"{verdict}: Akaike's criterion of the second minus that of the first is {gain:.4g}"]
+        lines += [
+            f"{a.experiment}: {a.quantity} held out, root mean square error {a.rms:.4g} and {b.rms:.4g} {a.unit}"
+            for a, b in pairs
+            if a.is_hold_out
+        ]
+        return "\n".join(lines)
 
     def rows(self) -> list[list[str]]:
         """Return the estimates as rows of a table: name, value with deviation, limits and unit."""

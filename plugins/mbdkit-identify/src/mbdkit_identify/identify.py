@@ -122,6 +122,7 @@ class _Identification:
             evaluations=(problem.runs, problem.derived),
             way=problem.differences or "exact",
             title=spec.title,
+            unknowns=len(self.fit.x) + sum(known is None for known in problem.known) + sum(problem.may_correlate),
         )
 
     # ---- what the data determine -----------------------------------------------------------------------------------

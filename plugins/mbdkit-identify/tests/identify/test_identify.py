@@ -218,6 +218,19 @@ def test_hold_out_is_predicted_with_its_band(tmp_path: Path) -> None:
     assert found["k"].value == alone["k"].value
 
 
+def test_the_model_with_the_right_law_is_the_better_one(tmp_path: Path) -> None:
+    right = identify(spec(tmp_path))
+    wrong = identify(spec(tmp_path, parameters={"k": {}}, overrides={"parameters.c": 0.0}))
+    assert right.compare(wrong).startswith("the first model explains the data better")
+    assert wrong.compare(right).startswith("the second model explains the data better")
+    assert right.compare(right).startswith("both models explain the data equally well")
+    other = identify(
+        spec(tmp_path, experiments={"swing": {**spec(tmp_path)["experiments"]["swing"], "window": [0, 1]}})
+    )
+    with pytest.raises(SpecError, match="these differ"):
+        right.compare(other)
+
+
 def test_the_best_next_experiment_is_the_one_that_moves_what_is_asked(tmp_path: Path) -> None:
     candidates = {
         "same": {},
