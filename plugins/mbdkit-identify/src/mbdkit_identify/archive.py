@@ -29,6 +29,7 @@ from mbdkit.plugin.archives import (
     utc_now,
 )
 from mbdkit.plugin.files import json_text, replacing
+from mbdkit.plugin.seams import file_problems
 from mbdkit_identify.identification import Doubt, Estimate, Identification, NextExperiment, Profile, Residuals
 
 FORMAT, VERSION = "mbdkit-identification", 1
@@ -101,6 +102,7 @@ def origin(path: Path) -> dict[str, str]:
         return {name: str(file.attrs.get(name, "")) for name in ("created_utc", "mbdkit_version")}
 
 
+@file_problems
 def problems(path: Path) -> list[str] | None:
     """Return the problems of the result of an identification as sentences; None for a file of another kind."""
     try:

@@ -44,7 +44,7 @@ def identify(
     overwrite: Overwrite = False,
     printing: Printing,
 ) -> None:
-    """Find parameters of a model from measured motion, with intervals.
+    """Find parameters of a model from measured motion.
 
     Experiments with measured data, parameters and sensors are stated in the spec. The
     result has the estimates with their intervals and covariance, what the data do not

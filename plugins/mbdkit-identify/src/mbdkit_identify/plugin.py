@@ -29,7 +29,7 @@ def mbdkit_items() -> Iterable[Item]:
         ),
         Command(
             name="identify",
-            summary="Find parameters of a model from measured motion, with intervals.",
+            summary="Find parameters of a model from measured motion.",
             order=95,
             target=Target("mbdkit_identify.commands:identify"),
         ),

@@ -34,6 +34,7 @@ from mbdkit_report import (
     columns_of,
     environment,
     methods,
+    object_view,
     report_of_folder,
 )
 
@@ -103,6 +104,7 @@ def identification_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
     )
 
 
+@object_view
 def identification_view(result: Identification) -> View:
     """Return what notebooks show of an identification."""
     sentences = (f"Verdict {result.verdict}", *(doubt.text for doubt in result.doubts), *result.combinations)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.spec_words import (
         key_unit as key_unit, key_words as key_words, keys_ending_in as keys_ending_in, stated_units as stated_units,
     )
-    from mbdkit_report.notebook.result_views import Picture as Picture, View as View
+    from mbdkit_report.notebook.result_views import Picture as Picture, View as View, object_view as object_view
     from mbdkit_report.pages.methods_used import methods as methods
     from mbdkit_report.pages.model_section import drawing as drawing
     from mbdkit_report.pages.report import report as report, write_report as write_report
