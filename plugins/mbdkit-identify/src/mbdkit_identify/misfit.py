@@ -1,0 +1,378 @@
+"""Whether a fitted model is right, and if not, where it is wrong.
+
+An effect that the model lacks changes the predicted values along its derivatives. A test of each effect compares the
+likelihoods of the model with and without it, to first order, as score tests do (C. R. Rao, Proc. Cambridge Philos. Soc.
+44, 1948, 50-57), but with the noise estimated in both: otherwise, a misfit would count as correlated noise, and
+hide itself. Further tests compare the residuals with white noise (G. M. Ljung, G. E. P. Box, Biometrika 65, 1978,
+297-303) and with the deviations that were stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from mbdkit.plugin import listed
+from mbdkit_identify.identification import Doubt, Residuals
+from mbdkit_identify.probes import Probe
+
+LEVEL = 0.005
+"""Probability that the tests of one kind doubt a right model."""
+INSIDE = 1e-4
+"""Effects of which the parameters of the model explain all but this share are not tested."""
+SINGULAR = 1e-10
+"""Directions of the Jacobian with singular values below this share of the largest are rounding errors."""
+ALIKE = 0.15
+"""Effects whose statistics differ by less than this share explain the misfit almost equally well."""
+MOST_ALIKE = 4
+"""Largest number of such effects that are named."""
+MOST_PLACES = 3
+"""Largest number of effects that are found one after the other."""
+REST = 0.2
+"""Later effects have a statistic of at least this share of the first one's; less may be due to its nonlinearity."""
+LAGS = 20
+"""Number of correlations of which whiteness is the absence."""
+FAR = 3.0
+"""Root mean square of the errors of a prediction, relative to their deviation, that is far above 1."""
+ROUNDS = 6
+"""Number of times that the noise is estimated with an effect."""
+CORRELATIONS = (-0.95, 0.999)
+"""Smallest and largest correlation of noise from sample to sample."""
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Deviation of the noise of a signal, in units of the one of the fit, and its correlation from sample to sample."""
+
+    deviation: float
+    correlation: float
+
+
+@dataclass(frozen=True)
+class _Signal:
+    """Products of the columns of a signal: derivatives and residuals, the last column.
+
+    With autoregressive noise, the sum of squares of whitened columns combines products of columns with themselves and
+    with those one sample before, so that the noise can be estimated again without the columns.
+
+    Attributes
+    ----------
+    count
+        Number of values.
+    first
+        (C, C) product of the first values.
+    steps
+        For each number n of samples from one value to the next, which is above 1 at gaps: how often it occurs, and the
+        (C, C) products of the later values with themselves, of the later with the earlier values, twice and symmetric,
+        and of the earlier values with themselves.
+    is_stated, is_white
+        Whether the deviation was stated, and whether the noise is assumed to be uncorrelated.
+    """
+
+    count: int
+    first: np.ndarray
+    steps: Mapping[int, tuple[int, np.ndarray, np.ndarray, np.ndarray]]
+    is_stated: bool
+    is_white: bool
+
+    @staticmethod
+    def of(columns: np.ndarray, time: np.ndarray, *, is_stated: bool, is_white: bool) -> _Signal:
+        """Return the products of columns (T, C) at given times."""
+        intervals = np.diff(time)
+        samples = np.maximum(np.rint(intervals / np.median(intervals)), 1).astype(int)
+        steps = {}
+        for number in np.unique(samples).tolist():
+            now, before = columns[1:][samples == number], columns[:-1][samples == number]
+            cross = now.T @ before
+            steps[number] = len(now), now.T @ now, cross + cross.T, before.T @ before
+        return _Signal(len(time), np.outer(columns[0], columns[0]), steps, is_stated, is_white)
+
+    def product(self, correlation: float) -> np.ndarray:
+        """Return the products (C, C) of the columns whitened by this correlation."""
+        total = self.first
+        for number, (_, now, cross, before) in self.steps.items():
+            power = correlation**number
+            total = total + (now - power * cross + power**2 * before) / (1 - power**2)
+        return total
+
+    def noise(self, weights: np.ndarray, present: _Noise) -> _Noise:
+        """Return the noise of the combination of the columns with these weights (C,), by maximum likelihood given the
+        first value.
+        """
+        deviation, correlation = present.deviation, present.correlation
+        if not self.is_white and 1 in self.steps:
+            _, _, cross, before = self.steps[1]
+            correlation = float(np.clip(weights @ cross @ weights / (2 * weights @ before @ weights), *CORRELATIONS))
+        if not self.is_stated:
+            deviation = float(np.sqrt(weights @ self.product(correlation) @ weights / self.count))
+        return _Noise(deviation, correlation)
+
+    def cost(self, weights: np.ndarray, noise: _Noise) -> float:
+        """Return -2 times the logarithm of the likelihood of this combination of the columns."""
+        squares = weights @ self.product(noise.correlation) @ weights / noise.deviation**2
+        powers = sum(count * np.log1p(-(noise.correlation ** (2 * n))) for n, (count, *_) in self.steps.items())
+        return float(squares + 2 * self.count * np.log(noise.deviation) + powers)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The most likely combination of some columns, its costs by signal, and the noise."""
+
+    weights: np.ndarray
+    costs: np.ndarray
+    noise: tuple[_Noise, ...]
+
+
+@dataclass(frozen=True)
+class _Effect:
+    """An effect that the data ask for.
+
+    Attributes
+    ----------
+    index, statistic, value
+        Its index among the probes, its statistic, and the first estimate of its parameter.
+    signal
+        The signal that it explains most.
+    alike
+        Indices of effects that explain the residuals almost as well, best first.
+    """
+
+    index: int
+    statistic: float
+    value: float
+    signal: int
+    alike: tuple[int, ...]
+
+
+class EffectTests:
+    """Tests of effects that a model lacks.
+
+    Parameters
+    ----------
+    residuals
+        The S fitted signals.
+    jacobian, columns
+        (R, K) and (R, P) derivatives of the predicted values with respect to the parameters of the model, and to those
+        of the effects. The R rows are the values of the signals, one after the other, and priors.
+    stated
+        (S,) whether the deviation of each signal was stated.
+    priors
+        Residuals of the priors, divided by their deviations, as the derivatives are.
+    limits
+        (P,) smallest and largest plausible value of the parameter of each effect.
+
+    Attributes
+    ----------
+    distinct
+        Indices of the effects that the parameters of the model do not imitate.
+    """
+
+    def __init__(
+        self, residuals: Sequence[Residuals], jacobian: np.ndarray, columns: np.ndarray, stated: Sequence[bool],
+        priors: np.ndarray, limits: Sequence[tuple[float, float]],
+    ):  # fmt: skip
+        sizes = np.concatenate([np.full(len(one.time), one.deviation) for one in residuals] + [np.ones(len(priors))])
+        errors = np.concatenate([*(one.measured - one.fitted for one in residuals), priors]) / sizes
+        norms = np.linalg.norm(jacobian / sizes[:, None], axis=0)
+        scaled = (jacobian / sizes[:, None])[:, norms > 0] / norms[norms > 0]
+        basis, values, _ = np.linalg.svd(scaled, full_matrices=False)
+        basis = basis[:, values > SINGULAR * values.max(initial=0.0)]
+        columns = columns / sizes[:, None]
+        rest = columns - basis @ (basis.T @ columns)
+        self._size = np.linalg.norm(rest, axis=0)
+        self.distinct = np.flatnonzero(self._size > INSIDE * np.linalg.norm(columns, axis=0)).tolist()
+        every = np.column_stack([basis, rest / np.where(self._size > 0, self._size, 1.0), errors])
+        self.count, self._signals, start = basis.shape[1], [], 0
+        for one, is_stated in zip(residuals, stated, strict=True):
+            end = start + len(one.time)
+            signal = _Signal.of(every[start:end], one.time, is_stated=is_stated, is_white=one.correlation == 0.0)
+            self._signals.append(signal)
+            start = end
+        self._priors = every[start:].T @ every[start:]
+        self._limits = limits
+        self._noise = tuple(_Noise(1.0, one.correlation) for one in residuals)
+
+    def _fit(self, effects: Sequence[int], noise: tuple[_Noise, ...]) -> _Fit:
+        """Return the fit with some effects; `noise` is where the estimate of the noise begins."""
+        used = [*range(self.count), *(self.count + index for index in effects)]
+        weights = np.zeros(len(self._priors))
+        weights[-1] = 1.0
+        for _ in range(ROUNDS):
+            normal = self._priors + sum(
+                signal.product(one.correlation) / one.deviation**2
+                for signal, one in zip(self._signals, noise, strict=True)
+            )
+            weights[used] = -np.linalg.lstsq(normal[np.ix_(used, used)], normal[used, -1], rcond=None)[0]
+            noise = tuple(signal.noise(weights, one) for signal, one in zip(self._signals, noise, strict=True))
+        costs = [signal.cost(weights, one) for signal, one in zip(self._signals, noise, strict=True)]
+        return _Fit(weights, np.array([*costs, weights @ self._priors @ weights]), noise)
+
+    def statistics(self, added: Sequence[int] = ()) -> tuple[np.ndarray, dict[int, _Fit], _Fit]:
+        """Return the statistics (P,) of all effects, the fit with each distinct one, and the fit without them.
+
+        For a right model, each statistic has the chi-squared distribution with one degree of freedom. It is 0 for
+        effects that are not distinct, or whose first estimate is not plausible. Effects that were `added` belong to the model.
+        """
+        without = self._fit(added, self._noise)
+        fits = {index: self._fit([*added, index], without.noise) for index in self.distinct if index not in added}
+        gains = np.zeros(len(self._size))
+        for index, fit in fits.items():
+            low, high = self._limits[index]
+            if low < self._value(index, fit) < high:
+                gains[index] = max(float(np.sum(without.costs - fit.costs)), 0.0)
+        return gains, fits, without
+
+    def _value(self, index: int, fit: _Fit) -> float:
+        """Return the first estimate of the parameter of an effect."""
+        return float(-fit.weights[self.count + index] / self._size[index])
+
+    def found(self, limit: float) -> list[_Effect]:
+        """Return the effects with significant statistics, each after those before it were added to the model."""
+        effects: list[_Effect] = []
+        while len(effects) < min(MOST_PLACES, len(self.distinct)):
+            gains, fits, without = self.statistics([effect.index for effect in effects])
+            largest = float(gains.max())
+            if largest < max(limit, REST * effects[0].statistic if effects else 0.0):
+                break
+            order = np.argsort(-np.round(gains / largest, 4), kind="stable").tolist()  # equal effects in their order
+            best = order[0]
+            alike = tuple(index for index in order[1:] if gains[index] > (1 - ALIKE) * largest)
+            signal = int(np.argmax((without.costs - fits[best].costs)[:-1]))
+            effects.append(_Effect(best, float(gains[best]), self._value(best, fits[best]), signal, alike))
+        return effects
+
+
+def whiteness(white: np.ndarray, estimated: int = 1) -> tuple[float, float]:
+    """Return the Ljung-Box statistic of a signal, and its p-value.
+
+    Parameters
+    ----------
+    white
+        (T,) whitened residuals.
+    estimated
+        Number of parameters of the noise that were estimated from them.
+    """
+    count = len(white)
+    lags = min(LAGS, count // 5)
+    if lags <= estimated:
+        return 0.0, 1.0
+    white = white - white.mean()
+    correlations = np.array([white[lag:] @ white[:-lag] for lag in range(1, lags + 1)]) / (white @ white)
+    statistic = float(count * (count + 2) * np.sum(correlations**2 / (count - np.arange(1, lags + 1))))
+    return statistic, float(stats.chi2.sf(statistic, lags - estimated))
+
+
+def doubts_of(
+    residuals: Sequence[Residuals],
+    jacobian: np.ndarray,
+    columns: np.ndarray,
+    probes: Sequence[Probe],
+    *,
+    stated: Collection[tuple[str, str]] = (),
+    priors: tuple[np.ndarray, np.ndarray] | None = None,
+    level: float = 0.95,
+) -> tuple[Doubt, ...]:
+    """Return the reasons to doubt a fitted model, the most significant first.
+
+    Parameters
+    ----------
+    residuals
+        The signals. The values of those that were fitted, one after the other, are the R rows of the derivatives.
+    jacobian, columns
+        (R, K) and (R, P) derivatives of the predicted values with respect to the parameters of the model, and to those
+        of the probes.
+    probes
+        The P probes.
+    stated
+        Experiments and quantities of the signals whose deviation was stated.
+    priors
+        (M, K) derivatives and (M,) residuals of priors, divided by their deviations.
+    level
+        Share of the values that the bands of predictions should contain.
+    """
+    fitted = [one for one in residuals if not one.is_hold_out]
+    is_stated = [(one.experiment, one.quantity) in stated for one in fitted]
+    slopes, rests = priors or (np.zeros((0, jacobian.shape[1])), np.zeros(0))
+    columns = np.concatenate([columns, np.zeros((len(rests), columns.shape[1]))])
+    tests = EffectTests(
+        fitted, np.concatenate([jacobian, slopes]), columns, is_stated, rests, [one.limits for one in probes]
+    )
+    tested = max(len(tests.distinct), 1)
+    limit = float(stats.chi2.isf(1 - (1 - LEVEL) ** (1 / tested), 1))  # Sidak
+    doubts = []
+    for number, effect in enumerate(tests.found(limit)):
+        probe = probes[effect.index]
+        others = dict.fromkeys(probes[i].place for i in effect.alike if probes[i].place != probe.place)
+        text = f"{'after that, ' * bool(number)}the residuals of {_name(fitted[effect.signal])} are explained by {probe.kind}"
+        text += ", which the model lacks" if probe.is_lacking else ""
+        text += f" ({_amount(probe, effect.value)}statistic {effect.statistic:.4g}, limit {limit:.3g})"
+        text += f", or almost as well by the {listed([*others][:MOST_ALIKE], 'or')}" if others else ""
+        text += ": add it and estimate again" if probe.is_lacking else ": estimate it too, or correct its value"
+        doubts.append(Doubt(probe.place, text, (effect.statistic, limit)))
+    doubts += [] if doubts else _unexplained(fitted, tested)
+    doubts += _larger_than_stated([one for one, known in zip(fitted, is_stated, strict=True) if known])
+    return (*doubts, *_missed([one for one in residuals if one.is_hold_out], level))
+
+
+def _name(signal: Residuals) -> str:
+    return f"{signal.quantity} in '{signal.experiment}'"
+
+
+def _amount(probe: Probe, value: float) -> str:
+    if probe.unit == "":
+        return f"about {100 * value:+.2g} %, "
+    return f"about {value:.2g} {probe.unit}, "
+
+
+def _unexplained(fitted: Sequence[Residuals], tested: int) -> list[Doubt]:
+    """Return the signals whose whitened residuals are correlated, although no effect explains them."""
+    doubts = []
+    for one in fitted:
+        statistic, p = whiteness(one.white, int(one.correlation != 0.0))
+        if p < LEVEL / len(fitted):
+            lags = min(LAGS, len(one.white) // 5) - int(one.correlation != 0.0)
+            limit = float(stats.chi2.isf(LEVEL / len(fitted), lags))
+            text = (
+                f"the residuals of {_name(one)} are not white noise after their correlation was estimated (Ljung-Box "
+                f"statistic {statistic:.4g}, limit {limit:.3g}), and none of the {tested} effects that were tested "
+                "explains them"
+            )
+            doubts.append(Doubt("", text, (statistic, limit)))
+    return doubts
+
+
+def _larger_than_stated(fitted: Sequence[Residuals]) -> list[Doubt]:
+    doubts = []
+    for one in fitted:
+        statistic = float(one.white @ one.white)
+        limit = float(stats.chi2.isf(LEVEL / len(fitted), len(one.white)))
+        if statistic > limit:
+            ratio = np.sqrt(statistic / len(one.white))
+            text = (
+                f"the residuals of {_name(one)} are {ratio:.3g} times as large as the stated deviation (sum of squares "
+                f"{statistic:.4g}, limit {limit:.4g}): the model lacks an effect, or the deviation is larger"
+            )
+            doubts.append(Doubt("", text, (statistic, limit)))
+    return doubts
+
+
+def _missed(held: Sequence[Residuals], level: float) -> list[Doubt]:
+    """Return the signals that were held out and lie far outside of their bands.
+
+    The errors of a prediction may be those of the parameters and thus a single random number; a doubt therefore needs
+    errors that are large themselves, not only many values outside of the band.
+    """
+    doubts = []
+    for one in held:
+        errors = (one.measured - one.fitted) / one.band * stats.norm.isf((1 - level) / 2)
+        size = float(np.sqrt(np.mean(errors**2)))
+        if one.covered < level / 2 and size > FAR:
+            text = (
+                f"the prediction of {_name(one)} misses the data: {100 * one.covered:.0f} % of the values lie within "
+                f"the band that should contain {100 * level:g} %, and the errors are {size:.3g} times their deviation"
+            )
+            doubts.append(Doubt("", text, (size, FAR)))
+    return doubts
