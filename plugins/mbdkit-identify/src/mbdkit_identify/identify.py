@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit import prepare
 from mbdkit.plugin import MbdkitError, RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
@@ -19,7 +20,9 @@ from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.intervals import Goal, covariance_of, freedom_of, profile_of, quantile
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import ExperimentData, read_experiment
+from mbdkit_identify.misfit import doubts_of
 from mbdkit_identify.next_experiment import next_experiment
+from mbdkit_identify.probes import Probe, probe_derivatives, probes_of, sensor_derivatives, sensor_probes
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import Segment, segments_of
 
@@ -359,7 +362,46 @@ class _Identification:
         return found
 
     def _check(self, residuals: Sequence[Residuals]) -> None:
-        """Add the doubts about the model."""
+        """Add the doubts about the model: effects that the residuals ask for, and residuals that are not noise."""
+        problem, x = self.problem, self.fit.x
+        self.notify("tests of the model")
+        try:
+            probes, columns = self._probes()
+        except MbdkitError as error:
+            self.notes.append(f"effects that the model may lack were not tested: {error}")
+            return
+        order = np.concatenate([piece.places for piece in problem.pieces])
+        rows = self.fit.jacobian[len(problem.measured) :], self.fit.white[len(problem.measured) :]
+        self.doubts += doubts_of(
+            residuals,
+            problem.slopes(x)[order][:, self.fit.free],
+            columns[order],
+            probes,
+            stated=[(k.experiment, k.quantity) for k, one in zip(problem.signals, problem.known, strict=True) if one],
+            priors=(rows[0][:, self.fit.free], rows[1]),
+            level=self.spec.intervals.level,
+        )
+
+    def _probes(self) -> tuple[list[Probe], np.ndarray]:
+        """Return effects that the model may lack, and the derivatives (R, P) of the predicted values by them."""
+        problem, x = self.problem, self.fit.x
+        units = {one.quantity: one.unit for segment in problem.segments for one in segment.signals}
+        sensors = sensor_probes(units, list(dict.fromkeys(one.experiment for one in problem.segments)))
+        mechanical: list[Probe] = []
+        parts = []
+        for segment, some in zip(problem.segments, problem.valid, strict=True):
+            plain, start = segment.given(x)
+            spec = prepare(segment.spec).spec_with(plain)
+            mechanical = mechanical or probes_of(spec)
+            quantities = [signal.quantity for signal in segment.signals]
+            slopes = probe_derivatives(spec, mechanical, quantities, segment.time, start)
+            shown, _ = segment.shown(segment.prepared.values(plain, start), None, x, problem.names)
+            for row, signal in enumerate(segment.signals):
+                gain = signal.sensor.gain
+                own = slopes[row] * (x[problem.names[gain]] if isinstance(gain, str) else gain)
+                of_sensor = sensor_derivatives(segment.experiment, signal.quantity, segment.time, shown[row], sensors)
+                parts.append(np.concatenate([own, of_sensor], axis=-1)[some[row]])
+        return [*mechanical, *sensors], np.concatenate(parts)
 
     # ---- specs -----------------------------------------------------------------------------------------------------
 

@@ -19,7 +19,13 @@ from scipy.interpolate import CubicSpline
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, RunSpec, parse_path
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.mechanisms import (
-    Coordinate, PointForce, SlidingJoint, SpringDamper, Torque, TorsionSpring, mechanism_size,
+    Coordinate,
+    PointForce,
+    SlidingJoint,
+    SpringDamper,
+    Torque,
+    TorsionSpring,
+    mechanism_size,
 )  # fmt: skip
 from mbdkit.plugin.specs import parameters_in_use, put
 from mbdkit_gradients import PreparedSensitivities

@@ -46,6 +46,8 @@ class Problem:
         Samples of each signal among the residuals.
     noises
         Present noise of each signal.
+    valid
+        (S, T) of each window: whether a value was measured.
     runs, derived
         Numbers of runs, and of runs with derivatives.
     """
@@ -61,11 +63,11 @@ class Problem:
         """Find the places of the samples of each signal."""
         keys: dict[SignalKey, list[tuple[np.ndarray, np.ndarray]]] = {}
         first: dict[SignalKey, SignalData] = {}
-        measured, self._some, count = [], [], 0
+        measured, self.valid, count = [], [], 0
         for segment in self.segments:
             interval = float(np.median(np.diff(segment.time)))
             some = np.array([np.isfinite(signal.values) for signal in segment.signals])
-            self._some.append(some)
+            self.valid.append(some)
             for row, signal in enumerate(segment.signals):
                 known = np.flatnonzero(some[row])
                 gaps = np.concatenate([[0.0], np.diff(segment.time[known]) / interval])[: len(known)]
@@ -111,7 +113,7 @@ class Problem:
         key = x.tobytes()
         if key not in self._values:
             parts = []
-            for segment, some in zip(self.segments, self._some, strict=True):
+            for segment, some in zip(self.segments, self.valid, strict=True):
                 self.runs += 1
                 try:
                     values = segment.prepared.values(*segment.given(x))
@@ -127,7 +129,7 @@ class Problem:
         key = x.tobytes()
         if self._slopes[0] != key:
             parts, values = [], []
-            for segment, some in zip(self.segments, self._some, strict=True):
+            for segment, some in zip(self.segments, self.valid, strict=True):
                 self.derived += 1
                 found = segment.prepared.at(*segment.given(x))
                 shown, every = segment.shown(found.values, found.derivatives, x, self.names)

@@ -93,7 +93,9 @@ def data_of(case: Case) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     rig = case.rig
     every = np.arange(0.0, rig.end + 1e-9, rig.step)
     truth = rig.spec(merged(rig.model, case.true), rig.values)
-    values = PreparedSensitivities(truth, [*rig.observed], every, [next(iter(rig.values))], initial={**rig.start, **case.start}).values({})
+    values = PreparedSensitivities(
+        truth, [*rig.observed], every, [next(iter(rig.values))], initial={**rig.start, **case.start}
+    ).values({})
     times = every[10:-10]
     random = np.random.default_rng(case.seed)
     data = {}
@@ -148,12 +150,24 @@ def fit(case: Case, times: np.ndarray, data: Mapping[str, np.ndarray]) -> tuple[
         def jacobian(x: np.ndarray) -> np.ndarray:
             return -np.concatenate([whitened(d, *n) for d, n in zip(at(x)[1], noise, strict=True)])
 
-        unknown = least_squares(residuals, unknown, jacobian, bounds=(lowest, np.inf), xtol=1e-6, ftol=1e-6, max_nfev=20).x
+        unknown = least_squares(
+            residuals, unknown, jacobian, bounds=(lowest, np.inf), xtol=1e-6, ftol=1e-6, max_nfev=20
+        ).x
         values = at(unknown)[0]
         noise = [noise_of(data[q] - y) for q, y in zip(quantities, values, strict=True)]
     signals = [
         Residuals(
-            "swing", q, "", times, data[q], y, whitened(data[q] - y, *n), *n, is_hold_out=False, band=1.96 * n[0] + 0 * y, covered=0.95
+            "swing",
+            q,
+            "",
+            times,
+            data[q],
+            y,
+            whitened(data[q] - y, *n),
+            *n,
+            is_hold_out=False,
+            band=1.96 * n[0] + 0 * y,
+            covered=0.95,
         )
         for q, y, n in zip(quantities, values, noise, strict=True)
     ]
