@@ -21,9 +21,9 @@ from mbdkit_identify.problem import FAILED, Problem
 MOST_STEPS = 25
 """Largest number of points of one side of a profile."""
 MOST_ITERATIONS = 30
-CLOSE = 2e-3
-"""Relative distance of the increase at a limit from the threshold."""
-SMALL = 1e-4
+CLOSE = 0.015
+"""Relative distance of the root of the increase from that of the threshold, over which it counts as linear."""
+SMALL = 1e-2
 """A point of a profile is found when a further step would reduce its increase by less than this share of the threshold.
 """
 FAR = 100.0
@@ -98,35 +98,52 @@ def _limit(
     if deviation == 0.0:
         deviation = 1e-3 * max(abs(best), 1e-3)
     points: list[tuple[float, float]] = []
-    inner, outer = (0.0, 0.0), (np.inf, np.inf)  # distance, root of the increase
-    distance, x = root * deviation, fit.x
+    if best == bound:
+        return side * np.inf, points
+    known = [(0.0, 0.0, fit.x)]  # distances, roots of the increase, unknowns
+    outer = np.inf
+    distance = root * deviation
     for _ in range(MOST_STEPS):
         distance = min(distance, abs(bound - best))
         value = best + side * distance
-        found = _constrained(problem, fit, goal, value, x, covariance, threshold)
-        increase = np.inf if found is None else max(found[0] - fit.cost, 0.0)
-        if found is not None:
-            points.append((value, increase))
-        if abs(increase - threshold) <= CLOSE * threshold:
-            return value, points
-        at = distance, float(np.sqrt(increase))
-        if increase < threshold:
-            inner, x = at, found[1] if found is not None else x
+        found = _constrained(problem, fit, goal, value, _between(known, distance), covariance, threshold)
+        inner = max((one for one in known if one[1] < root), key=lambda one: one[0])
+        if found is None:  # the run fails there
+            outer = distance
+            if outer - inner[0] < 1e-3 * outer:
+                return side * np.inf, points
+            distance = 0.5 * (inner[0] + outer)
+            continue
+        increase = max(found[0] - fit.cost, 0.0)
+        points.append((value, increase))
+        at = distance, float(np.sqrt(increase)), found[1]
+        near = min(known, key=lambda one: abs(one[1] - root))
+        known.append(at)
+        slope = (at[1] - near[1]) / (at[0] - near[0])
+        if abs(at[1] - root) <= CLOSE * root and slope > 0.0:
+            limit = best + side * (distance + (root - at[1]) / slope)
+            return limit, [*points, (limit, threshold)]
+        if at[1] < root:
+            inner = max(inner, at, key=lambda one: one[0])
             if value == bound or distance > FAR * deviation:
                 return side * np.inf, points
         else:
-            outer = at
-        if np.isinf(outer[0]):
-            ratio = root / max(inner[1], 1e-3 * root)
-            distance = inner[0] * float(np.clip(ratio, 1.05, 3.0))
-        elif np.isinf(outer[1]):  # the run fails there
-            distance = 0.5 * (inner[0] + outer[0])
-            if outer[0] - inner[0] < 1e-3 * outer[0]:
-                return side * np.inf, points
+            outer = min(outer, distance)
+        if np.isinf(outer):
+            distance = inner[0] * float(np.clip(root / max(inner[1], 1e-3 * root), 1.05, 3.0))
         else:
-            share = (root - inner[1]) / (outer[1] - inner[1])
-            distance = inner[0] + float(np.clip(share, 0.05, 0.95)) * (outer[0] - inner[0])
+            share = (distance + (root - at[1]) / slope - inner[0]) / (outer - inner[0]) if slope > 0.0 else 0.5
+            distance = inner[0] + float(np.clip(share, 0.05, 0.95)) * (outer - inner[0])
     return best + side * distance, points
+
+
+def _between(known: list[tuple[float, float, np.ndarray]], distance: float) -> np.ndarray:
+    """Return unknowns at a distance, on the line through those at the two nearest distances."""
+    first, *others = sorted(known, key=lambda one: abs(one[0] - distance))
+    if not others:
+        return first[2]
+    share = (distance - first[0]) / (others[0][0] - first[0])
+    return np.asarray(first[2] + share * (others[0][2] - first[2]))
 
 
 def _constrained(
@@ -140,40 +157,33 @@ def _constrained(
 ) -> tuple[float, np.ndarray] | None:
     """Return the smallest sum of squares with a fixed value of the goal, and the unknowns; None if the run fails.
 
-    Gauss-Newton iterations use the derivatives at the best fit as long as they converge, and then those at the point.
+    Gauss-Newton steps are halved as long as they increase the sum of squares. The last one, which would reduce it by a
+    small share of the threshold, is not evaluated.
     """
     low, high = problem.bounds
-    jacobian, is_own = fit.jacobian, False
     best: tuple[float, np.ndarray] | None = None
-    last = np.inf
+    step = np.zeros(len(x))
     for _ in range(MOST_ITERATIONS):
-        slope = goal.slope(x)
-        free = (x > low) & (x < high) & fit.free | (slope != 0.0)
         x = np.clip(_on_goal(x, goal, value, covariance), low, high)
+        jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
         white = problem.residuals(x)
         cost = float(white @ white)
-        if np.any(np.abs(white) >= FAILED):
-            return best
-        if best is None or cost < best[0]:
-            best = cost, x
-        step = _step(jacobian[:, free], white, slope[free])
-        gain = float(np.sum((jacobian[:, free] @ step) ** 2))
+        is_failed = bool(np.any(np.abs(white) >= FAILED))
+        if is_failed and best is None:
+            return None
+        if best is not None and (is_failed or cost > best[0]):
+            step *= 0.5
+            x = best[1] + step
+            continue
+        best = cost, x
+        slope, gradient = goal.slope(x), jacobian.T @ white
+        free = (x > low) & (x < high) | (x <= low) & (gradient < 0) | (x >= high) & (gradient > 0) | (slope != 0.0)
+        step = np.zeros(len(x))
+        step[free] = _step(jacobian[:, free], white, slope[free])
+        gain = float(np.sum((jacobian @ step) ** 2))
         if gain < SMALL * threshold:
-            return best
-        if gain > 0.3 * last or cost > best[0]:  # converges too slowly
-            if is_own and cost > best[0]:
-                step *= 0.5
-            jacobian, is_own = problem.jacobian(best[1]), True
-            if cost > best[0]:
-                x, last = best[1], np.inf
-                white = problem.residuals(x)
-                step = 0.5 * _step(jacobian[:, free], white, goal.slope(x)[free])
-                x = x.copy()
-                x[free] += step
-                continue
-        last = gain
-        x = x.copy()
-        x[free] += step
+            return cost - gain, np.clip(x + step, low, high)
+        x = x + step
     return best
 
 

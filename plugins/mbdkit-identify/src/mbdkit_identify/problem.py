@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, RunError
+from mbdkit.plugin import MbdkitError
 from mbdkit_identify.measured_data import SignalData
 from mbdkit_identify.noise import LEAST_DEVIATION, Noise, Pieces
 from mbdkit_identify.segments import Segment, Unknown
@@ -125,7 +125,7 @@ class Problem:
         return self._values[key]
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives (R, n) of `predicted`; raise RunError if a run fails."""
+        """Return the derivatives (R, n) of `predicted`; raise an `MbdkitError` if a run fails."""
         key = x.tobytes()
         if self._slopes[0] != key:
             parts, values = [], []
@@ -154,7 +154,7 @@ class Problem:
             rows[row, place] = 1.0 / self.unknowns[place].prior[1]  # type: ignore[index]
         try:
             slopes = self.white(self.slopes(x))
-        except RunError:
+        except MbdkitError:
             slopes = np.zeros((len(self.measured), len(x)))
         return np.asarray(np.concatenate([np.nan_to_num(slopes), rows]))
 

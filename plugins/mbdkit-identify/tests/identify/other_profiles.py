@@ -18,7 +18,7 @@ Limits = np.ndarray
 """(L, 2) lower and upper limits of one unknown, by level."""
 PLACE = 10.0
 """Value of the best fit in lmfit, whose resolution is 5e-5 of the value."""
-STEP = 0.02
+STEP = 0.1
 """Distance of the points of pyPESTO's profiles, between which it interpolates linearly, in standard deviations."""
 
 
@@ -40,8 +40,8 @@ def lmfit_limits(problem: Problem, fit: Fit, places: Sequence[int], levels: Sequ
     def jacobian(given: lmfit.Parameters) -> np.ndarray:
         return (problem.jacobian(x(given)) * size)[:, [one.vary for one in given.values()]]
 
-    minimizer = lmfit.Minimizer(residuals, start)
-    found = minimizer.leastsq(Dfun=jacobian, xtol=1e-10, ftol=1e-12)
+    minimizer = lmfit.Minimizer(residuals, start, Dfun=jacobian, xtol=1e-10, ftol=1e-12)
+    found = minimizer.leastsq()
     names = [f"p{place}" for place in places]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

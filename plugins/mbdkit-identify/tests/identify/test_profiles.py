@@ -1,0 +1,144 @@
+"""Limits of profiles beside those of lmfit and pyPESTO: the same residuals, white noise, equal thresholds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit_identify.estimation import Fit, best_fit
+from mbdkit_identify.intervals import Goal, covariance_of, freedom_of, profile_of, quantile
+from mbdkit_identify.loading import load_identify_spec
+from mbdkit_identify.measured_data import read_experiment
+from mbdkit_identify.problem import Problem
+from mbdkit_identify.segments import segments_of
+
+from .other_profiles import lmfit_limits, pypesto_limits
+from .regressions import MISRA1A, PUROMYCIN, THURBER, Regression
+
+LEVELS = (0.6827, 0.95, 0.9973)
+WIDTH = 0.01
+"""Largest difference of a limit, as a share of the width of the interval."""
+
+PENDULUM: dict[str, Any] = {
+    "mbdkit": 1,
+    "parameters": {"J": 0.08, "c": 0.3, "k": 2.0},
+    "model": {
+        "name": "mechanism",
+        "bodies": {
+            "a": {"mass": 1.0, "inertia": "J", "position": [0.5, 0]},
+            "b": {"mass": 0.8, "inertia": 0.07, "position": [1.5, 0]},
+        },
+        "joints": {
+            "hub": {"type": "revolute", "bodies": ["ground", "a"], "at": [0, 0]},
+            "elbow": {"type": "revolute", "bodies": ["a", "b"], "at": [1, 0]},
+        },
+        "forces": {
+            "hub": {"type": "torsion-spring", "bodies": ["ground", "a"], "stiffness": "k", "damping": 0.2},
+            "elbow": {"type": "torsion-spring", "bodies": ["a", "b"], "stiffness": 0.0, "damping": "c"},
+        },
+    },
+    "integrator": {"name": "rk4"},
+    "time": {"end": 2.0, "step": 0.01},
+}
+CRANK: dict[str, Any] = {
+    "mbdkit": 1,
+    "parameters": {"J": 0.02, "c": 0.05, "m": 0.5},
+    "model": {
+        "name": "mechanism",
+        "bodies": {
+            "crank": {"mass": 0.4, "inertia": "J", "position": [0.1, 0], "angular_velocity": 12.0},
+            "rod": {"mass": 0.3, "inertia": 0.01, "position": [0.45, 0]},
+            "slider": {"mass": "m", "inertia": 0.001, "position": [0.7, 0]},
+        },
+        "joints": {
+            "hub": {"type": "revolute", "bodies": ["ground", "crank"], "at": [0, 0]},
+            "pin": {"type": "revolute", "bodies": ["crank", "rod"], "at": [0.2, 0]},
+            "wrist": {"type": "revolute", "bodies": ["rod", "slider"], "at": [0.7, 0]},
+            "guide": {"type": "prismatic", "bodies": ["ground", "slider"], "at": [0, 0], "axis": [1, 0]},
+        },
+        "forces": {
+            "brake": {"type": "torsion-spring", "bodies": ["ground", "crank"], "stiffness": 0.0, "damping": "c"},
+        },
+    },
+    "integrator": {"name": "gauss", "stages": 2},
+    "time": {"end": 1.0, "step": 0.01},
+}
+MECHANISMS = {"pendulum": (PENDULUM, ("a.angle", "b.angle"), 0.1, 0.02), "crank": (CRANK, ("crank.angle",), 0.02, 0.01)}
+"""Base, measured quantities, deviation of the noise, and sampling interval [s]."""
+REGRESSIONS = {"Misra1a": MISRA1A, "Puromycin": PUROMYCIN, "Thurber": THURBER}
+
+
+def problem_of(name: str, folder: Path) -> Problem:
+    """Return a regression, or a mechanism with noise in synthetic data."""
+    if name in REGRESSIONS:
+        return REGRESSIONS[name].problem
+    base, observed, deviation, interval = MECHANISMS[name]
+    time = np.arange(0.0, base["time"]["end"] + 1e-9, interval)
+    values = mbdkit.sensitivities(base, list(observed), time, ["J"]).values
+    values = values + np.random.default_rng(7).normal(0.0, deviation, values.shape)
+    columns = [f"y{k}" for k in range(len(observed))]
+    table = np.column_stack([time, *values])
+    np.savetxt(folder / "data.csv", table, delimiter=",", header=",".join(["time", *columns]), comments="")
+    spec = load_identify_spec({
+        "mbdkit_identify": 1,
+        "base": base,
+        "experiments": {
+            "run": {
+                "file": str(folder / "data.csv"),
+                "observed": {
+                    quantity: {"column": column, "correlation": "none"}
+                    for quantity, column in zip(observed, columns, strict=True)
+                },
+            }
+        },
+        "parameters": {name: {"start": 1.1 * value} for name, value in base["parameters"].items()},
+    })  # fmt: skip
+    unknowns, segments, names = segments_of(spec, [read_experiment(spec, "run")])
+    return Problem(unknowns, names, segments)
+
+
+def our_limits(problem: Problem, fit: Fit, place: int) -> np.ndarray:
+    """Return the limits (L, 2) at all levels."""
+    direction, covariance = np.eye(len(fit.x))[place], covariance_of(fit.jacobian, fit.free)
+    goal = Goal("", lambda x: float(x[place]), lambda x: direction)
+    return np.array([profile_of(problem, fit, goal, covariance, level)[:2] for level in LEVELS])
+
+
+def assert_equal(ours: np.ndarray, others: np.ndarray) -> None:
+    assert np.max(np.abs(ours - others) / np.diff(others, axis=1)) < WIDTH
+
+
+@pytest.mark.parametrize("regression", REGRESSIONS.values(), ids=REGRESSIONS)
+def test_estimates_and_deviations_are_the_published_ones(regression: Regression) -> None:
+    problem = regression.problem
+    fit = best_fit(problem, 1, 0, "linear")
+    np.testing.assert_allclose(fit.x, regression.estimates, rtol=1e-4)
+    deviations = np.sqrt(np.diagonal(covariance_of(fit.jacobian, fit.free)))
+    np.testing.assert_allclose(deviations, regression.errors, rtol=2e-4)
+    assert fit.cost * problem.noises[0].deviation ** 2 == pytest.approx(regression.squares, rel=5e-4)
+
+
+@pytest.mark.parametrize("name", ["Misra1a", "Puromycin", "Thurber", *MECHANISMS])
+def test_limits_are_those_of_lmfit(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("lmfit")
+    problem = problem_of(name, tmp_path)
+    fit = best_fit(problem, 1, 0, "linear")
+    # a fit of lmfit with a fixed b6 of Thurber ends in another minimum
+    places = [place for place in range(len(fit.x)) if (name, place) != ("Thurber", 5)]
+    for place, others in zip(places, lmfit_limits(problem, fit, places, LEVELS), strict=True):
+        assert_equal(our_limits(problem, fit, place), others)
+
+
+@pytest.mark.parametrize("name", ["Misra1a", "Puromycin", *MECHANISMS])
+def test_limits_are_those_of_pypesto(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("pypesto")
+    problem = problem_of(name, tmp_path)
+    fit = best_fit(problem, 1, 0, "linear")
+    freedom, places = freedom_of(fit), range(len(fit.x))
+    found = pypesto_limits(problem, fit, places, LEVELS, lambda level: quantile(level, freedom) ** 2)
+    for place, others in zip(places, found, strict=True):
+        assert_equal(our_limits(problem, fit, place), others)
