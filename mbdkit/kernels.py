@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         RealCube as RealCube, RealMatrix as RealMatrix, RealVector as RealVector, STATE as STATE, State as State,
         example_of as example_of, kept as kept,
     )
+    from mbdkit.engine.friction_forces import PIN as PIN, SLIDE as SLIDE
     from mbdkit.engine.kernels.dual_observe import (
         DualStates as DualStates, describe_duals as describe_duals, observe_duals as observe_duals,
     )

@@ -19,7 +19,8 @@ def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) 
     """Return the numbers in the columns of a CSV file with the given headings, in the order of `columns`.
 
     The file has a line of headings, and commas, semicolons or tabs between its cells; lines that begin with ``#`` are
-    ignored. With `has_gaps`, empty cells are nan. Raises SpecError, with the file and line, if it has no such columns, or if a cell is not a number.
+    ignored. With `has_gaps`, empty cells are nan. Raises SpecError, with the file and line, if it has no such columns,
+    or if a cell is not a number.
     """
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     try:

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.friction_forces import PIN, SLIDE
-from mbdkit.kernels import LAW_ROW, STATE_ROW, Observed
+from mbdkit.kernels import LAW_ROW, PIN, SLIDE, STATE_ROW, Observed
 from mbdkit.plugin import ExpressionLaw, FunctionLaw, SpecError, TracedLaw
 from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism, bind_law
 from mbdkit.plugin.mechanisms import ARGUMENTS

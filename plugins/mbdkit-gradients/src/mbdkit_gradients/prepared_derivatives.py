@@ -15,9 +15,8 @@ import numpy as np
 from mbdkit.plugin import RunSpec, SpecError
 from mbdkit.plugin.equations import CompiledMechanism, Starts, with_ground
 from mbdkit.plugin.files import Path
-from mbdkit.plugin.runs import GivenStart
+from mbdkit.plugin.runs import GivenStart, knots_of
 from mbdkit.plugin.specs import VariedSpecs
-from mbdkit.runs.corners import knots_of
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import Arrays, Preparation, PreparedDerivatives

@@ -15,9 +15,17 @@ from tests.gradients.checks import assert_passed
 import mbdkit
 from mbdkit import Mechanism
 from mbdkit.spec import load_spec
-from tests.runs.test_joint_friction import wheel
 
 G = 9.81
+
+
+def wheel(**friction: float) -> mbdkit.Mechanism:
+    m = mbdkit.Mechanism()
+    m.body("wheel", mass=2.0, inertia=0.05, angular_velocity=20.0)
+    m.revolute("pin", m.ground, "wheel", at=(0.0, 0.0), friction={"radius": 0.01, "transition_speed": 1e-3} | friction)
+    return m
+
+
 RK4: dict[str, Any] = {"name": "rk4"}
 GAUSS, RADAU = {"name": "gauss", "stages": 3}, {"name": "radau-iia", "stages": 3}
 

@@ -221,7 +221,8 @@ class _Identification:
 
     # ---- estimates -------------------------------------------------------------------------------------------------
 
-    def _goals(self) -> list[Goal]:
+    def goals(self) -> list[Goal]:
+        """Return the parameters and expressions whose intervals are computed."""
         goals = []
         for place, name in enumerate(self.names):
             one, direction = self.problem.unknowns[place], np.eye(len(self.fit.x))[place]
@@ -259,7 +260,7 @@ class _Identification:
         value(self.fit.x)
         return Goal(name, value, slope)
 
-    def _is_determined(self, slope: np.ndarray) -> bool:
+    def is_determined(self, slope: np.ndarray) -> bool:
         """Return whether no combination of parameters that is not determined changes a goal."""
         lost = ~self.known.identifiable
         if not np.any(slope[lost]):
@@ -275,11 +276,11 @@ class _Identification:
     def _estimates(self) -> tuple[dict[str, Estimate], dict[str, Profile]]:
         estimates: dict[str, Estimate] = {}
         profiles: dict[str, Profile] = {}
-        for goal in self._goals():
+        for goal in self.goals():
             slope, value = goal.slope(self.fit.x), goal.value(self.fit.x)
             place = self.names.index(goal.name) if goal.name in self.names else None
             unit = "" if place is None else self.problem.unknowns[place].unit
-            if not self._is_determined(slope):
+            if not self.is_determined(slope):
                 estimates[goal.name] = Estimate(goal.name, unit, value, -np.inf, np.inf, np.nan, False)
                 continue
             bias = abs(float(slope @ self.bias))
@@ -405,7 +406,8 @@ class _Identification:
 
     # ---- specs -----------------------------------------------------------------------------------------------------
 
-    def _base_data(self, x: np.ndarray) -> dict[str, Any]:
+    def base_data(self, x: np.ndarray) -> dict[str, Any]:
+        """Return the base with unknowns x (n,) as plain data."""
         base = self.spec.run_spec
         assert base._document is not None
         data: dict[str, Any] = copied(base._document.data)
@@ -417,14 +419,14 @@ class _Identification:
 
     def _base_at(self, x: np.ndarray) -> RunSpec | None:
         try:
-            spec = RunSpec(**self._base_data(x))
+            spec = RunSpec(**self.base_data(x))
             spec.mechanism()
         except SpecError:
             return None
         return spec
 
     def _base_with_estimates(self) -> Mapping[str, object]:
-        return self._base_data(self.fit.x)
+        return self.base_data(self.fit.x)
 
     def _plain_spec(self) -> Mapping[str, object]:
         assert self.spec._document is not None

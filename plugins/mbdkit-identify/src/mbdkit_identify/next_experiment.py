@@ -3,31 +3,52 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
 from mbdkit.plugin import RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.specs import parse_key, put
+from mbdkit_identify.estimation import Fit
 from mbdkit_identify.identification import NextExperiment
 from mbdkit_identify.identify_spec import IdentifySpec, Signal
 from mbdkit_identify.intervals import Goal, covariance_of
-from mbdkit_identify.measured_data import SignalData
+from mbdkit_identify.measured_data import ExperimentData, SignalData
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import segments_of
 
-if TYPE_CHECKING:
-    from mbdkit_identify.identify import _Identification
+
+class Done(Protocol):
+    """What is known after the estimation; see `mbdkit_identify.identify`."""
+
+    spec: IdentifySpec
+    problem: Problem
+    fit: Fit
+    names: list[str]
+    data: list[ExperimentData]
+    level: float
+
+    def goals(self) -> list[Goal]:
+        """Return the parameters and expressions whose intervals are computed."""
+        ...
+
+    def is_determined(self, slope: np.ndarray) -> bool:
+        """Return whether the data determine a goal with these derivatives (n,)."""
+        ...
+
+    def base_data(self, x: np.ndarray) -> dict[str, Any]:
+        """Return the base with unknowns x (n,) as plain data."""
+        ...
 
 
-def next_experiment(done: _Identification) -> NextExperiment:
+def next_experiment(done: Done) -> NextExperiment:
     """Return the expected intervals after each candidate was added to the experiments.
 
     The derivatives of the candidate's signals at the estimates are added to those of the experiments. The first of
     `intervals.of` is to be narrowed, or else the parameter whose interval is widest relative to its value.
     """
-    goals = done._goals()
-    known = [goal for goal in goals if done._is_determined(goal.slope(done.fit.x))]
+    goals = done.goals()
+    known = [goal for goal in goals if done.is_determined(goal.slope(done.fit.x))]
     widths = {"": _widths(done, goals, done.fit.jacobian, done.fit.free)}
     for name in done.spec.candidates:
         widths[name] = _widths(done, goals, *_with_candidate(done, name))
@@ -41,7 +62,7 @@ def next_experiment(done: _Identification) -> NextExperiment:
     return NextExperiment(narrows, widths, best)
 
 
-def _widths(done: _Identification, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
+def _widths(done: Done, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
     covariance = covariance_of(jacobian, free)
     scaled = jacobian[:, free] / np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     _, values, directions = np.linalg.svd(scaled, full_matrices=False)
@@ -57,7 +78,7 @@ def _widths(done: _Identification, goals: list[Goal], jacobian: np.ndarray, free
     return found
 
 
-def _with_candidate(done: _Identification, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the derivatives of the whitened residuals with those of a candidate, and which unknowns are free."""
     spec, problem = done.spec, done.problem
     candidate = spec.candidates[name]
@@ -68,7 +89,7 @@ def _with_candidate(done: _Identification, name: str) -> tuple[np.ndarray, np.nd
         raise SpecError(f"'{like}' is held out; name an experiment with the role fit", key=f"{where}.like")
     own = IdentifySpec(**copied(spec._document.data))  # type: ignore[union-attr]
     own._document, base = spec._document, spec.run_spec
-    settings = done._base_data(done.fit.x)
+    settings = done.base_data(done.fit.x)
     for key, value in candidate.overrides.items():
         try:
             put(settings, parse_key(key), value)
