@@ -214,7 +214,8 @@ class EffectTests:
         """Return the statistics (P,) of all effects, the fit with each distinct one, and the fit without them.
 
         For a right model, each statistic has the chi-squared distribution with one degree of freedom. It is 0 for
-        effects that are not distinct, or whose first estimate is not plausible. Effects that were `added` belong to the model.
+        effects that are not distinct, or whose first estimate is not plausible. Effects that were `added` belong to the
+        model.
         """
         without = self._fit(added, self._noise)
         fits = {index: self._fit([*added, index], without.noise) for index in self.distinct if index not in added}
@@ -306,7 +307,8 @@ def doubts_of(
     for number, effect in enumerate(tests.found(limit)):
         probe = probes[effect.index]
         others = dict.fromkeys(probes[i].place for i in effect.alike if probes[i].place != probe.place)
-        text = f"{'after that, ' * bool(number)}the residuals of {_name(fitted[effect.signal])} are explained by {probe.kind}"
+        signal = _name(fitted[effect.signal])
+        text = f"{'after that, ' * bool(number)}the residuals of {signal} are explained by {probe.kind}"
         text += ", which the model lacks" if probe.is_lacking else ""
         text += f" ({_amount(probe, effect.value)}statistic {effect.statistic:.4g}, limit {limit:.3g})"
         text += f", or almost as well by the {listed([*others][:MOST_ALIKE], 'or')}" if others else ""

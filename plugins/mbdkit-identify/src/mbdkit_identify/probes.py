@@ -19,7 +19,6 @@ from scipy.interpolate import CubicSpline
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, RunSpec, parse_path
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.mechanisms import (
-    Coordinate,
     PointForce,
     SlidingJoint,
     SpringDamper,
@@ -308,11 +307,13 @@ class _Probes:
             ("friction", "viscous friction", f"-{rate}", f"{unit} s/{along}", ANY if beside else POSITIVE),
             ("friction", "dry friction", f"-{rate}/sqrt({rate}**2 + {slip**2!r})", unit, POSITIVE),
             ("stiffness", "a linear spring", f"-{angle}", f"{unit}/{along}", POSITIVE),
-            ("stiffness", f"a {torque} that grows with the cube of the displacement", f"-{angle}**3", f"{unit}/{along}^3", POSITIVE),
+            ("stiffness", f"a {torque} that grows with the cube of the displacement", f"-{angle}**3",
+             f"{unit}/{along}^3", POSITIVE),
             (f"constant {torque}", f"a constant {torque}", f"1 + 0*{angle}", unit, ANY),
         ):  # equal functions of time are evaluated once, so constants are expressions of the state # fmt: skip
             if what != "stiffness" or not has_spring:
-                forces = (self._torque if torque == "torque" else self._force)(joint, f"{self._next}*({law})")
+                value = f"{self._next}*({law})"
+                forces = self._force(joint, value) if isinstance(joint, SlidingJoint) else self._torque(joint, value)
                 self._lacking(
                     f"{what} in the joint '{name}'", f"{kind} in the joint '{name}'", of, limits, helpers | forces
                 )
@@ -331,10 +332,11 @@ class _Probes:
         """Return a force on the second body of a slide along its axis, and the opposite on the first."""
         (ux, uy), turn = joint.direction, self.mechanism.relative_angle(*reversed(joint.bodies))
         c, s = math.cos(turn), math.sin(turn)
+        axes = (-ux, -uy), (c * ux - s * uy, s * ux + c * uy)
         return {
             f"{self._next} {body}": {"type": "force", "body": body, "point": [*point], "frame": "body",
                                      "value": [f"{x!r}*({value})", f"{y!r}*({value})"]}
-            for body, point, (x, y) in zip(joint.bodies, joint.ends, ((-ux, -uy), (c * ux - s * uy, s * ux + c * uy)), strict=True)
+            for body, point, (x, y) in zip(joint.bodies, joint.ends, axes, strict=True)
             if body != GROUND
         }  # fmt: skip
 
@@ -342,7 +344,7 @@ class _Probes:
         """Add the length, the ratio and the points of a joint; the first joint of each body is its reference."""
         for key, what in (("length", "length"), ("radii", "ratio")):
             if (value := self.model["joints"][name].get(key)) is not None:
-                path = ("joints", name, key, *([0] if what == "ratio" else []))
+                path: Path = ("joints", name, key, *([0] if what == "ratio" else []))
                 self._wrong(
                     f"{what} of the joint '{name}'", "", [(path, repr(value[0] if what == "ratio" else value))], SHARE
                 )
@@ -375,9 +377,10 @@ class _Probes:
             "value": f"-{self._next}*{w}*sqrt({w}**2 + {(SMOOTH * self.rate) ** 2!r})",
         }
         self._lacking(drag, f"a torque of quadratic {drag}", "N m s^2/rad^2", POSITIVE, {self._next: air})
-        elements = [(kind, key, one) for kind, all in self.mechanism.elements.items() for key, one in all.items()]
+        elements = [(kind, key, one) for kind, some in self.mechanism.elements.items() for key, one in some.items()]
         if any(
-            isinstance(p := getattr(one, "pathway", None), Coordinate) and p.bodies[0] == name for *_, one in elements
+            getattr(path := getattr(one, "pathway", None), "type", "") == "coordinate" and path.bodies[0] == name
+            for *_, one in elements
         ):
             return  # coordinates are measured from the centre of mass
         points = [
@@ -433,9 +436,11 @@ class _Probes:
                 [f'markers["{end}"].{axis}' for axis in "xy"] if body != GROUND else [f"({x!r})" for x in point]
                 for end, body, point in zip(ends, (a, b), spring.ends, strict=True)
             )
+            length = f'forces["{name}"].length'
             forces = {
                 end: {"type": "force", "body": body, "point": point,
-                      "value": [f'{"-" * (end == ends[1])}{tension}*({to} - {at})/forces["{name}"].length' for at, to in ((xa, xb), (ya, yb))]}
+                      "value": [f"{'-' * (end == ends[1])}{tension}*({to} - {at})/{length}"
+                                for at, to in ((xa, xb), (ya, yb))]}
                 for end, body, point in placed
             }  # fmt: skip
         self._lacking(
