@@ -378,10 +378,8 @@ class _Probes:
         }
         self._lacking(drag, f"a torque of quadratic {drag}", "N m s^2/rad^2", POSITIVE, {self._next: air})
         elements = [(kind, key, one) for kind, some in self.mechanism.elements.items() for key, one in some.items()]
-        if any(
-            getattr(path := getattr(one, "pathway", None), "type", "") == "coordinate" and path.bodies[0] == name
-            for *_, one in elements
-        ):
+        paths = [getattr(one, "pathway", None) for *_, one in elements]
+        if any(path is not None and path.type == "coordinate" and path.bodies[0] == name for path in paths):
             return  # coordinates are measured from the centre of mass
         points = [
             (kind, key, *parse_path(at)) for kind, key, one in elements for at, on, _ in one.attachments()
