@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,28 +77,16 @@ def identify(
 
 
 def _plain(result: Identification) -> dict[str, Any]:
-    """Return the result without its arrays over time, as values for JSON."""
+    """Return the result without specs and histories, as values for JSON."""
+    histories = ("time", "measured", "fitted", "white", "band")
     signals = [
-        {"experiment": one.experiment, "quantity": one.quantity, "unit": one.unit, "is_hold_out": one.is_hold_out}
-        | {"rms": one.rms, "deviation": one.deviation, "correlation": one.correlation, "covered": one.covered}
+        {name: value for name, value in vars(one).items() if name not in histories} | {"rms": one.rms}
         for one in result.residuals
     ]
-    return {
-        "verdict": result.verdict,
-        "doubts": [asdict(doubt) for doubt in result.doubts],
-        "notes": result.notes,
-        "level": result.level,
-        "estimates": {name: asdict(one) for name, one in result.estimates.items()},
-        "parameters": result.parameters,
-        "covariance": result.covariance.tolist(),
-        "combinations": result.combinations,
-        "signals": signals,
-        "next_experiment": None if result.next_experiment is None else asdict(result.next_experiment),
-        "cost": result.cost,
-        "log_likelihood": result.log_likelihood,
-        "evaluations": result.evaluations,
-        "seconds": result.seconds,
-    }
+    values = asdict(replace(result, spec={}, base={}, residuals=(), profiles={}))
+    left_out = ("spec", "base", "residuals", "profiles")
+    values = {name: value for name, value in values.items() if name not in left_out}
+    return values | {"covariance": result.covariance.tolist(), "signals": signals}
 
 
 @spec_check

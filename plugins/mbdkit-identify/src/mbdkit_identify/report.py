@@ -38,7 +38,7 @@ from mbdkit_report import (
     report_of_folder,
 )
 
-POINTS = 2_000
+POINTS = 1_000
 """Largest number of points of a curve."""
 LAGS = 40
 """Largest lag of autocorrelations [samples]."""
