@@ -93,7 +93,7 @@ class _Identification:
         self.covariance = covariance_of(self.fit.jacobian, self.fit.free)
         self.notify("identifiability")
         self.known = self._identifiability()
-        self.level = quantile(spec.intervals.level, freedom_of(self.fit))
+        self.level = quantile(spec.intervals.level, max(len(self.fit.white) - np.sum(self.fit.free), 1))
         self.bias = self._integration_bias()
         self.input_bias = self._input_bias()
         estimates, profiles = self._estimates()
@@ -289,7 +289,8 @@ class _Identification:
             if place is not None:
                 at = "lower" if self.fit.at_low[place] else "upper" if self.fit.at_high[place] else ""
             if self.spec.intervals.method == "linear" and not at:
-                lower, upper = value - self.level * deviation, value + self.level * deviation
+                half = quantile(self.spec.intervals.level, freedom_of(self.problem, self.fit, slope)) * deviation
+                lower, upper = value - half, value + half
             else:
                 self.notify(f"profile of {goal.name}")
                 covariance = covariance_of(self.fit.jacobian, self.fit.free | (slope != 0)) if at else self.covariance

@@ -16,6 +16,7 @@ from scipy.stats import t as student
 
 from mbdkit_identify.estimation import Fit
 from mbdkit_identify.identification import Profile
+from mbdkit_identify.noise import CHANGE
 from mbdkit_identify.problem import FAILED, Problem
 
 MOST_STEPS = 25
@@ -62,9 +63,21 @@ def covariance_of(jacobian: np.ndarray, free: np.ndarray) -> np.ndarray:
     return found
 
 
-def freedom_of(fit: Fit) -> float:
-    """Return the degrees of freedom of the residuals."""
-    return max(float(len(fit.white) - np.sum(fit.free)), 1.0)
+def freedom_of(problem: Problem, fit: Fit, slope: np.ndarray) -> float:
+    """Return the degrees of freedom of the variance of a function of the unknowns with derivatives `slope` (n,).
+
+    They are twice the square of the variance over the variance of its estimate, which follows from the errors of the
+    estimated deviations and correlations of the noise (F. E. Satterthwaite, Biometrics Bulletin 2 (1946) 110-114; M. G.
+    Kenward, J. H. Roger, Biometrics 53 (1997) 983-997). Without correlation, a single signal has those of its residuals.
+    """
+    along = covariance_of(fit.jacobian, fit.free) @ slope
+    change, variance, spread = problem.slopes(fit.x) @ along, float(along @ slope), 0.0
+    for piece, noise in zip(problem.pieces, problem.noises, strict=True):
+        low, own, high = (
+            float(np.sum(piece.white(change, some) ** 2)) for some in (noise.moved(-CHANGE), noise, noise.moved(CHANGE))
+        )
+        spread += 2.0 * own**2 / noise.freedom + ((high - low) / (2.0 * CHANGE) * noise.error) ** 2
+    return max(2.0 * variance**2 / spread, 1.0) if spread > 0.0 else np.inf
 
 
 def quantile(level: float, freedom: float) -> float:
@@ -76,8 +89,8 @@ def profile_of(
     problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float
 ) -> tuple[float, float, Profile]:
     """Return the limits of the interval of a goal, infinite where there is none, and its profile."""
-    threshold = quantile(level, freedom_of(fit)) ** 2
     slope, best = goal.slope(fit.x), goal.value(fit.x)
+    threshold = quantile(level, freedom_of(problem, fit, slope)) ** 2
     deviation = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
     points: list[tuple[float, float]] = [(best, 0.0)]
     limits = []

@@ -9,7 +9,7 @@ independent with the variance ``deviation**2*(1 - phi**2)``; see G. E. P. Box, G
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -18,14 +18,37 @@ MOST = 0.999
 """Largest correlation from sample to sample."""
 LEAST_DEVIATION = 1e-9
 """Smallest deviation of noise, relative to the magnitude of the measured values."""
+CHANGE = 0.05
+"""Change of the inverse hyperbolic tangent of a correlation in differences of likelihoods and variances."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviation and correlation from sample to sample of the noise of one signal."""
+    """The noise of one signal.
+
+    Attributes
+    ----------
+    deviation, correlation
+        Standard deviation, and correlation from sample to sample.
+    freedom
+        Degrees of freedom of the estimated deviation; infinite if the deviation is given.
+    error
+        Standard error of the inverse hyperbolic tangent of the correlation; 0 if the correlation is given.
+    """
 
     deviation: float
     correlation: float = 0.0
+    freedom: float = np.inf
+    error: float = 0.0
+
+    def moved(self, change: float) -> Noise:
+        """Return the noise with another inverse hyperbolic tangent of the correlation.
+
+        An estimated deviation changes such that the innovations keep theirs, whose error is independent.
+        """
+        correlation = float(np.tanh(np.arctanh(self.correlation) + change))
+        ratio = (1.0 - self.correlation**2) / (1.0 - correlation**2) if np.isfinite(self.freedom) else 1.0
+        return replace(self, deviation=self.deviation * float(np.sqrt(ratio)), correlation=correlation)
 
 
 @dataclass(frozen=True)
@@ -104,14 +127,16 @@ def estimated_noise(
         others = information + sum(part for k, part in enumerate(parts) if k != s)
         own = residuals[piece.places], jacobian[piece.places]
         likelihood = _Likelihood(piece, *own, others, known[s], found[s].deviation, LEAST_DEVIATION * scales[s])
-        correlation = 0.0
+        z = error = 0.0
         if may_correlate[s]:
+            cost = likelihood.cost
             result = minimize_scalar(
-                lambda z, likelihood=likelihood: likelihood.at(float(np.tanh(z)))[1],
-                bounds=(-2.0, np.arctanh(MOST)), method="bounded", options={"xatol": 1e-4},
-            )  # fmt: skip
-            correlation = float(np.tanh(result.x))
-        found[s] = Noise(likelihood.at(correlation)[0], correlation)
+                cost, bounds=(-2.0, np.arctanh(MOST)), method="bounded", options={"xatol": 1e-4}
+            )
+            z = float(result.x)
+            curvature = (cost(z - CHANGE) - 2.0 * cost(z) + cost(z + CHANGE)) / CHANGE**2
+            error = 1.0 / float(np.sqrt(max(curvature, 1.0)))
+        found[s] = replace(likelihood.best(float(np.tanh(z)))[0], error=error)
         parts[s] = _normal(piece, jacobian, found[s])
     return found
 
@@ -131,18 +156,24 @@ class _Likelihood:
     first: float
     least: float
 
-    def at(self, correlation: float) -> tuple[float, float]:
-        """Return the best deviation, and the negative logarithm of the restricted likelihood."""
+    def cost(self, z: float) -> float:
+        """Return the negative logarithm of the likelihood for an inverse hyperbolic tangent of the correlation."""
+        return self.best(float(np.tanh(z)))[1]
+
+    def best(self, correlation: float) -> tuple[Noise, float]:
+        """Return the noise with the best deviation, and the negative logarithm of the restricted likelihood."""
         unit = Noise(1.0, correlation)
         e, j = self.piece.white_part(self.residuals, unit), self.piece.white_part(self.jacobian, unit)
-        own, total, deviation = j.T @ j, float(e @ e), self.known or self.first
+        own, total, deviation, freedom = j.T @ j, float(e @ e), self.known or self.first, np.inf
         for _ in range(0 if self.known else 3):
             used = float(np.trace(_solve(self.others + own / deviation**2, own))) / deviation**2
-            deviation = max(float(np.sqrt(total / max(len(e) - used, 1.0))), self.least)
+            freedom = max(len(e) - used, 1.0)
+            deviation = max(float(np.sqrt(total / freedom)), self.least)
         matrix = self.others + own / deviation**2
         _, log_det = np.linalg.slogdet(matrix + 1e-300 * np.eye(len(matrix)))
         logs = self.piece.log_deviations(unit) + len(e) * float(np.log(deviation))
-        return deviation, 0.5 * total / deviation**2 + logs + 0.5 * (log_det if np.isfinite(log_det) else 0.0)
+        noise = Noise(deviation, correlation, freedom)
+        return noise, 0.5 * total / deviation**2 + logs + 0.5 * (log_det if np.isfinite(log_det) else 0.0)
 
 
 def _normal(piece: Pieces, jacobian: np.ndarray, noise: Noise) -> np.ndarray:

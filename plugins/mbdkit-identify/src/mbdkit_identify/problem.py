@@ -82,9 +82,14 @@ class Problem:
         self.pieces = [Pieces(*map(np.concatenate, zip(*parts, strict=True))) for parts in keys.values()]
         self.known = [first[key].deviation for key in keys]
         self.may_correlate = [first[key].may_correlate for key in keys]
-        self.scales = [float(np.max(np.abs(self.measured[one.places]), initial=1e-300)) for one in self.pieces]
+        self.measure(self.measured)
+
+    def measure(self, values: np.ndarray) -> None:
+        """Take (R,) measured values in place of those of the windows, and a first guess of their noise."""
+        self.measured = values
+        self.scales = [float(np.max(np.abs(values[one.places]), initial=1e-300)) for one in self.pieces]
         self.noises = [
-            Noise(known or max(_roughness(self.measured[one.places]), LEAST_DEVIATION * scale))
+            Noise(known or max(_roughness(values[one.places]), LEAST_DEVIATION * scale))
             for known, one, scale in zip(self.known, self.pieces, self.scales, strict=True)
         ]
 
