@@ -49,8 +49,8 @@ def examples_copy(
 ) -> None:
     """Copy an example to a file: a spec with its comments, or a notebook.
 
-    A table that the spec reads is copied to the same folder. A notebook is written
-    for Jupyter, or as a script with cells if FILE ends with .py. An existing file is
+    Tables and other files that the spec reads are copied to the same folder. A
+    notebook is written for Jupyter, or as a script with cells if FILE ends with .py. An existing file is
     not replaced.
     """
     from mbdkit.base.errors import SpecError
@@ -58,7 +58,7 @@ def examples_copy(
     from mbdkit.base.text import did_you_mean, listed
     from mbdkit.spec import example_names, example_text
     from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text
-    from mbdkit.spec.loading import example_table
+    from mbdkit.spec.loading import example_files
 
     notebooks = notebook_names()
     known = [*example_names(), *notebooks]
@@ -70,10 +70,8 @@ def examples_copy(
         script = notebook_text(name)
         texts = {path: script if path.suffix.lower() == ".py" else jupyter_text(script)}
     else:
-        texts = {path: example_text(name)}
-        data = example_table(name)
-        if data is not None:
-            texts[path.with_name(f"{name}.csv")] = data
+        files = {path.with_name(file): text for file, text in example_files(name).items()}
+        texts = {path: example_text(name), **files}
     for target in texts:
         if (
             target.is_file()

@@ -171,7 +171,7 @@ class Example(Feature):
     Parameters
     ----------
     file
-        The file. A table that the spec reads has the same name with the suffix ``.csv``.
+        The file. Tables and other files that the spec reads lie in the same folder.
     """
 
     kind: ClassVar[str] = "example"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict, TypeVar, cast
@@ -156,10 +157,11 @@ def example_text(name: str) -> str:
     return files[name].read_text("utf-8")
 
 
-def example_table(name: str) -> str | None:
-    """Return the text of the table ``NAME.csv`` that a packaged example reads; None if it reads no table."""
-    path = _examples()[name].with_suffix(".csv")
-    return path.read_text("utf-8") if path.is_file() else None
+def example_files(name: str) -> dict[str, str]:
+    """Return the texts of the files that a packaged example names and that lie beside it, such as tables, by name."""
+    path = _examples()[name]
+    words = set(re.findall(r"[\w.-]+", path.read_text("utf-8"))) - {path.name}
+    return {file: (path.parent / file).read_text("utf-8") for file in sorted(words) if (path.parent / file).is_file()}
 
 
 def _examples() -> dict[str, Path]:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 from tests.inverse_dynamics.running import table_of
 
-from mbdkit.spec.loading import example_table
+from mbdkit.spec.loading import example_files
 
 Array = np.ndarray
 THIGH, SHANK, ANKLE = 0.441, 0.4428, 0.0702
@@ -98,7 +98,7 @@ class Walker:
     @classmethod
     def of_example(cls, step: int = 1, rows: slice = slice(None), size: float = 1.0) -> Walker:
         """Return every `step`-th of the rows of the example `walking-two-legs`."""
-        table = table_of(example_table("walking-two-legs") or "")[rows][::step]
+        table = table_of(example_files("walking-two-legs")["walking-two-legs.csv"])[rows][::step]
         angles = {"trunk": np.radians(table["trunk_tilt"])}
         for leg in ("", "_left"):
             flexions = [np.radians(table[name + leg]) for name in ("hip_flexion", "knee_flexion", "ankle_dorsiflexion")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbdkit.spec import example_names, example_text, load_spec
-from mbdkit.spec.loading import example_table, read_source
+from mbdkit.spec.loading import example_files, read_source
 
 
 def test_examples_are_listed_with_their_titles(mbdkit):
@@ -33,7 +33,7 @@ def test_a_copy_of_inverse_dynamics_comes_with_its_table(mbdkit, tmp_path, monke
     result = mbdkit("examples", "copy", "walking", "-o", "mine/step.yaml")
     assert result.stdout == "mine/step.yaml\nmine/walking.csv\n"
     assert (tmp_path / "mine" / "step.yaml").read_text("utf-8") == example_text("walking")
-    assert (tmp_path / "mine" / "walking.csv").read_text("utf-8") == example_table("walking")
+    assert (tmp_path / "mine" / "walking.csv").read_text("utf-8") == example_files("walking")["walking.csv"]
     assert "261 rows from 0 to" in mbdkit("validate", "mine/step.yaml").stdout
     again = mbdkit("examples", "copy", "walking", "-o", "mine/other.yaml")
     assert again.exit_code == 2

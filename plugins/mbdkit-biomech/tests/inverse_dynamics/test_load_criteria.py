@@ -12,7 +12,7 @@ from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, no
 import mbdkit
 from mbdkit import SpecError
 from mbdkit.guide.pages import find_page
-from mbdkit.spec.loading import example_table
+from mbdkit.spec.loading import example_files
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
@@ -225,7 +225,7 @@ def test_a_body_at_rest_with_a_load_at_the_start_only_is_doubted_without_dividin
 
 def late(delay: float) -> dict[str, Any]:
     """Return the load of the example `walking` with a delay [s]."""
-    lines = [line for line in (example_table("walking") or "").splitlines() if not line.startswith("#")]
+    lines = [line for line in example_files("walking")["walking.csv"].splitlines() if not line.startswith("#")]
     table = np.genfromtxt(lines, delimiter=",", names=True)
     data = {"time": table["time"]}
     for name in ("force_x", "force_y", "pressure_x"):

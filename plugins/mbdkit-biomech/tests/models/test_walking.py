@@ -11,7 +11,7 @@ from tests.inverse_dynamics.running import reference, table_of
 
 import mbdkit
 from mbdkit import Run
-from mbdkit.spec.loading import example_table, read_source
+from mbdkit.spec.loading import example_files, read_source
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from tests.benchmarks.walking_both_legs import LEFT, residuals
 from tests.benchmarks.walking_data import (
@@ -31,7 +31,7 @@ from tests.benchmarks.walking_data import (
     series_in,
 )
 
-TEXT = example_table("walking") or ""
+TEXT = example_files("walking")["walking.csv"]
 GAIT = series_in(TEXT)
 
 
@@ -97,7 +97,7 @@ def test_the_moments_are_those_of_winter() -> None:
         assert np.corrcoef(found[right], published[right])[0, 1] > correlation
 
 
-OF_TWO_LEGS = example_table("walking-two-legs") or ""
+OF_TWO_LEGS = example_files("walking-two-legs")["walking-two-legs.csv"]
 HALF = 50
 """Rows of half a stride."""
 

@@ -16,13 +16,14 @@ from mbdkit.plugin import RunError
 from mbdkit_identify.noise import Noise, estimated_noise
 from mbdkit_identify.problem import FAILED, Problem
 
-TOLERANCE = 1e-8
-"""Relative change of the sum of squares, and of the unknowns, at which a search ends."""
+TOLERANCE, ROUGH = 1e-8, 1e-4
+"""Relative change of the sum of squares, and of the unknowns, at which a search ends: the last one, and those with the
+first guess of the noise."""
 MOST_EVALUATIONS = 200
-MOST_ROUNDS = 20
-"""Largest number of alternations between unknowns and noise."""
+MOST_ROUNDS, FEW_EVALUATIONS = 50, 2
+"""Largest number of alternations between unknowns and noise, and of evaluations in each: a step of the unknowns."""
 SETTLED = 1e-3
-"""Relative change of deviations, and change of correlations, at which the noise counts as settled."""
+"""Relative change of the innovations at which the noise counts as settled."""
 
 
 @dataclass(frozen=True)
@@ -76,14 +77,14 @@ def best_fit(
         if np.all(np.isnan(problem.predicted(start))):
             reasons.append(_why(problem, start))
             continue
-        x = _search(problem, start, loss)
+        x, _ = _search(problem, start, loss, tolerance=ROUGH)
         cost = float(np.sum(problem.residuals(x) ** 2))
         found.append((cost, x))
         notify(f"start {number + 1} of {starts}: sum of squares {cost:.6g}")
     if not found:
         raise RunError(f"the run fails at the start of the parameters: {reasons[0]}")
     _, x = min(found, key=lambda one: one[0])
-    is_settled = False
+    is_settled, is_found, most = False, False, FEW_EVALUATIONS
     for number in range(MOST_ROUNDS):
         before = list(problem.noises)
         raw = problem.predicted(x) - problem.measured
@@ -91,11 +92,12 @@ def best_fit(
             raw, problem.slopes(x), problem.information, problem.pieces, before, problem.known,
             problem.may_correlate, problem.scales,
         )  # fmt: skip
-        is_settled = _is_settled(before, problem.noises)
-        if is_settled and number:
+        if is_settled := _is_settled(before, problem.noises):
             break
-        x = _search(problem, x, loss)
+        last, (x, is_found) = x, _search(problem, x, loss, most)
+        most = FEW_EVALUATIONS if np.any(x != last) else MOST_EVALUATIONS
         notify(f"noise, round {number + 1}: sum of squares {np.sum(problem.residuals(x) ** 2):.6g}")
+    x = x if is_found else _search(problem, x, loss)[0]
     return fit_at(problem, x, tuple(cost for cost, _ in found), is_settled=is_settled)
 
 
@@ -111,7 +113,10 @@ def fit_at(problem: Problem, x: np.ndarray, starts: tuple[float, ...] = (), *, i
     return Fit(x, white, jacobian, float(white @ white), at_low, at_high, starts, is_settled)
 
 
-def _search(problem: Problem, start: np.ndarray, loss: str) -> np.ndarray:
+def _search(
+    problem: Problem, start: np.ndarray, loss: str, most: int = MOST_EVALUATIONS, tolerance: float = TOLERANCE
+) -> tuple[np.ndarray, bool]:
+    """Return the unknowns after a search with at most so many evaluations, and whether it has converged."""
     low, high = problem.bounds
     inside = np.clip(start, low + 1e-9 * problem.sizes, high - 1e-9 * problem.sizes)
     size = problem.sizes
@@ -122,12 +127,12 @@ def _search(problem: Problem, start: np.ndarray, loss: str) -> np.ndarray:
         bounds=(low / size, high / size),
         x_scale="jac",
         loss=loss,
-        ftol=TOLERANCE,
-        xtol=TOLERANCE,
+        ftol=tolerance,
+        xtol=tolerance,
         gtol=1e-12,
-        max_nfev=MOST_EVALUATIONS,
+        max_nfev=most,
     )
-    return np.asarray(result.x * size)
+    return np.asarray(result.x * size), result.status > 0
 
 
 def _starts(problem: Problem, count: int, seed: int) -> list[np.ndarray]:
@@ -155,8 +160,12 @@ def _why(problem: Problem, start: np.ndarray) -> str:
 
 
 def _is_settled(before: list[Noise], now: list[Noise]) -> bool:
+    """Return whether innovations, which whitened residuals are relative to, hardly change; if the correlation is close
+    to 1, they determine the deviation of the noise badly.
+    """
     return all(
-        abs(a.deviation - b.deviation) <= SETTLED * b.deviation and abs(a.correlation - b.correlation) <= SETTLED
+        abs(a.innovation - b.innovation) <= SETTLED * b.innovation
+        and abs(a.correlation - b.correlation) * b.deviation <= SETTLED * b.innovation
         for a, b in zip(before, now, strict=True)
     )
 

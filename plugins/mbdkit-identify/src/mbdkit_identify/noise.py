@@ -50,6 +50,11 @@ class Noise:
         ratio = (1.0 - self.correlation**2) / (1.0 - correlation**2) if np.isfinite(self.freedom) else 1.0
         return replace(self, deviation=self.deviation * float(np.sqrt(ratio)), correlation=correlation)
 
+    @property
+    def innovation(self) -> float:
+        """Standard deviation of what a sample adds to what follows from the sample before."""
+        return self.deviation * float(np.sqrt(1.0 - self.correlation**2))
+
 
 @dataclass(frozen=True)
 class Pieces:

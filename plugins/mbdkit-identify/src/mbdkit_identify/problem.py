@@ -14,6 +14,8 @@ from mbdkit_identify.segments import Segment, Unknown
 
 FAILED = 1e3
 """Whitened residuals of runs that fail, so large that no search ends there."""
+SAME = 1e-9
+"""Changes of unknowns, as shares of their magnitudes, that are too small to compute derivatives again."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Problem:
         self.unknowns, self.names, self.segments = list(unknowns), names, list(segments)
         self.runs = self.derived = 0
         self._values: dict[bytes, np.ndarray] = {}
-        self._slopes: tuple[bytes, np.ndarray] = b"", np.empty(0)
+        self._slopes: tuple[np.ndarray, np.ndarray] | None = None
         self._index()
 
     def _index(self) -> None:
@@ -131,8 +133,7 @@ class Problem:
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R, n) of `predicted`; raise an `MbdkitError` if a run fails."""
-        key = x.tobytes()
-        if self._slopes[0] != key:
+        if self._slopes is None or np.any(np.abs(x - self._slopes[0]) > SAME * self.sizes):
             parts, values = [], []
             for segment, some in zip(self.segments, self.valid, strict=True):
                 self.derived += 1
@@ -141,8 +142,8 @@ class Problem:
                 assert every is not None
                 parts.append(every[some])
                 values.append(shown[some])
-            self._slopes = key, np.concatenate(parts)
-            self._values = {key: np.concatenate(values)}
+            self._slopes = x.copy(), np.concatenate(parts)
+            self._values = {x.tobytes(): np.concatenate(values)}
         return self._slopes[1]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:

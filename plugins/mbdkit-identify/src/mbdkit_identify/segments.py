@@ -12,14 +12,14 @@ from mbdkit.plugin import RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.equations import Starts
 from mbdkit.plugin.runs import GivenStart
 from mbdkit_gradients import PreparedSensitivities
-from mbdkit_identify.identify_spec import Experiment, IdentifySpec
+from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.loading import sensor_names
-from mbdkit_identify.measured_data import ExperimentData, SignalData
+from mbdkit_identify.measured_data import LEAST_SAMPLES, ExperimentData, SignalData
 
 INITIAL = "initial"
 """First part of the names of initial values among the parameters of a run."""
 UNIFORM = 1e-6
-"""Largest relative difference between sampling intervals that count as equal."""
+"""Largest deviation of times from a grid, in sampling intervals, for each sample."""
 FEW = 12
 """Number of samples by which initial values are guessed."""
 SPLINE = 5
@@ -163,7 +163,7 @@ def segments_of(
     names = {one.name: place for place, one in enumerate(unknowns)}
     segments: list[Segment] = []
     for one in data:
-        for number, some in enumerate(_windows(one.time, spec.shooting.window if spec.shooting else None)):
+        for number, some in enumerate(_windows(one, spec.shooting.window if spec.shooting else None)):
             segments.append(_segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run}))
     return unknowns, segments, names
 
@@ -193,15 +193,20 @@ def _parameter(spec: IdentifySpec, name: str) -> Unknown:
     return Unknown(name, float(np.clip(start, low, high)), low, high, prior, size, unit)
 
 
-def _windows(time: np.ndarray, duration: float | None) -> list[np.ndarray]:
-    """Return the places of the samples of each window; a last window with few samples is joined with the one before."""
+def _windows(data: ExperimentData, duration: float | None) -> list[np.ndarray]:
+    """Return the places of the samples of each window; windows with gaps, and the last one, are joined with the one
+    before if they have few values.
+    """
+    time, known = data.time, np.any([np.isfinite(signal.values) for signal in data.signals], axis=0)
     if duration is None:
         return [np.arange(len(time))]
     number = np.floor((time - time[0]) / duration * (1 + 1e-9)).astype(int)
-    parts = [np.flatnonzero(number == k) for k in np.unique(number)]
-    if len(parts) > 1 and len(parts[-1]) < 0.5 * len(parts[0]):
-        last = parts.pop()
-        parts[-1] = np.concatenate([parts[-1], last])
+    parts: list[np.ndarray] = []
+    for k in np.unique(number):
+        some = np.flatnonzero(number == k)
+        few = 0.5 * len(parts[0]) if parts and k == number[-1] else LEAST_SAMPLES
+        is_joined = parts and (np.sum(known[some]) < few or np.sum(known[parts[-1]]) < LEAST_SAMPLES)
+        parts.append(np.concatenate([parts.pop(), some]) if is_joined else some)
     return parts
 
 
@@ -226,7 +231,8 @@ def _segment(
         label = data.name if number == 0 else f"{data.name}, window {number + 1}"
         try:
             given = GivenStart(run.mechanism(), run, Starts())
-            for name, value, bounds in _initial_values(given, choice, run, experiment, signals, time):
+            numbers = {one.name: one.start for one in unknowns}
+            for name, value, bounds in _initial_values(given, choice, run, numbers, signals, time):
                 if bounds is None:
                     initial[name] = value
                     continue
@@ -252,11 +258,11 @@ def run_of_window(base: RunSpec, time: np.ndarray, inputs: Mapping[str, tuple[np
     """Return the base for the times (T,) of a window, whose samples are at ends of steps if they are equidistant."""
     assert base._document is not None
     data = copied(base._document.data)
-    step, section = base.time.step, {key: value for key, value in data["time"].items() if key == "stops"}
-    interval = float(time[-1] - time[0]) / (len(time) - 1)
-    is_uniform = bool(np.all(np.abs(np.diff(time) - interval) < UNIFORM * interval))
-    end = float(time[-1])
-    if step is not None and is_uniform:
+    step, end = base.time.step, float(time[-1])
+    section = {"stops": [stop for stop in base.time.stops if time[0] < stop < end]} if base.time.stops else {}
+    places = (time - time[0]) / np.median(np.diff(time))
+    interval = (end - float(time[0])) / max(round(places[-1]), 1)  # between samples, of which gaps may lack some
+    if step is not None and np.all(np.abs(places - np.round(places)) < UNIFORM * len(time)):
         step = interval / np.ceil(interval / step * (1 - 1e-9))
         end = float(time[0]) + step * round((end - time[0]) / step)
     data["time"] = section | {"start": float(time[0]), "end": end} | ({} if step is None else {"step": step})
@@ -278,7 +284,7 @@ def _initial_values(
     given: GivenStart,
     choice: str | Mapping[str, float | tuple[float, float]],
     run: RunSpec,
-    experiment: Experiment,
+    numbers: Mapping[str, float],
     signals: Sequence[SignalData],
     time: np.ndarray,
 ) -> list[tuple[str, float, tuple[float, float] | None]]:
@@ -287,7 +293,7 @@ def _initial_values(
         found: list[tuple[str, float, tuple[float, float] | None]] = []
         for name, value in choice.items():
             if isinstance(value, tuple):
-                found.append((name, float(np.clip(_guess(name, given, signals, time), *value)), value))
+                found.append((name, float(np.clip(_guess(name, given, numbers, signals, time), *value)), value))
             else:
                 found.append((name, float(value), None))
         return found
@@ -295,11 +301,11 @@ def _initial_values(
     bodies = [f"{body}.{axis}" for axis in ("angle", "x", "y") for body in run.mechanism().bodies]
     names = given.independent(dict.fromkeys([*observed, *bodies]))
     free = (-np.inf, np.inf)
-    found = [(name, _guess(name, given, signals, time), free) for name in names]
+    found = [(name, _guess(name, given, numbers, signals, time), free) for name in names]
     for name in names:
         element, _, axis = name.rpartition(".")
         rate = f"{element}.{RATES[axis]}"
-        found.append((rate, 0.0, None) if choice == "rest" else (rate, _guess(rate, given, signals, time), free))
+        found.append((rate, 0.0, None) if choice == "rest" else (rate, _guess(rate, given, numbers, signals, time), free))
     return found
 
 
@@ -312,7 +318,9 @@ def _plain(quantity: str) -> str:
     return rest if kind in ("bodies", "joints", "markers") and rest else quantity
 
 
-def _guess(name: str, given: GivenStart, signals: Sequence[SignalData], time: np.ndarray) -> float:
+def _guess(
+    name: str, given: GivenStart, numbers: Mapping[str, float], signals: Sequence[SignalData], time: np.ndarray
+) -> float:
     """Return a first value of an initial value: by the first samples if it is measured, or else that of the base."""
     element, _, axis = name.rpartition(".")
     of_rate = {rate: coordinate for coordinate, rate in RATES.items()}
@@ -320,10 +328,9 @@ def _guess(name: str, given: GivenStart, signals: Sequence[SignalData], time: np
     coordinate = f"{element}.{of_rate[axis]}" if is_rate else name
     for signal in signals:
         known = np.flatnonzero(np.isfinite(signal.values))[:FEW]
-        sensor = signal.sensor
-        numbers = all(not isinstance(value, str) for value in (sensor.gain, sensor.offset))
-        if _plain(signal.quantity) == coordinate and numbers and len(known) >= 4:
-            y = (signal.values[known] - sensor.offset) / sensor.gain  # type: ignore[operator]
+        gain, offset = (numbers[x] if isinstance(x, str) else x for x in (signal.sensor.gain, signal.sensor.offset))
+        if _plain(signal.quantity) == coordinate and gain and len(known) >= 4:
+            y = (signal.values[known] - offset) / gain
             slope, value = np.polyfit(time[known] - time[0], y, 1 if len(known) < 6 else 2)[-2:]
             return float(slope if is_rate else value)
     return given.value(name)
