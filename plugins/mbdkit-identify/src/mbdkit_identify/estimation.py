@@ -98,6 +98,7 @@ def best_fit(
         most = FEW_EVALUATIONS if np.any(x != last) else MOST_EVALUATIONS
         notify(f"noise, round {number + 1}: sum of squares {np.sum(problem.residuals(x) ** 2):.6g}")
     x = x if is_found else _search(problem, x, loss)[0]
+    x, _ = _search(problem, x, loss)
     return fit_at(problem, x, tuple(cost for cost, _ in found), is_settled=is_settled)
 
 

@@ -67,8 +67,9 @@ def freedom_of(problem: Problem, fit: Fit, slope: np.ndarray) -> float:
     """Return the degrees of freedom of the variance of a function of the unknowns with derivatives `slope` (n,).
 
     They are twice the square of the variance over the variance of its estimate, which follows from the errors of the
-    estimated deviations and correlations of the noise (F. E. Satterthwaite, Biometrics Bulletin 2 (1946) 110-114; M. G.
-    Kenward, J. H. Roger, Biometrics 53 (1997) 983-997). Without correlation, a single signal has those of its residuals.
+    estimated deviations and correlations of the noise (F. E. Satterthwaite, Biometrics Bulletin 2 (1946) 110-114;
+    M. G. Kenward, J. H. Roger, Biometrics 53 (1997) 983-997). Without correlation, a single signal has those of its
+    residuals.
     """
     along = covariance_of(fit.jacobian, fit.free) @ slope
     change, variance, spread = problem.slopes(fit.x) @ along, float(along @ slope), 0.0

@@ -135,9 +135,7 @@ def estimated_noise(
         z = error = 0.0
         if may_correlate[s]:
             cost = likelihood.cost
-            result = minimize_scalar(
-                cost, bounds=(-2.0, np.arctanh(MOST)), method="bounded", options={"xatol": 1e-4}
-            )
+            result = minimize_scalar(cost, bounds=(-2.0, np.arctanh(MOST)), method="bounded", options={"xatol": 1e-4})
             z = float(result.x)
             curvature = (cost(z - CHANGE) - 2.0 * cost(z) + cost(z + CHANGE)) / CHANGE**2
             error = 1.0 / float(np.sqrt(max(curvature, 1.0)))

@@ -305,7 +305,9 @@ def _initial_values(
     for name in names:
         element, _, axis = name.rpartition(".")
         rate = f"{element}.{RATES[axis]}"
-        found.append((rate, 0.0, None) if choice == "rest" else (rate, _guess(rate, given, numbers, signals, time), free))
+        found.append(
+            (rate, 0.0, None) if choice == "rest" else (rate, _guess(rate, given, numbers, signals, time), free)
+        )
     return found
 
 

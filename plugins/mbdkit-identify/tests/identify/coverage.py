@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.stats import norm
+from tests.identify.synthetic_cases import SyntheticCase, synthetic_cases
 
 import mbdkit
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
@@ -32,7 +33,6 @@ from mbdkit_identify.intervals import covariance_of, freedom_of, profile_of, qua
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.noise import Noise
 from mbdkit_identify.problem import Problem
-from tests.identify.synthetic_cases import SyntheticCase, synthetic_cases
 
 CORRELATIONS = {"white": 0.0, "ar": 0.7}
 LEVEL = 0.95
@@ -123,7 +123,7 @@ class Repeats:
         fit = self.stages.fit = best_fit(self.problem, 1, 0, "linear")
         covariance = covariance_of(fit.jacobian, fit.free)
         found = []
-        for goal in self.stages._goals():
+        for goal in self.stages.goals():
             value, slope = goal.value(fit.x), goal.slope(fit.x)
             if self.campaign.method == "linear":
                 half = quantile(LEVEL, freedom_of(self.problem, fit, slope)) * np.sqrt(slope @ covariance @ slope)
@@ -246,8 +246,13 @@ def main() -> None:
             for case in asked.case for noise in asked.noise
         ):  # fmt: skip
             found = list((pool.map if asked.jobs > 1 else map)(partial(coverage, campaign), parts))
-            covers, widths, errors, seconds = (np.concatenate(some) for some in zip(*(astuple(one)[1:] for one in found), strict=True))
-            print(f"{campaign.case}, {campaign.noise}, {campaign.method}: {asked.repeats} repeats, {np.mean(seconds):.3f} s each")
+            covers, widths, errors, seconds = (
+                np.concatenate(some) for some in zip(*(astuple(one)[1:] for one in found), strict=True)
+            )
+            print(
+                f"{campaign.case}, {campaign.noise}, {campaign.method}: {asked.repeats} repeats, "
+                f"{np.mean(seconds):.3f} s each"
+            )
             if asked.interpolated and asked.jobs == 1:
                 problem = _repeats(campaign).problem
                 print(f"  error of the polynomials {problem.error:.1e} standard deviations of the noise")

@@ -171,7 +171,7 @@ def by_mujoco(data: np.ndarray) -> tuple[np.ndarray, float, int]:
         return absolute / NOISE, observed, observed
 
     residual = sysid.build_residual_fn(models_sequences=[sequences], modify_residual=difference, n_threads=1)
-    found, result = sysid.optimize(parameters, residual, verbose=False, optimizer="mujoco", max_iters=50)
+    found, _ = sysid.optimize(parameters, residual, verbose=False, optimizer="mujoco", max_iters=50)
     x = np.array([found[name].value[0] for name in TRUE])
     squares = float(np.sum(np.concatenate(residual(x, found)[0]) ** 2))
     return x, squares, count

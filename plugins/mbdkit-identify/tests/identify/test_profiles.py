@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit_identify.estimation import Fit, best_fit
-from mbdkit_identify.intervals import Goal, covariance_of, freedom_of, profile_of, quantile
+from mbdkit_identify.intervals import Goal, covariance_of, profile_of, quantile
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import read_experiment
 from mbdkit_identify.problem import Problem
@@ -138,7 +138,7 @@ def test_limits_are_those_of_pypesto(name: str, tmp_path: Path) -> None:
     pytest.importorskip("pypesto")
     problem = problem_of(name, tmp_path)
     fit = best_fit(problem, 1, 0, "linear")
-    freedom, places = freedom_of(fit), range(len(fit.x))
+    freedom, places = len(problem.measured) - len(fit.x), range(len(fit.x))
     found = pypesto_limits(problem, fit, places, LEVELS, lambda level: quantile(level, freedom) ** 2)
     for place, others in zip(places, found, strict=True):
         assert_equal(our_limits(problem, fit, place), others)

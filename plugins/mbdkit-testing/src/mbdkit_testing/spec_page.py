@@ -137,8 +137,8 @@ def page(installed: Registry) -> str:
         "\n".join([_version("mbdkit_design", design), _keys(design)]),
         "## Spec of an identification",
         (
-            "The page `identify` explains this spec. Instead of a mapping, an observed quantity or an input may be given "
-            "by the heading of its column alone."
+            "The page `identify` explains this spec. Instead of a mapping, an observed quantity or an input may be "
+            "given by the heading of its column alone."
         ),
         "\n".join([_version("mbdkit_identify", identify), _keys(identify)]),
     ]
