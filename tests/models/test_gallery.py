@@ -43,7 +43,7 @@ def test_example_says_where_it_comes_from(name):
 @every_example
 def test_entry_has_the_picture_the_command_the_spec_and_the_source_of_the_example(name):
     entry = entries()[name]
-    command = next(kind for kind in ("run", "inverse", "design", "predict") if name in example_names(kind))
+    command = next(kind for kind in ("run", "inverse", "design", "predict", "identify") if name in example_names(kind))
     assert f"`mbdkit {command} {name}`" in entry
     assert re.search(rf"\([\w./-]*\b{re.escape(name)}\.yaml\)", entry)
     assert "* Source: " in entry

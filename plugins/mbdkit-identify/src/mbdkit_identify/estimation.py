@@ -6,14 +6,14 @@ Y. Bard, Nonlinear Parameter Estimation (1974); G. A. F. Seber, C. J. Wild, Nonl
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from mbdkit.plugin import RunError
-from mbdkit_identify.noise import Noise, estimated_noise
+from mbdkit_identify.noise import LEAST_DEVIATION, Noise, estimated_noise
 from mbdkit_identify.problem import FAILED, Problem
 
 TOLERANCE, ROUGH = 1e-8, 1e-4
@@ -24,6 +24,10 @@ MOST_ROUNDS, FEW_EVALUATIONS = 50, 2
 """Largest number of alternations between unknowns and noise, and of evaluations in each: a step of the unknowns."""
 SETTLED = 1e-3
 """Relative change of the innovations at which the noise counts as settled."""
+
+
+NORMAL_MEDIAN = 0.6744897501960817
+"""Median of the magnitude of a standard normal number."""
 
 
 @dataclass(frozen=True)
@@ -77,14 +81,14 @@ def best_fit(
         if np.all(np.isnan(problem.predicted(start))):
             reasons.append(_why(problem, start))
             continue
-        x, _ = _search(problem, start, loss, tolerance=ROUGH)
+        x = _search(problem, start, loss, tolerance=ROUGH)
         cost = float(np.sum(problem.residuals(x) ** 2))
         found.append((cost, x))
         notify(f"start {number + 1} of {starts}: sum of squares {cost:.6g}")
     if not found:
         raise RunError(f"the run fails at the start of the parameters: {reasons[0]}")
     _, x = min(found, key=lambda one: one[0])
-    is_settled, is_found, most = False, False, FEW_EVALUATIONS
+    is_settled, most = False, FEW_EVALUATIONS
     for number in range(MOST_ROUNDS):
         before = list(problem.noises)
         raw = problem.predicted(x) - problem.measured
@@ -92,32 +96,75 @@ def best_fit(
             raw, problem.slopes(x), problem.information, problem.pieces, before, problem.known,
             problem.may_correlate, problem.scales,
         )  # fmt: skip
+        if loss != "linear":
+            problem.noises = _without_outliers(problem, raw)
         if is_settled := _is_settled(before, problem.noises):
             break
-        last, (x, is_found) = x, _search(problem, x, loss, most)
+        last, x = x, _search(problem, x, loss, most)
         most = FEW_EVALUATIONS if np.any(x != last) else MOST_EVALUATIONS
         notify(f"noise, round {number + 1}: sum of squares {np.sum(problem.residuals(x) ** 2):.6g}")
-    x = x if is_found else _search(problem, x, loss)[0]
-    x, _ = _search(problem, x, loss)
-    return fit_at(problem, x, tuple(cost for cost, _ in found), is_settled=is_settled)
+    x = _search(problem, x, loss)
+    return fit_at(problem, x, tuple(cost for cost, _ in found), loss, is_settled=is_settled)
 
 
-def fit_at(problem: Problem, x: np.ndarray, starts: tuple[float, ...] = (), *, is_settled: bool = True) -> Fit:
+def fit_at(
+    problem: Problem,
+    x: np.ndarray,
+    starts: tuple[float, ...] = (),
+    loss: str = "linear",
+    *,
+    is_settled: bool = True,
+) -> Fit:
     """Return the fit at unknowns x (n,)."""
     jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
     white = problem.residuals(x)
     low, high = problem.bounds
     close = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
-    gradient = jacobian.T @ white
+    gradient = jacobian.T @ (influence(loss, white)[0])
     at_low, at_high = (x <= low + close) & (gradient >= 0), (x >= high - close) & (gradient <= 0)
     x = np.where(at_low, low, np.where(at_high, high, x))
     return Fit(x, white, jacobian, float(white @ white), at_low, at_high, starts, is_settled)
 
 
+def influence(loss: str, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the influence (R,) of whitened residuals on the estimates with a loss, and its derivative (R,).
+
+    It is half the derivative of the loss; see `scipy.optimize.least_squares`.
+    """
+    z = white**2
+    if loss == "soft_l1":
+        return white / np.sqrt(1.0 + z), (1.0 + z) ** -1.5
+    if loss == "huber":
+        return np.clip(white, -1.0, 1.0), (z < 1.0).astype(float)
+    if loss == "cauchy":
+        return white / (1.0 + z), (1.0 - z) / (1.0 + z) ** 2
+    if loss == "arctan":
+        return white / (1.0 + z**2), (1.0 - 3.0 * z**2) / (1.0 + z**2) ** 2
+    return white, np.ones_like(white)
+
+
+def variance_factor(loss: str, white: np.ndarray) -> float:
+    """Return the factor of the covariance of least squares for estimates with another loss (P. J. Huber, Robust
+    Statistics (1981), 7.6).
+    """
+    effect, slope = influence(loss, white)
+    return float(np.mean(effect**2) / np.mean(slope) ** 2)
+
+
+def _without_outliers(problem: Problem, raw: np.ndarray) -> list[Noise]:
+    """Return the noise with deviations that follow from the medians of the whitened residuals."""
+    white = problem.white(raw)
+    sizes = [float(np.median(np.abs(white[piece.places]))) / NORMAL_MEDIAN for piece in problem.pieces]
+    return [
+        noise if known else replace(noise, deviation=max(noise.deviation * size, LEAST_DEVIATION * scale))
+        for noise, size, known, scale in zip(problem.noises, sizes, problem.known, problem.scales, strict=True)
+    ]
+
+
 def _search(
     problem: Problem, start: np.ndarray, loss: str, most: int = MOST_EVALUATIONS, tolerance: float = TOLERANCE
-) -> tuple[np.ndarray, bool]:
-    """Return the unknowns after a search with at most so many evaluations, and whether it has converged."""
+) -> np.ndarray:
+    """Return the unknowns after a search with at most so many evaluations."""
     low, high = problem.bounds
     inside = np.clip(start, low + 1e-9 * problem.sizes, high - 1e-9 * problem.sizes)
     size = problem.sizes
@@ -133,7 +180,7 @@ def _search(
         gtol=1e-12,
         max_nfev=most,
     )
-    return np.asarray(result.x * size), result.status > 0
+    return np.asarray(result.x * size)
 
 
 def _starts(problem: Problem, count: int, seed: int) -> list[np.ndarray]:

@@ -13,7 +13,7 @@ from mbdkit import prepare
 from mbdkit.plugin import MbdkitError, RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
-from mbdkit_identify.estimation import best_fit, failed, fit_at, fit_some
+from mbdkit_identify.estimation import best_fit, failed, fit_at, fit_some, variance_factor
 from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
 from mbdkit_identify.identify_spec import IdentifySpec
@@ -91,6 +91,9 @@ class _Identification:
         if not self.fit.is_settled:
             self.notes.append("the noise of the signals has not settled; its correlation may be close to 1")
         self.covariance = covariance_of(self.fit.jacobian, self.fit.free)
+        if spec.loss != "linear":
+            self.covariance *= variance_factor(spec.loss, self.fit.white)
+            self.notes.append("intervals with a robust loss are linear, and the model is not tested")
         self.notify("identifiability")
         self.known = self._identifiability()
         self.level = quantile(spec.intervals.level, max(len(self.fit.white) - np.sum(self.fit.free), 1))
@@ -288,7 +291,7 @@ class _Identification:
             at = ""
             if place is not None:
                 at = "lower" if self.fit.at_low[place] else "upper" if self.fit.at_high[place] else ""
-            if self.spec.intervals.method == "linear" and not at:
+            if (self.spec.intervals.method == "linear" or self.spec.loss != "linear") and not at:
                 half = quantile(self.spec.intervals.level, freedom_of(self.problem, self.fit, slope)) * deviation
                 lower, upper = value - half, value + half
             else:
@@ -366,6 +369,8 @@ class _Identification:
     def _check(self, residuals: Sequence[Residuals]) -> None:
         """Add the doubts about the model: effects that the residuals ask for, and residuals that are not noise."""
         problem, x = self.problem, self.fit.x
+        if self.spec.loss != "linear":
+            return
         self.notify("tests of the model")
         try:
             probes, columns = self._probes()

@@ -218,6 +218,22 @@ def test_hold_out_is_predicted_with_its_band(tmp_path: Path) -> None:
     assert found["k"].value == alone["k"].value
 
 
+@pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy", "arctan"])
+def test_a_robust_loss_resists_outliers(tmp_path: Path, loss: str) -> None:
+    dice = np.random.default_rng(9)
+    t = np.arange(0.0, 3.001, 0.02)
+    x = noisy(position(t, 0.2, 0.0, **TRUE), 6)
+    clean = identify(
+        spec(tmp_path, experiments={"swing": {"file": table(tmp_path / "a.csv", t, x=x), "observed": {"cart.x": "x"}}})
+    )
+    x[dice.choice(len(t), 12, replace=False)] += dice.uniform(0.05, 0.2, 12)
+    one = {"file": table(tmp_path / "b.csv", t, x=x), "observed": {"cart.x": {"column": "x", "correlation": "none"}}}
+    least, robust = (identify(spec(tmp_path, experiments={"swing": one}, loss=which)) for which in ("linear", loss))
+    assert abs(robust["k"].value - clean["k"].value) < 0.3 * abs(least["k"].value - clean["k"].value)
+    assert abs(robust["k"].value - 30.0) < 4 * robust["k"].deviation < least["k"].deviation
+    assert robust["k"].deviation == pytest.approx(clean["k"].deviation, rel=0.5)
+
+
 def test_the_model_with_the_right_law_is_the_better_one(tmp_path: Path) -> None:
     right = identify(spec(tmp_path))
     wrong = identify(spec(tmp_path, parameters={"k": {}}, overrides={"parameters.c": 0.0}))
