@@ -42,15 +42,18 @@ POINTS = 1_000
 """Largest number of points of a curve."""
 LAGS = 40
 """Largest lag of autocorrelations [samples]."""
-PLUS_MINUS = "\u00b1"
 SHOWN = 6
 """Largest number of estimates in the headline."""
+PLUS_MINUS = "\u00b1"
 _TIME = Axis("time", "s")
 _METHOD = (
     "Parameters, initial values and noise are estimated together by maximum likelihood. Noise is normal; if it is "
-    "correlated in time, an autoregressive model of order 1 whitens the residuals. Limits of a profile are the values "
-    "at which the sum of squares of the whitened residuals, minimized over all other unknowns, exceeds its minimum by "
-    "the threshold. Bands contain the errors of the estimates and the noise."
+    "correlated in time, an autoregressive model of order 1 whitens the residuals. Bands contain the errors of the "
+    "estimates and the noise."
+)
+_PROFILES = (
+    "Limits of intervals are the values at which the sum of squares of the whitened residuals, minimized over all "
+    "other unknowns, exceeds its minimum by the threshold (profile likelihood)."
 )
 _SOURCES = """
 @book{seber1989,
@@ -95,9 +98,9 @@ def identification_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
         begins_with_verdict=True,
         beside_verdict=("doubts", "estimates", "signals"),
         sections=_sections(result),
-        methods=replace(own, paragraphs=(_METHOD, *own.paragraphs)),
+        methods=replace(own, paragraphs=(_METHOD, *[_PROFILES] * bool(result.profiles), *own.paragraphs)),
         environment=environment(origin(path), {}),
-        reproduce="Save the spec below as identify.yaml, in a folder with the files of the measured data.",
+        reproduce="Save the spec below as identify.yaml, in a folder with its base and the files of the measured data.",
         commands="mbdkit identify identify.yaml --report",
         spec=write_yaml(dict(result.spec)),
         spec_file="identify.yaml",
