@@ -16,9 +16,9 @@ from mbdkit.plugin import RunError
 from mbdkit_identify.noise import LEAST_DEVIATION, Noise, estimated_noise
 from mbdkit_identify.problem import FAILED, Problem
 
-TOLERANCE, ROUGH = 1e-8, 1e-4
-"""Relative change of the sum of squares, and of the unknowns, at which a search ends: the last one, and those with the
-first guess of the noise."""
+TOLERANCE, ROUGH, FINE = 1e-8, 1e-4, 1e-12
+"""Relative change of the sum of squares, and of the unknowns, at which a search ends: with the noise that is estimated,
+with its first guess, and in the last search."""
 MOST_EVALUATIONS = 200
 MOST_ROUNDS, FEW_EVALUATIONS = 50, 2
 """Largest number of alternations between unknowns and noise, and of evaluations in each: a step of the unknowns."""
@@ -103,7 +103,7 @@ def best_fit(
         last, x = x, _search(problem, x, loss, most)
         most = FEW_EVALUATIONS if np.any(x != last) else MOST_EVALUATIONS
         notify(f"noise, round {number + 1}: sum of squares {np.sum(problem.residuals(x) ** 2):.6g}")
-    x = _search(problem, x, loss)
+    x = _search(problem, x, loss, tolerance=FINE)
     return fit_at(problem, x, tuple(cost for cost, _ in found), loss, is_settled=is_settled)
 
 
