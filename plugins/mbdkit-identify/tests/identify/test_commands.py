@@ -14,6 +14,7 @@ from typer.testing import CliRunner, Result
 import mbdkit
 import mbdkit_identify.identify
 from mbdkit.cli import app
+from mbdkit.spec import example_names
 
 RIG = """
 mbdkit: 1
@@ -112,6 +113,13 @@ def test_validate_says_what_would_be_estimated(spec: Path) -> None:
         "expressions  ratio = damping/inertia",
         "intervals    95 %, linear",
     ]
+
+
+@pytest.mark.parametrize("name", example_names("identify"))
+def test_packaged_identifications_are_valid_in_every_folder(name: str, in_tmp_path: Path) -> None:
+    done = command("validate", name)
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"{name}: this identification is valid\nexperiment ")
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def document_of(
     if isinstance(source, Mapping):
         return Document(copied(source)), FilePath()
     if isinstance(source, Document):
-        return source, FilePath(source.file).parent
+        return source, source.folder
     word, many = words
     if not isinstance(source, str | FilePath):
         kinds = f"a file, the name of a packaged {word}, a dict or a {word.title()}Spec"
