@@ -170,11 +170,12 @@ def _sections(result: Identification) -> tuple[Section, ...]:
 
 
 def _charts(result: Identification) -> Iterator[Figure]:
-    """Yield data against fit for each signal, then its whitened residuals and their autocorrelation."""
+    """Yield data against fit beside the whitened residuals for each signal, then autocorrelations of all signals."""
     level = f"{100 * result.level:g} %"
     limit = float(ndtri(0.5 + result.level / 2))
-    for number, one in enumerate(result.residuals, 1):
-        signal, told = f"{one.quantity} in {one.experiment}", "predicted" if one.is_hold_out else "fitted"
+    signals = [f"{one.quantity} in {one.experiment}" for one in result.residuals]
+    for number, (one, signal) in enumerate(zip(result.residuals, signals, strict=True), 1):
+        told = "predicted" if one.is_hold_out else "fitted"
         yield Figure(
             f"fit-{number}", f"Measured and {told}: {signal}",
             f"Shaded: band of {level}, in which {100 * one.covered:.0f} % of the measured values lie."
@@ -187,6 +188,7 @@ def _charts(result: Identification) -> Iterator[Figure]:
             _TIME, Axis("whitened residual"), (_curve("whitened residual", one.time, one.white, "points"),),
             bands=(Band(f"{level} of white noise", -limit, limit),),
         )  # fmt: skip
+    for number, (one, signal) in enumerate(zip(result.residuals, signals, strict=True), 1):
         correlation = autocorrelation(one.white)
         bound = limit / np.sqrt(len(one.white))
         yield Figure(
