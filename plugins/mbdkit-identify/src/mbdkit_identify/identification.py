@@ -281,10 +281,13 @@ class Identification(HtmlView):
             best = self.next_experiment
             width = best.half_widths[best.best][best.narrows]
             now = best.half_widths[""][best.narrows]
-            lines.append(
-                f"next experiment: '{best.best}' narrows the interval of {best.narrows} most, from +- {now:.3g} to "
-                f"+- {width:.3g}"
-            )
+            if np.isfinite(width):
+                lines.append(
+                    f"next experiment: '{best.best}' narrows the interval of {best.narrows} most, from +- {now:.3g} to "
+                    f"+- {width:.3g}"
+                )
+            else:
+                lines.append(f"next experiment: none of the candidates determines {best.narrows}")
         lines += [f"verdict: {self.verdict}{'' if not self.doubts else ', because'}"]
         lines += [f"  - {doubt.text}" for doubt in self.doubts]
         lines += [f"note: {note}" for note in self.notes]

@@ -111,10 +111,10 @@ class Experiment(Section):
     time: str = "time"
     """Heading of the column with the times [s]."""
     observed: dict[str, Annotated[Signal, BeforeValidator(_column)]]
-    """The measured quantities: expressions such as ``knee.angle`` or ``markers.tip.x``, with the heading of a column or
-    more."""
+    """The measured quantities: expressions such as ``knee.angle`` or ``markers.tip.x``, each with its column: the heading
+    alone, or a mapping."""
     inputs: dict[str, Annotated[MeasuredInput, BeforeValidator(_column)]] = Field(default_factory=dict)
-    """Measured inputs of the mechanism, with the heading of a column or more."""
+    """Measured inputs of the mechanism, each with its column: the heading alone, or a mapping."""
     initial: (
         Annotated[Literal["estimated", "rest"] | dict[str, Number | Interval], BeforeValidator(_initial)] | None
     ) = None

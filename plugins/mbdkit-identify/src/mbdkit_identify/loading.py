@@ -8,7 +8,16 @@ from pathlib import Path as FilePath
 from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, path_text
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.seams import spec_loader
-from mbdkit.plugin.specs import Document, example_names, parse_key, put, read_source, set_value, variable_path
+from mbdkit.plugin.specs import (
+    Document,
+    example_names,
+    parameter_values,
+    parse_key,
+    put,
+    read_source,
+    set_value,
+    variable_path,
+)
 from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_studies import base_document, document_of
 
@@ -128,7 +137,35 @@ def _check_names(spec: IdentifySpec) -> None:
         if known and name in base.parameters and isinstance(base.parameters[name], str):
             message = f"is the expression '{base.parameters[name]}' in the base; estimate the parameters in it"
             raise SpecError(message, key=path_text(("parameters", name)))
+        if known and name not in base.parameters and one.start is None:
+            _check_number(base, name)
         if not known and one.start is None and one.bounds is None:
             raise SpecError(
                 "needs `start` or `bounds`, because the base has no value", key=path_text(("parameters", name))
             )
+    own = {name: 1.0 for name in spec.parameters if name.isidentifier()}
+    for name, text in spec.intervals.of.items():
+        try:
+            parameter_values({**base.numbers, **own, name: text})
+        except SpecError as error:
+            raise SpecError(error.message, key=path_text(("intervals", "of", name))) from None
+    for name, candidate in spec.candidates.items():
+        observed = {quantity for one in spec.experiments.values() if one.role == "fit" for quantity in one.observed}
+        for quantity in candidate.observed or ():
+            if quantity not in observed:
+                message = f"no experiment with the role fit observes '{quantity}', so that its noise is not known"
+                raise SpecError(message, key=path_text(("candidates", name, "observed")))
+
+
+def _check_number(base: RunSpec, name: str) -> None:
+    """Raise SpecError unless the base has a number with this key."""
+    holder: object = base.model_dump()
+    for part in variable_path(name):
+        try:
+            holder = holder[int(part) if isinstance(holder, list | tuple) else part]  # type: ignore[index]
+        except (LookupError, TypeError, ValueError):
+            known = [str(key) for key in holder] if isinstance(holder, dict) else []
+            message = f"the base has no '{name}'{did_you_mean(str(part), known)}"
+            raise SpecError(message, key=path_text(("parameters", name))) from None
+    if not isinstance(holder, int | float):
+        raise SpecError(f"'{name}' is not a number in the base", key=path_text(("parameters", name)))
