@@ -111,8 +111,8 @@ class Experiment(Section):
     time: str = "time"
     """Heading of the column with the times [s]."""
     observed: dict[str, Annotated[Signal, BeforeValidator(_column)]]
-    """The measured quantities: expressions such as ``knee.angle`` or ``markers.tip.x``, each with its column: the heading
-    alone, or a mapping."""
+    """The measured quantities: expressions such as ``knee.angle`` or ``markers.tip.x``, each with its column: the
+    heading alone, or a mapping."""
     inputs: dict[str, Annotated[MeasuredInput, BeforeValidator(_column)]] = Field(default_factory=dict)
     """Measured inputs of the mechanism, each with its column: the heading alone, or a mapping."""
     initial: (
