@@ -134,7 +134,7 @@ def probe_derivatives(
     RunError
         If the run ends before the last time.
     """
-    parts = []
+    parts = [np.zeros((len(quantities), len(times), 0))]
     for first in range(0, len(probes), AT_ONCE):
         some = probes[first : first + AT_ONCE]
         probed, names = probe_spec(spec, some, quantities), [probe.name for probe in some]
