@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mbdkit.kernels import Duals, Observed, new_duals
-from mbdkit.plugin import RunError
+from mbdkit.plugin import RunError, StepError
 from mbdkit.plugin.equations import StateObserver, Workspace
 from mbdkit.plugin.methods import Moment, Stepper, Stretch, joined, states_at_start
 from mbdkit.plugin.runs import StepEnds
@@ -65,7 +65,10 @@ class RunAtTimes:
         return parts[0] if len(parts) == 1 else one_after_another(parts)
 
     def _advance(self) -> Stretch:
-        stretch = self.stepper.advance()
+        try:
+            stretch = self.stepper.advance()
+        except StepError as error:
+            raise RunError(str(error)) from None
         if self.stepper.failure is not None:
             raise RunError(f"{self.stepper.failure.code}: {self.stepper.failure.sentence}")
         return stretch

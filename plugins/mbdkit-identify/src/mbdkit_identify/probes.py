@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -66,7 +67,8 @@ class Probe:
     limits
         Smallest and largest plausible value of the parameter.
     changes
-        Numbers and expressions of the model that change: key path, and derivative with respect to the parameter.
+        Numbers and expressions of the model that change: key path, and derivative with respect to the parameter. Inputs
+        change wherever expressions use them.
     forces
         Forces to be added to the model, by name.
     markers
@@ -88,7 +90,8 @@ def probes_of(spec: RunSpec) -> list[Probe]:
     """Return the effects that a model may lack, or have with a wrong number.
 
     They are friction, stiffness and a constant torque or force in each revolute and prismatic joint, drag on each body,
-    other laws of springs, other masses, inertias, centres of mass and lengths of bodies, and other loads.
+    other laws of springs, other masses, inertias, centres of mass and lengths of bodies, other loads, other gains of
+    inputs, and another direction of gravity.
     """
     return _Probes(spec).all()
 
@@ -104,6 +107,10 @@ def probe_spec(spec: RunSpec, probes: Sequence[Probe], quantities: Sequence[str]
     for probe in probes:
         for path, factor in probe.changes:
             holder: Any = model
+            if path[0] == "inputs":
+                use = re.compile(rf"""inputs(\.{re.escape(path[1])}\b|\[(\\"|'){path[1]}(\\"|')\])""")
+                model = json.loads(use.sub(rf"((1 + {probe.name})*\g<0>)", json.dumps(model)))
+                continue
             for part in path:
                 holder = holder[part]
             put(model, path, f"{holder if isinstance(holder, str) else repr(holder)} + ({factor})*{probe.name}")
@@ -140,23 +147,6 @@ def probe_derivatives(
         probed, names = probe_spec(spec, some, quantities), [probe.name for probe in some]
         parts.append(PreparedSensitivities(probed, quantities, times, names, initial=initial).at({}).derivatives)
     return np.concatenate(parts, axis=-1)
-
-
-def start_probes(names: Sequence[str], experiment: str) -> list[Probe]:
-    """Return the probes of initial values that were not estimated, such as ``initial.crank.angle``; their derivatives
-    are sensitivities of these names.
-    """
-    place = f"start of the experiment '{experiment}'"
-    return [
-        Probe(
-            f"{name} of {experiment}",
-            place,
-            f"another {name.removeprefix('initial.')} at the {place}",
-            "SI",
-            is_lacking=False,
-        )
-        for name in names
-    ]
 
 
 def sensor_probes(units: Mapping[str, str], experiments: Sequence[str]) -> list[Probe]:
@@ -202,6 +192,7 @@ def sensor_derivatives(
 def _written_out(mechanism: Mechanism) -> dict[str, Any]:
     """Return the model of a mechanism with all points and initial states, also those that are defaults."""
     model = mechanism.to_spec()
+    model.setdefault("gravity", [*mechanism.gravity])
     model.setdefault("forces", {})
     model.setdefault("markers", {})
     for body in model["bodies"].values():
@@ -252,6 +243,11 @@ class _Probes:
                 self._of_load(name)
             elif isinstance(force, SpringDamper | TorsionSpring) and force.stiffness:
                 self._of_spring(name, force)
+        for name in self.mechanism.inputs:
+            self._wrong(f"gain of the input '{name}'", "", [(("inputs", name), "inputs")])
+        if any(gravity := self.mechanism.gravity):
+            turned = [(("gravity", 0), repr(-gravity[1])), (("gravity", 1), repr(gravity[0]))]
+            self._wrong("direction of gravity", "rad", turned)
         return self.probes
 
     def _wrong(self, place: str, unit: str, changes: Sequence[tuple[Path, str]], limits: Limits = ANY) -> None:
