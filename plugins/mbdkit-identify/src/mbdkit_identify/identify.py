@@ -381,11 +381,12 @@ class _Identification:
         rows = self.fit.jacobian[len(problem.measured) :], self.fit.white[len(problem.measured) :]
         self.doubts += doubts_of(
             residuals,
-            problem.slopes(x)[order][:, self.fit.free],
+            problem.slopes(x)[order],
             columns[order],
             probes,
             stated=[(k.experiment, k.quantity) for k, one in zip(problem.signals, problem.known, strict=True) if one],
-            priors=(rows[0][:, self.fit.free], rows[1]),
+            priors=rows,
+            sides=self.fit.at_high.astype(int) - self.fit.at_low,
             level=self.spec.intervals.level,
         )
 

@@ -19,14 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, RunSpec, parse_path
 from mbdkit.plugin.files import Path
-from mbdkit.plugin.mechanisms import (
-    PointForce,
-    SlidingJoint,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-    mechanism_size,
-)  # fmt: skip
+from mbdkit.plugin.mechanisms import PointForce, SlidingJoint, SpringDamper, Torque, TorsionSpring, mechanism_size
 from mbdkit.plugin.specs import parameters_in_use, put
 from mbdkit_gradients import PreparedSensitivities
 
@@ -108,7 +101,8 @@ def probe_spec(spec: RunSpec, probes: Sequence[Probe], quantities: Sequence[str]
         for path, factor in probe.changes:
             holder: Any = model
             if path[0] == "inputs":
-                use = re.compile(rf"""inputs(\.{re.escape(path[1])}\b|\[(\\"|'){path[1]}(\\"|')\])""")
+                name = re.escape(str(path[1]))
+                use = re.compile(rf"""inputs(\.{name}\b|\[(\\"|'){name}(\\"|')\])""")
                 model = json.loads(use.sub(rf"((1 + {probe.name})*\g<0>)", json.dumps(model)))
                 continue
             for part in path:
@@ -280,16 +274,10 @@ class _Probes:
             torque, along, slip = "force", "m", SLIP * self.speed
             pathway = {"type": "coordinate", "bodies": [a, b], "points": [[0.0, 0.0], [*joint.ends[1]]]}
             for axis in "xy":  # the rates of springs without stiffness
-                helpers[f"{self.prefix} {name} {axis}"] = {
-                    "type": "law",
-                    "law": "linear",
-                    "pathway": pathway | {"coordinate": axis},
-                }
-            rate = (
-                "("
-                + " + ".join(f'{u!r}*forces["{key}"].rate' for u, key in zip(joint.direction, helpers, strict=True))
-                + ")"
-            )
+                spring = {"type": "law", "law": "linear", "pathway": pathway | {"coordinate": axis}}
+                helpers[f"{self.prefix} {name} {axis}"] = spring
+            rates = (f'{u!r}*forces["{key}"].rate' for u, key in zip(joint.direction, helpers, strict=True))
+            rate = f"({' + '.join(rates)})"
         else:
             return
         unit = "N m" if torque == "torque" else "N"
@@ -367,11 +355,8 @@ class _Probes:
         if body.inertia is None:
             return
         self._wrong(f"inertia of the body '{name}'", "", [(("bodies", name, "inertia"), repr(body.inertia))], SHARE)
-        air = {
-            "type": "torque",
-            "body": name,
-            "value": f"-{self._next}*{w}*sqrt({w}**2 + {(SMOOTH * self.rate) ** 2!r})",
-        }
+        value = f"-{self._next}*{w}*sqrt({w}**2 + {(SMOOTH * self.rate) ** 2!r})"
+        air = {"type": "torque", "body": name, "value": value}
         self._lacking(drag, f"a torque of quadratic {drag}", "N m s^2/rad^2", POSITIVE, {self._next: air})
         elements = [(kind, key, one) for kind, some in self.mechanism.elements.items() for key, one in some.items()]
         paths = [getattr(one, "pathway", None) for *_, one in elements]
@@ -437,14 +422,8 @@ class _Probes:
                                 for at, to in ((xa, xb), (ya, yb))]}
                 for end, body, point in placed
             }  # fmt: skip
-        self._lacking(
-            stiffness,
-            f"a cubic part of the force of the spring '{name}'",
-            f"{'N' if is_line else 'N m'}/{unit}^3",
-            ANY,
-            forces,
-            markers,
-        )
+        kind = f"a cubic part of the force of the spring '{name}'"
+        self._lacking(stiffness, kind, f"{'N' if is_line else 'N m'}/{unit}^3", ANY, forces, markers)
 
     def _turns(self, body: str) -> bool:
         return body == GROUND or self.mechanism.bodies[body].inertia is not None

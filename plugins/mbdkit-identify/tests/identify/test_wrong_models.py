@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.identify.wrong_models import campaign, judge_sound, judge_wrong
 
-SEED = 2001
+SEED = 3001
 
 
 @pytest.mark.parametrize(
@@ -14,7 +14,7 @@ SEED = 2001
         "Stribeck friction of the rail taken as viscous",
         "gain of the encoder of the pole 2 % too large",
         "centre of mass of the pole 5 % too near",
-        "dry friction of the shaft taken as viscous",
+        "amplifier 5 % stronger than assumed",
     ],
 )
 def test_a_wrong_model_is_doubtful_at_the_right_place(name: str) -> None:
@@ -24,7 +24,7 @@ def test_a_wrong_model_is_doubtful_at_the_right_place(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "noise"),
-    [("motor", "white"), ("motor", "ar"), ("slider-crank", "ar"), ("cart with Stribeck friction", "ar")],
+    [("motor", "white"), ("motor", "ar"), ("beam", "ar"), ("cart with Stribeck friction", "ar")],
 )
 def test_a_sound_model_is_good(name: str, noise: str) -> None:
     is_doubtful, fit = judge_sound(name, noise, SEED)

@@ -215,15 +215,18 @@ STRIBECK = "(0.5 + 0.4*exp(-(cart.vx/0.1)**2))*tanh(cart.vx/0.02)"
 def wrong_models() -> dict[str, Wrong]:
     """Return the 20 wrong models by name."""
 
-    def without(name: str, kind: str = "forces") -> dict[str, Any]:
-        return {kind: {name: None}}
+    def without(force: str) -> dict[str, Any]:
+        return {"forces": {force: None}}
+
+    def joints_of(case: SyntheticCase) -> dict[str, Any]:
+        return {"joints": case.base["model"]["joints"]}
 
     return {
         "viscous friction missing in the elbow": Wrong(
             double_pendulum(free="J1 J2 c1"), ("friction in the joint 'elbow'",), without("elbow grease"), noise="ar"
         ),
         "dry friction in the hub taken as viscous": Wrong(
-            double_pendulum(hub=PIN), ("friction in the joint 'hub'",), {"joints": double_pendulum().base["model"]["joints"]}
+            double_pendulum(hub=PIN), ("friction in the joint 'hub'",), joints_of(double_pendulum())
         ),
         "torsion spring missing at the hub": Wrong(
             double_pendulum(cable=_spring("ground", "upper", stiffness=0.25)), ("stiffness in the joint 'hub'",),
@@ -239,7 +242,7 @@ def wrong_models() -> dict[str, Wrong]:
             double_pendulum(free="J1 c1 c2"), ("inertia of the body 'lower'",), values={"J2": 0.0345}, noise="ar"
         ),
         "dry friction missing in the guide": Wrong(
-            slider_crank(guide=GUIDE), ("friction in the joint 'guide'",), {"joints": slider_crank().base["model"]["joints"]}
+            slider_crank(guide=GUIDE), ("friction in the joint 'guide'",), joints_of(slider_crank())
         ),
         "crank 2 % too long": Wrong(
             slider_crank(), ("position of the joint 'crank pin' on the body 'crank'",), values={"l1": 0.204}, noise="ar"
