@@ -232,7 +232,12 @@ def _segment(
         try:
             given = GivenStart(run.mechanism(), run, Starts())
             numbers = {one.name: one.start for one in unknowns}
-            for name, value, bounds in _initial_values(given, choice, run, numbers, signals, time):
+            values = _initial_values(given, choice, run, numbers, signals, time)
+            if not isinstance(choice, str):
+                given.state(
+                    {name: value for name, value, _ in values}
+                )  # raises errors of names and values with the key
+            for name, value, bounds in values:
                 if bounds is None:
                     initial[name] = value
                     continue
