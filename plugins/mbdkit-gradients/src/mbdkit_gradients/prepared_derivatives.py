@@ -30,6 +30,9 @@ from mbdkit_gradients.parameter_differences import (
     weights,
 )
 
+VariedMechanisms = dict[tuple[Path, float, tuple[tuple[Path, float], ...]], tuple[tuple[RunSpec, GivenStart], Arrays]]
+"""Mechanisms by changed parameter, its value and the values of all parameters: the spec with what finds its states, and
+the numbers of expressions."""
 POSITION, VELOCITY = "position equations", "velocity equations"
 """Names of the residuals of the equations of a start with given values."""
 NUDGE = 0.0125
@@ -76,6 +79,9 @@ class RunPreparation(Preparation):
     specs, values
         What makes specs from the base of `spec`, and the values by key path with which it has made `spec`; by default,
         `spec` is the base.
+    varied
+        Mechanisms with other values of parameters, which are added. Preparations of specs that differ only in the times
+        and in `inputs` may share them.
     """
 
     ROUNDED = ("q", "v")
@@ -87,9 +93,11 @@ class RunPreparation(Preparation):
         initial: Mapping[str, float] = MappingProxyType({}),
         specs: VariedSpecs | None = None,
         values: Mapping[Path, float] = MappingProxyType({}),
+        varied: VariedMechanisms | None = None,
     ):
         self.spec, self.numbers, self.initial, self.values = spec, numbers, initial, values
         self.specs = VariedSpecs(spec.canonical_json()) if specs is None else specs
+        self.varied = {} if varied is None else varied
         self.starts = Starts()
         self._given: tuple[RunSpec, GivenStart] | None = None
         self._equations: _StartEquations | None = None
@@ -143,6 +151,10 @@ class RunPreparation(Preparation):
         if parameter.path[0] == "initial":
             changed = {**self.initial, str(parameter.path[1]): value}
             return self._arrays(self.spec, {name: self.base[name] for name in self._numbers(self.spec)}, changed)[1]
+        key = parameter.path, value, tuple(self.values.items())
+        if self._equations is not None and key in self.varied:
+            self._given, numbers = self.varied[key]
+            return self._arrays(self._given[0], numbers, self.initial)[1]
         spec = self.specs.spec([*{**self.values, parameter.path: value}.items()])
         if knots_of(spec) != self.knots:
             raise SpecError(
@@ -154,6 +166,8 @@ class RunPreparation(Preparation):
         self.require_same_form(numbers, parameter)
         mechanism, arrays = self._arrays(spec, numbers, self.initial)
         self.require_same_structure(mechanism, parameter, value)
+        if self._given is not None and not spec.mechanism().motions():  # joints do not depend on the time
+            self.varied[key] = self._given, numbers
         return arrays
 
 

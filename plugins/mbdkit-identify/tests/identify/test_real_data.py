@@ -1,12 +1,11 @@
 """Identifications from published measurements, compared with the parameters that their authors published.
 
-The published parameters are those of the packaged bases. Compared are predictions of the records that are held out, with
-the same windows, initial states and zeros of the encoders; only the parameters of the model differ.
+The published parameters are those of the packaged bases. Predictions of the records that are held out are compared with
+the same windows, initial states and zeros of encoders; only the parameters of the model differ.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,6 +36,9 @@ https://github.com/dfki-ric-underactuated-lab/double_pendulum, copyright (c) 202
 BSD 3-Clause License."""
 
 
+INERTIAS = {"upper_center": "a1", "upper_inertia": "I1", "lower_inertia": "I2"}
+
+
 def swing(t: float, y: np.ndarray) -> list[float]:
     """Equations of the free swing: angles from the upward vertical, damping in both pins."""
     p, (u, w, du, dw) = PUBLISHED_SWING, y
@@ -65,7 +67,7 @@ def driven(t: float, y: np.ndarray, torques: Any) -> list[float]:
     upper = -p["g"] * (p["m1"] * p["r1"] + p["m2"] * p["l1"]) * np.sin(a) + lower
     spin = coupling * np.sin(b) * np.array([(2 * da + db) * db, -(da**2)])
     friction = [p["b1"] * da + p["cf1"] * np.arctan(100 * da), p["b2"] * db + p["cf2"] * np.arctan(100 * db)]
-    return [da, db, *np.linalg.solve(mass, [upper, lower] + spin + torques(t) - friction)]
+    return [da, db, *np.linalg.solve(mass, np.array([upper, lower]) + spin + torques(t) - friction)]
 
 
 def zeros_only(name: str) -> dict[str, Any]:
@@ -103,3 +105,22 @@ def test_the_driven_base_follows_the_published_equations() -> None:
     assert np.ptp(exact[1]) > 0.5
     np.testing.assert_allclose(run.bodies["upper"].angle, exact[0], atol=1e-5)
     np.testing.assert_allclose(run.joints["elbow"].angle, exact[1], atol=1e-5)
+
+
+def test_two_seconds_of_the_swing_give_the_published_inertias() -> None:
+    piece = load_identify_spec(SWING)._document.data["experiments"]["start"] | {"window": [0, 2]}
+    known = {name: {"start": 1.2 * PUBLISHED_SWING[of]} for name, of in INERTIAS.items()}
+    fit = identify(SWING, experiments={"start": piece}, parameters=known | zeros_only(SWING))
+    for name, of in INERTIAS.items():
+        assert fit[name].value == pytest.approx(PUBLISHED_SWING[of], rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "lacking"), [(SWING, "drag on the body 'lower'"), (DRIVEN, "friction in the joint 'elbow'")]
+)
+def test_predictions_are_better_than_with_the_published_parameters(name: str, lacking: str) -> None:
+    fit, published = identify(name), identify(name, parameters=zeros_only(name))
+    assert error(fit) <= error(published)
+    assert fit.verdict == published.verdict == "doubtful"
+    assert any(doubt.place == lacking for doubt in published.doubts)
