@@ -169,13 +169,13 @@ class Preparation(ABC):
         """Return the size of a parameter, relative to which its changes are measured."""
         return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
 
-    def _by(self, parameter: Parameter) -> _ArrayDerivatives:
+    def _by(self, parameter: Parameter) -> ArrayDerivatives:
         try:
-            return _ArrayDerivatives(*self._with_places(parameter, CENTRAL), 0)
+            return ArrayDerivatives(*self._with_places(parameter, CENTRAL), 0)
         except SpecError as error:
             for side, places in ((1, FORWARD), (-1, BACKWARD)):
                 with suppress(SpecError):
-                    return _ArrayDerivatives(*self._with_places(parameter, places), side)
+                    return ArrayDerivatives(*self._with_places(parameter, places), side)
             if error.key == "gradients":
                 raise
             raise SpecError(
@@ -233,7 +233,7 @@ class Preparation(ABC):
 
 
 @dataclass(frozen=True)
-class _ArrayDerivatives:
+class ArrayDerivatives:
     """The derivatives of arrays, except zeros, with respect to one parameter; see `PreparedDerivatives`."""
 
     slopes: dict[str, np.ndarray]

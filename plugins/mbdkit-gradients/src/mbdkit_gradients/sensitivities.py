@@ -26,7 +26,7 @@ from mbdkit_gradients.differentiated_run import Needs, differentiated_stepper, r
 from mbdkit_gradients.differentiated_states import require_derivative, series_of
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit_gradients.parameter_differences import Arrays
-from mbdkit_gradients.prepared_derivatives import RunPreparation
+from mbdkit_gradients.prepared_derivatives import RunPreparation, VariedMechanisms
 from mbdkit_gradients.sided_stepper import SidedStepper
 from mbdkit_gradients.states_at_times import DifferentiatedRunAtTimes, RunAtTimes, Way
 
@@ -147,6 +147,9 @@ class PreparedSensitivities:
         The validated spec.
     quantities, times, names, initial
         See `sensitivities`.
+    varied
+        Mechanisms that exact derivatives need. They are computed once if several evaluations of specs that differ only
+        in their times and inputs, with the same values of parameters, share this mapping. Clear it after that.
 
     Attributes
     ----------
@@ -167,8 +170,9 @@ class PreparedSensitivities:
         names: Sequence[str],
         *,
         initial: Mapping[str, float] | None = None,
+        varied: VariedMechanisms | None = None,
     ):
-        self.spec, self.initial = spec, dict(initial or {})
+        self.spec, self.initial, self._varied = spec, dict(initial or {}), varied
         self.quantities = (quantities,) if isinstance(quantities, str) else tuple(quantities)
         self.time = _times(spec, times)
         self.sorted, self._places = np.unique(self.time, return_inverse=True)
@@ -307,7 +311,7 @@ class PreparedSensitivities:
     def _preparation(self, plain: Mapping[str, float], start: Mapping[str, float]) -> RunPreparation:
         values = {variable_path(name): value for name, value in plain.items()}
         spec = self._specs.spec([*values.items()]) if values else self.spec
-        return RunPreparation(spec, self._numbers, start, self._specs, values)
+        return RunPreparation(spec, self._numbers, start, self._specs, values, self._varied)
 
     def _exact(
         self, plain: Mapping[str, float], start: Mapping[str, float]

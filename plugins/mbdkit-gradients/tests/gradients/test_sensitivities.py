@@ -117,15 +117,24 @@ def arm(case: str, **sections: Any) -> dict[str, Any]:
 INITIAL = {"hub.angle": 0.2, "elbow.angle": -0.5, "a.angular_velocity": 1.0}
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.0017])
-@pytest.mark.parametrize("case", ["plain", "states", "controller", "input"])
-def test_exact_derivatives_agree_with_differences_of_stepped_runs(case: str, shift: float) -> None:
+WHOLE = INITIAL | {"b.angular_velocity": -0.4}
+"""Values that determine the start, which is then differentiated as an implicit function."""
+
+
+@pytest.mark.parametrize(
+    ("case", "shift", "initial"),
+    [(case, shift, INITIAL) for case in ("plain", "states", "controller", "input") for shift in (0.0, 0.0017)]
+    + [("plain", 0.0, WHOLE), ("input", 0.0, WHOLE)],
+)
+def test_exact_derivatives_agree_with_differences_of_stepped_runs(
+    case: str, shift: float, initial: dict[str, float]
+) -> None:
     quantities = ["b.angle", "elbow.angle", "b.vx", "joints.elbow.force", "k*a.angular_acceleration"]
     if case == "states":
         quantities.append("states.current")
     names = ["m", "k", "c", "x0", "initial.hub.angle", "initial.a.angular_velocity"]
     times = np.arange(0.05, 0.55, 0.05) + shift
-    prepared = PreparedSensitivities(load_spec(arm(case)), quantities, times, names, initial=INITIAL)
+    prepared = PreparedSensitivities(load_spec(arm(case)), quantities, times, names, initial=initial)
     exact = prepared.at({})
     assert exact.differences == ""
     np.testing.assert_allclose(prepared.values({}), exact.values, rtol=1e-9, atol=1e-9)

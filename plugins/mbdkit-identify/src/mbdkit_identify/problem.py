@@ -142,6 +142,7 @@ class Problem:
                 assert every is not None
                 parts.append(every[some])
                 values.append(shown[some])
+            self.segments[0].varied.clear()
             self._slopes = x.copy(), np.concatenate(parts)
             self._values = {x.tobytes(): np.concatenate(values)}
         return self._slopes[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -76,6 +77,8 @@ class Segment:
         Places of the unknowns that are parameters of the run, by name.
     initial
         Initial values: the place of an unknown, or a number, by quantity.
+    varied
+        Mechanisms that derivatives need, shared by all windows; see `PreparedSensitivities`.
     """
 
     experiment: str
@@ -85,6 +88,7 @@ class Segment:
     spec: RunSpec
     parameters: dict[str, int]
     initial: dict[str, int | float]
+    varied: dict[Any, Any] = field(default_factory=dict, repr=False)
     _prepared: PreparedSensitivities | None = field(default=None, repr=False)
 
     @property
@@ -100,7 +104,9 @@ class Segment:
         own = [f"{INITIAL}.{name}" for name, value in self.initial.items() if isinstance(value, int)]
         quantities = [signal.quantity for signal in self.signals]
         try:
-            return PreparedSensitivities(spec, quantities, self.time, [*self.parameters, *own], initial=start)
+            return PreparedSensitivities(
+                spec, quantities, self.time, [*self.parameters, *own], initial=start, varied=self.varied
+            )
         except SpecError as error:
             raise error.located(prefix=path_text(("experiments", self.experiment))) from None
 
@@ -165,6 +171,8 @@ def segments_of(
     for one in data:
         for number, some in enumerate(_windows(one, spec.shooting.window if spec.shooting else None)):
             segments.append(_segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run}))
+    for segment in segments:
+        segment.varied = segments[0].varied
     return unknowns, segments, names
 
 
@@ -232,7 +240,12 @@ def _segment(
         try:
             given = GivenStart(run.mechanism(), run, Starts())
             numbers = {one.name: one.start for one in unknowns}
-            for name, value, bounds in _initial_values(given, choice, run, numbers, signals, time):
+            values = _initial_values(given, choice, run, numbers, signals, time)
+            if not isinstance(choice, str):
+                given.state(
+                    {name: value for name, value, _ in values}
+                )  # raises errors of names and values with the key
+            for name, value, bounds in values:
                 if bounds is None:
                     initial[name] = value
                     continue
