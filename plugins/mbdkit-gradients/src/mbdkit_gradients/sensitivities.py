@@ -19,14 +19,15 @@ from mbdkit.kernels import DIRECTIONS
 from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, did_you_mean, listed, value_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.measures import MeasureExpression, RunExpression
+from mbdkit.plugin.files import Path
 from mbdkit.plugin.methods import NO_SEEDS, Seeds, start_method
-from mbdkit.plugin.runs import build, guards, make_method, size_at_start, timetable
+from mbdkit.plugin.runs import guards, make_method, size_at_start, timetable
 from mbdkit.plugin.specs import RunSource, VariedSpecs, load_spec, names_in, variable_path
 from mbdkit_gradients.differentiated_run import Needs, differentiated_stepper, refuse
 from mbdkit_gradients.differentiated_states import require_derivative, series_of
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit_gradients.parameter_differences import Arrays
-from mbdkit_gradients.prepared_derivatives import RunPreparation
+from mbdkit_gradients.prepared_derivatives import PreparedSpec, RunPreparation
 from mbdkit_gradients.sided_stepper import SidedStepper
 from mbdkit_gradients.states_at_times import DifferentiatedRunAtTimes, RunAtTimes, Way
 
@@ -184,6 +185,7 @@ class PreparedSensitivities:
         self._way = self._chosen_way()
         self._specs = VariedSpecs(spec.canonical_json())
         self._prepared = mbdkit.prepare(spec)
+        self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
 
     def _chosen_way(self) -> Way:
         """Return how states at the times are found: without stops and first-order states, motion is smooth between ends
@@ -306,8 +308,9 @@ class PreparedSensitivities:
 
     def _preparation(self, plain: Mapping[str, float], start: Mapping[str, float]) -> RunPreparation:
         values = {variable_path(name): value for name, value in plain.items()}
-        spec = self._specs.spec([*values.items()]) if values else self.spec
-        return RunPreparation(spec, self._numbers, start, self._specs, values)
+        if (values, bool(start)) != self._prepared_at[0]:
+            self._prepared_at = (values, bool(start)), {}
+        return RunPreparation(self.spec, self._numbers, start, self._specs, values, self._prepared_at[1])
 
     def _exact(
         self, plain: Mapping[str, float], start: Mapping[str, float]
@@ -335,19 +338,16 @@ class PreparedSensitivities:
     def _states(self, preparation: RunPreparation, seeds: Seeds) -> tuple[np.ndarray, np.ndarray]:
         """Return values (Q, T) and derivatives (Q, T, K) at the sorted times."""
         spec = preparation.spec
-        begin = (preparation.base["q"], preparation.base["v"]) if preparation.initial else None
+        workspace = preparation.workspace
         expressions = self._parsed(spec) if self._uses_parameters else self._expressions
         method, count = make_method(spec), seeds.count
         uses_accelerations, way = not method.traits.suits_stiff, self._way
         changes: dict[str, Any] = {"every": self._grid or 1, "interval": None, "single": way == "within"}
         run: RunAtTimes
         if count:
-            stepper = differentiated_stepper(spec, seeds, Needs(), None, begin, **changes)
+            stepper = differentiated_stepper(spec, seeds, Needs(), None, workspace, **changes)
             run = DifferentiatedRunAtTimes(stepper, count, way, uses_accelerations=uses_accelerations)
         else:
-            workspace, _ = build(spec)
-            if begin is not None:
-                workspace = replace(workspace, q0=begin[0], v0=begin[1])
             table = replace(timetable(spec, guards(spec, size_at_start(spec, workspace))), **changes)
             plain = start_method(method, workspace, table)
             run = RunAtTimes(plain, workspace, way, uses_accelerations=uses_accelerations)

@@ -24,7 +24,7 @@ from mbdkit_identify.misfit import doubts_of
 from mbdkit_identify.next_experiment import next_experiment
 from mbdkit_identify.probes import Probe, probe_derivatives, probes_of, sensor_derivatives, sensor_probes
 from mbdkit_identify.problem import Problem
-from mbdkit_identify.segments import Segment, segments_of
+from mbdkit_identify.segments import segments_of
 
 EXACT, DIFFERENCES = 1e-9, 1e-6
 """Relative errors of exact derivatives and of central differences."""
@@ -160,7 +160,7 @@ class _Identification:
     def _integration_bias(self) -> np.ndarray:
         """Return the errors (n,) of the estimates that follow from the integration error of the runs."""
         problem, x = self.problem, self.fit.x
-        finer = [segment_with(one, _finer(one.spec)) for one in problem.segments]
+        finer = [replace(one, spec=_finer(one.spec)) for one in problem.segments]
         other = Problem(problem.unknowns, problem.names, finer)
         other.noises = problem.noises
         change = other.predicted(x) - problem.predicted(x)
@@ -437,11 +437,6 @@ class _Identification:
     def _plain_spec(self) -> Mapping[str, object]:
         assert self.spec._document is not None
         return dict(copied(self.spec._document.data))
-
-
-def segment_with(segment: Segment, spec: RunSpec) -> Segment:
-    """Return a window with another spec of its run."""
-    return replace(segment, spec=spec, _prepared=None)
 
 
 def _finer(spec: RunSpec) -> RunSpec:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -76,6 +77,8 @@ class Segment:
         Places of the unknowns that are parameters of the run, by name.
     initial
         Initial values: the place of an unknown, or a number, by quantity.
+    shared
+        What evaluates the quantities; windows of equal runs, which differ in their initial values alone, share it.
     """
 
     experiment: str
@@ -85,22 +88,20 @@ class Segment:
     spec: RunSpec
     parameters: dict[str, int]
     initial: dict[str, int | float]
-    _prepared: PreparedSensitivities | None = field(default=None, repr=False)
+    shared: dict[object, PreparedSensitivities] = field(default_factory=dict, repr=False)
 
-    @property
+    @cached_property
     def prepared(self) -> PreparedSensitivities:
         """Evaluates the quantities of the run."""
-        if self._prepared is None:
-            self._prepared = self.prepare(self.spec)
-        return self._prepared
-
-    def prepare(self, spec: RunSpec) -> PreparedSensitivities:
-        """Return what evaluates the quantities of another run of this window."""
         start = {name: 0.0 if isinstance(value, int) else value for name, value in self.initial.items()}
         own = [f"{INITIAL}.{name}" for name, value in self.initial.items() if isinstance(value, int)]
         quantities = [signal.quantity for signal in self.signals]
+        names = [*self.parameters, *own]
+        key = self.spec.canonical_json(), *quantities, self.time.tobytes(), *names, *start
         try:
-            return PreparedSensitivities(spec, quantities, self.time, [*self.parameters, *own], initial=start)
+            if key not in self.shared:
+                self.shared[key] = PreparedSensitivities(self.spec, quantities, self.time, names, initial=start)
+            return self.shared[key]
         except SpecError as error:
             raise error.located(prefix=path_text(("experiments", self.experiment))) from None
 
@@ -162,9 +163,11 @@ def segments_of(
     unknowns = [_parameter(spec, name) for name in spec.parameters if name in of_run or name in shown]
     names = {one.name: place for place, one in enumerate(unknowns)}
     segments: list[Segment] = []
+    shared: dict[object, PreparedSensitivities] = {}
     for one in data:
         for number, some in enumerate(_windows(one, spec.shooting.window if spec.shooting else None)):
-            segments.append(_segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run}))
+            segment = _segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run})
+            segments.append(replace(segment, shared=shared))
     return unknowns, segments, names
 
 
