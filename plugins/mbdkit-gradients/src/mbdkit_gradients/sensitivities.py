@@ -26,7 +26,7 @@ from mbdkit.plugin.specs import RunSource, VariedSpecs, load_spec, names_in, var
 from mbdkit_gradients.differentiated_run import Needs, differentiated_stepper, refuse
 from mbdkit_gradients.differentiated_states import require_derivative, series_of
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
-from mbdkit_gradients.parameter_differences import Arrays
+from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, PreparedDerivatives
 from mbdkit_gradients.prepared_derivatives import PreparedSpec, RunPreparation
 from mbdkit_gradients.sided_stepper import SidedStepper
 from mbdkit_gradients.states_at_times import DifferentiatedRunAtTimes, RunAtTimes, Way
@@ -185,6 +185,7 @@ class PreparedSensitivities:
         self._way = self._chosen_way()
         self._specs = VariedSpecs(spec.canonical_json())
         self._prepared = mbdkit.prepare(spec)
+        self._known: dict[object, KnownDerivatives] = {}
         self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
 
     def _chosen_way(self) -> Way:
@@ -317,7 +318,7 @@ class PreparedSensitivities:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return values (Q, T), derivatives (Q, T, K) and their errors (K,) at the sorted times."""
         preparation = self._preparation(plain, start)
-        prepared = preparation.derivatives(self._valued(preparation.spec, start))
+        prepared = self._derivatives(preparation, start)
         count = len(self.parameters)
         values, slopes = np.empty((len(self.quantities), len(self.sorted))), []
         for first in range(0, count, DIRECTIONS):
@@ -325,6 +326,19 @@ class PreparedSensitivities:
             values, slope = self._states(preparation, seeds)
             slopes.append(slope)
         return values, np.concatenate(slopes, axis=-1), prepared.error
+
+    def _derivatives(self, preparation: RunPreparation, start: Mapping[str, float]) -> PreparedDerivatives:
+        """Return the derivatives of a preparation; those that are known are used again while arrays are linear."""
+        parameters = self._valued(preparation.spec, start)
+        differentiated = {one.path[1] for one in parameters if one.path[0] == INITIAL}
+        fixed = tuple(item for item in start.items() if item[0] not in differentiated)
+        known = self._known.get(fixed)
+        found = None if known is None else preparation.repeated(known, parameters)
+        if found is None:
+            values = np.array([one.value for one in parameters])
+            found = preparation.derivatives(parameters)
+            self._known[fixed] = KnownDerivatives(values, preparation.mechanism, preparation.base, found)
+        return found
 
     def _valued(self, spec: RunSpec, start: Mapping[str, float]) -> list[Parameter]:
         """Return the parameters with their present values."""
