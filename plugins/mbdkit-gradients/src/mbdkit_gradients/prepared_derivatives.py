@@ -74,11 +74,11 @@ class PreparedSpec:
         """The workspace of a run."""
         return build(self.spec, self._starts)[0]
 
-    def state(self, initial: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities at the start (3 (B + 1),), ground last."""
+    def state(self, initial: Mapping[str, float], near: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities at the start (3 (B + 1),), ground last; see `GivenStart.state`."""
         if self.given is None:
             return self.start.q0, self.start.v0
-        q, v = self.given.state(initial)
+        q, v = self.given.state(initial, None if near is None else near[: self.given.n])
         return with_ground(q), with_ground(v)
 
 
@@ -133,14 +133,16 @@ class RunPreparation(Preparation):
             self._prepared[key] = PreparedSpec(spec, self._numbers, self._starts, is_given=bool(self.initial))
         return self._prepared[key]
 
-    def _arrays(self, prepared: PreparedSpec, initial: Mapping[str, float]) -> dict[str, np.ndarray]:
-        q, v = prepared.state(initial)
+    def _arrays(
+        self, prepared: PreparedSpec, initial: Mapping[str, float], near: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        q, v = prepared.state(initial, near)
         return {**self.mechanism_arrays(prepared.start.mechanism), "q": q, "v": v, **prepared.numbers}
 
     def at(self, parameter: Parameter, value: float) -> Arrays:
         """Return the arrays for another value of a parameter; see `Preparation.at`."""
         if parameter.path[0] == "initial":
-            return self._arrays(self._own, {**self.initial, str(parameter.path[1]): value})
+            return self._arrays(self._own, {**self.initial, str(parameter.path[1]): value}, self.base["q"])
         changed = self._with_values({**self.values, parameter.path: value})
         if changed.knots != self._own.knots:
             raise SpecError(
@@ -150,4 +152,4 @@ class RunPreparation(Preparation):
             )
         self.require_same_form(changed.numbers, parameter)
         self.require_same_structure(changed.start.mechanism, parameter, value)
-        return self._arrays(changed, self.initial)
+        return self._arrays(changed, self.initial, self.base["q"])

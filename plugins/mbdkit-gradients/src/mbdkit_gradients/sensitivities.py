@@ -185,6 +185,7 @@ class PreparedSensitivities:
         self._way = self._chosen_way()
         self._specs = VariedSpecs(spec.canonical_json())
         self._prepared = mbdkit.prepare(spec)
+        self._preparations: dict[object, RunPreparation] = {}
         self._known: dict[object, KnownDerivatives] = {}
         self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
 
@@ -310,8 +311,12 @@ class PreparedSensitivities:
     def _preparation(self, plain: Mapping[str, float], start: Mapping[str, float]) -> RunPreparation:
         values = {variable_path(name): value for name, value in plain.items()}
         if (values, bool(start)) != self._prepared_at[0]:
-            self._prepared_at = (values, bool(start)), {}
-        return RunPreparation(self.spec, self._numbers, start, self._specs, values, self._prepared_at[1])
+            self._prepared_at, self._preparations = ((values, bool(start)), {}), {}
+        key = tuple(start.items())
+        if key not in self._preparations:
+            shared = self._prepared_at[1]
+            self._preparations[key] = RunPreparation(self.spec, self._numbers, start, self._specs, values, shared)
+        return self._preparations[key]
 
     def _exact(
         self, plain: Mapping[str, float], start: Mapping[str, float]
