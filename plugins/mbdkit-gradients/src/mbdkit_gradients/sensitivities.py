@@ -21,14 +21,14 @@ from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.measures import MeasureExpression, RunExpression
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.methods import NO_SEEDS, Seeds, start_method
-from mbdkit.plugin.runs import guards, make_method, size_at_start, timetable
+from mbdkit.plugin.runs import build, guards, make_method, size_at_start, timetable
 from mbdkit.plugin.specs import RunSource, VariedSpecs, load_spec, names_in, variable_path
 from mbdkit_gradients.differentiated_run import Needs, differentiated_stepper, refuse
 from mbdkit_gradients.differentiated_states import require_derivative, series_of
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
+from mbdkit_gradients.law_corners import with_sides
 from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, PreparedDerivatives
 from mbdkit_gradients.prepared_derivatives import PreparedSpec, RunPreparation
-from mbdkit_gradients.sided_stepper import SidedStepper
 from mbdkit_gradients.states_at_times import DifferentiatedRunAtTimes, RunAtTimes, Way
 
 INITIAL = "initial"
@@ -179,25 +179,14 @@ class PreparedSensitivities:
         self._expressions = self._parsed(spec)
         self._uses_parameters = bool(set().union(*map(names_in, self.quantities)) & spec.parameters.keys())
         self.units = tuple(_unit(text, spec) for text in self.quantities)
-        self._is_sided = False
         self.differences = self._why_differences()
         self._grid = _grid(spec, self.sorted)
-        self._way = self._chosen_way()
+        self._way: Way = "rows" if self._grid is not None else "ends" if is_smooth(spec) else "within"
         self._specs = VariedSpecs(spec.canonical_json())
         self._prepared = mbdkit.prepare(spec)
         self._preparations: dict[object, RunPreparation] = {}
         self._known: dict[object, KnownDerivatives] = {}
         self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
-
-    def _chosen_way(self) -> Way:
-        """Return how states at the times are found: without stops and first-order states, motion is smooth between ends
-        of steps.
-        """
-        if self._grid is not None:
-            return "rows"
-        mechanism = self.spec.mechanism()
-        has_stops = bool(timetable(self.spec, guards(self.spec, 1.0)).stops)
-        return "within" if has_stops or mechanism.state_names() or mechanism.held_names() or self._is_sided else "ends"
 
     def _initial(self, name: str) -> Parameter:
         quantity = name.removeprefix(f"{INITIAL}.")
@@ -236,8 +225,7 @@ class PreparedSensitivities:
             for one in self._expressions:
                 for quantity in one.quantities:
                     require_derivative(quantity)
-            stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), None)
-            self._is_sided = isinstance(stepper, SidedStepper)
+            differentiated_stepper(spec, NO_SEEDS, Needs(), None)
         except MbdkitError as error:
             return (error.message if isinstance(error, SpecError) else str(error)).rstrip(".")
         return ""
@@ -445,6 +433,16 @@ KINEMATIC = frozenset(
     for name in names
 )
 """Arrays of quantities that depend on positions, velocities and first-order states, but not on forces."""
+
+
+def is_smooth(spec: RunSpec) -> bool:
+    """Return whether motion is smooth between the ends of steps, so that states can be interpolated: without stops,
+    first-order states, and force laws that fixed steps may cross at a discontinuity.
+    """
+    mechanism = spec.mechanism()
+    if timetable(spec, guards(spec, 1.0)).stops or mechanism.state_names() or mechanism.held_names():
+        return False
+    return spec.claims.adaptive or with_sides(build(spec)[0].mechanism) is None
 
 
 def _is_kinematic(expression: RunExpression) -> bool:

@@ -11,7 +11,7 @@ from mbdkit.kernels import Duals, Observed, new_duals
 from mbdkit.plugin import RunError
 from mbdkit.plugin.equations import StateObserver, Workspace
 from mbdkit.plugin.methods import Moment, Stepper, Stretch, joined, states_at_start
-from mbdkit.plugin.runs import StepEnds
+from mbdkit.plugin.runs import StepEnds, over_single_steps
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator
@@ -83,9 +83,9 @@ class RunAtTimes:
             known = self._states(rows, q, v, z, None, is_kinematic=False) if self._uses_accelerations else None
             between = np.zeros((2, len(times), *q.shape[1:]))
             # the run interpolates its values over several steps; that takes too long for all derivatives
-            for some, most in ((slice(1), None), (slice(1, self._width), 2)):
+            for some, interpolate in ((0, _over_several_steps), (slice(1, self._width), over_single_steps)):
                 ends = q[..., some], v[..., some], None if known is None else known.observed.acc[..., some]
-                between[..., some] = StepEnds(rows, *ends, most=most).at(times)
+                between[..., some] = interpolate(rows, *ends, times)
             return (between[0], between[1], z[: len(times)]), [None] * len(times)
         places = np.searchsorted(0.5 * (rows[1:] + rows[:-1]), times)
         return (q[places], v[places], z[places]), self._sides(places)
@@ -146,6 +146,12 @@ class RunAtTimes:
             return Observed(*(x[..., None] for x in observed))
 
         return DifferentiatedStates(self.workspace.mechanism, time, q, v, observe, z=z)
+
+
+def _over_several_steps(
+    time: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray | None, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    return StepEnds(time, q, v, a).at(times)
 
 
 class DifferentiatedRunAtTimes(RunAtTimes):

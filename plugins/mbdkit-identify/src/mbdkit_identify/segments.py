@@ -12,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 from mbdkit.plugin import RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.equations import Starts
 from mbdkit.plugin.runs import GivenStart
-from mbdkit_gradients import PreparedSensitivities
+from mbdkit_gradients import PreparedSensitivities, is_smooth
 from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.loading import sensor_names
 from mbdkit_identify.measured_data import LEAST_SAMPLES, ExperimentData, SignalData
@@ -258,14 +258,19 @@ def _in_window(signal: SignalData, time: np.ndarray, some: np.ndarray, spec: Ide
 
 
 def run_of_window(base: RunSpec, time: np.ndarray, inputs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> RunSpec:
-    """Return the base for the times (T,) of a window, whose samples are at ends of steps if they are equidistant."""
+    """Return the base for the times (T,) of a window.
+
+    Equidistant samples are at ends of steps, which are shortened for that, except samples within steps over which the
+    motion is smooth.
+    """
     assert base._document is not None
     data = copied(base._document.data)
     step, end = base.time.step, float(time[-1])
     section = {"stops": [stop for stop in base.time.stops if time[0] < stop < end]} if base.time.stops else {}
     places = (time - time[0]) / np.median(np.diff(time))
     interval = (end - float(time[0])) / max(round(places[-1]), 1)  # between samples, of which gaps may lack some
-    if step is not None and np.all(np.abs(places - np.round(places)) < UNIFORM * len(time)):
+    is_uniform = bool(np.all(np.abs(places - np.round(places)) < UNIFORM * len(time)))
+    if step is not None and is_uniform and (step <= interval or inputs or not is_smooth(base)):
         step = interval / np.ceil(interval / step * (1 - 1e-9))
         end = float(time[0]) + step * round((end - time[0]) / step)
     data["time"] = section | {"start": float(time[0]), "end": end} | ({} if step is None else {"step": step})
