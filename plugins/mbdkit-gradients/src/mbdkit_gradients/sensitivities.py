@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import gcd
 from typing import Any
 
@@ -183,10 +184,13 @@ class PreparedSensitivities:
         self._grid = _grid(spec, self.sorted)
         self._way: Way = "rows" if self._grid is not None else "ends" if is_smooth(spec) else "within"
         self._specs = VariedSpecs(spec.canonical_json())
-        self._prepared = mbdkit.prepare(spec)
         self._preparations: dict[object, RunPreparation] = {}
         self._known: dict[object, KnownDerivatives] = {}
         self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
+
+    @cached_property
+    def _prepared(self) -> mbdkit.PreparedRun:
+        return mbdkit.prepare(self.spec)
 
     def _initial(self, name: str) -> Parameter:
         quantity = name.removeprefix(f"{INITIAL}.")
