@@ -29,7 +29,7 @@ from mbdkit.plugin.mechanisms import (
 from mbdkit.plugin.specs import parameters_in_use, put
 from mbdkit_gradients import PreparedSensitivities
 
-AT_ONCE = 8
+AT_ONCE = 12
 """Number of probes in one spec; the time to prepare a run grows with the number of its elements."""
 SLIP = 0.01
 """Rate below which dry friction is smooth, as a share of the typical rate of the mechanism."""

@@ -173,7 +173,8 @@ class Problem:
             slopes = self.white(self.slopes(x))
         except MbdkitError:
             slopes = np.zeros((len(self.measured), len(x)))
-        return np.asarray(np.concatenate([np.nan_to_num(slopes), rows]))
+        slopes = np.nan_to_num(slopes, copy=False)
+        return np.concatenate([slopes, rows]) if priors else slopes
 
     def _priors(self, x: np.ndarray) -> np.ndarray:
         pairs = [(x[place], one.prior) for place, one in enumerate(self.unknowns) if one.prior is not None]
