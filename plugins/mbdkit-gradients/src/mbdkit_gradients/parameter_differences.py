@@ -129,7 +129,22 @@ class Preparation(ABC):
         SpecError
             If the structure of the arrays depends on a parameter, or if the spec is not valid near its value.
         """
-        found = [self._by(parameter) for parameter in parameters]
+        return self._joined([self._by(parameter) for parameter in parameters], parameters)
+
+    def lines(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        """Return what the derivatives are if all arrays are linear in the parameters, from one point for each.
+
+        Raises
+        ------
+        SpecError
+            See `derivatives`.
+        """
+        points = [self._point(one, min(FEW[CENTRAL]) * self._unit(one)) for one in parameters]
+        slopes = [{name: (arrays[name] - x) / change for name, x in self.base.items()} for change, arrays in points]
+        nonzero = [{name: x for name, x in own.items() if np.any(x)} for own in slopes]
+        return self._joined([_ArrayDerivatives(own, 0.0, 0) for own in nonzero], parameters)
+
+    def _joined(self, found: Sequence[_ArrayDerivatives], parameters: Sequence[Parameter]) -> PreparedDerivatives:
         seeds = {
             name: np.stack([one.slopes.get(name, np.zeros(x.shape)) for one in found], axis=-1)
             for name, x in self.base.items()
@@ -207,6 +222,9 @@ class Preparation(ABC):
         """Return the size of a parameter, relative to which its changes are measured."""
         return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
 
+    def _unit(self, parameter: Parameter) -> float:
+        return float(2.0 ** np.floor(elementary.log2(WIDEST / 4.0 * self._scale(parameter))))
+
     def _by(self, parameter: Parameter) -> _ArrayDerivatives:
         try:
             return _ArrayDerivatives(*self._with_places(parameter, CENTRAL), 0)
@@ -224,7 +242,7 @@ class Preparation(ABC):
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
         """Return non-zero derivatives with respect to a parameter and their error, from points at these positions."""
-        unit = 2.0 ** np.floor(elementary.log2(WIDEST / 4.0 * self._scale(parameter)))
+        unit = self._unit(parameter)
         points = {place: self._point(parameter, place * unit) for place in FEW[places]}
         slopes: dict[str, np.ndarray] = {}
         errors: dict[str, float] = {}

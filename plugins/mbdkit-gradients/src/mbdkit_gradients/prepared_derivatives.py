@@ -8,6 +8,7 @@ expressions of measures and events may depend on named parameters, and are diffe
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
@@ -21,7 +22,11 @@ from mbdkit.plugin.runs import GivenStart, build, knots_of
 from mbdkit.plugin.specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
 from mbdkit_gradients.gradient_parameters import Parameter
-from mbdkit_gradients.parameter_differences import Arrays, Preparation, PreparedDerivatives
+from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, Preparation, PreparedDerivatives
+
+
+FURTHER = 0.01
+"""Smallest change of parameters, relative to their sizes, with which it is tested whether arrays are linear."""
 
 
 def prepared_derivatives(
@@ -138,6 +143,29 @@ class RunPreparation(Preparation):
     ) -> dict[str, np.ndarray]:
         q, v = prepared.state(initial, near)
         return {**self.mechanism_arrays(prepared.start.mechanism), "q": q, "v": v, **prepared.numbers}
+
+    def derivatives(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        """See `Preparation.derivatives`.
+
+        One point for each parameter is enough if all arrays are linear in the parameters together, as another point
+        shows in which all parameters differ, by unequal shares of their sizes.
+        """
+        with suppress(SpecError):
+            if len(parameters) > 1:
+                found = self.lines(parameters)
+                shares = np.linspace(1.0, 2.0, len(parameters)) * FURTHER
+                changed = [
+                    replace(one, value=one.value + float(share * size))
+                    for one, share, size in zip(parameters, shares, found.seeds.scale, strict=True)
+                ]
+                values = {one.path: one.value for one in changed if one.path[0] != "initial"}
+                initial = {str(one.path[1]): one.value for one in changed if one.path[0] == "initial"}
+                start, both = {**self.initial, **initial}, {**self.values, **values}
+                other = RunPreparation(self._base, self._numbers, start, self._specs, both, self._prepared)
+                known = np.array([one.value for one in parameters])
+                if other.repeated(KnownDerivatives(known, self.mechanism, self.base, found), changed) is not None:
+                    return found
+        return super().derivatives(parameters)
 
     def at(self, parameter: Parameter, value: float) -> Arrays:
         """Return the arrays for another value of a parameter; see `Preparation.at`."""
