@@ -96,9 +96,7 @@ class GivenStart:
         free[self.search.free] = 1.0
         self.light = free / np.sqrt(self.search.mass)
 
-    def state(
-        self, values: Mapping[str, float | str], near: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def state(self, values: Mapping[str, float | str], near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities (n,) at which joints are closed and quantities have the given `values`.
 
         If the values and the joints determine the positions, these are found from the positions `near` (n,), if given.

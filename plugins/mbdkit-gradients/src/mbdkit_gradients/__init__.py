@@ -12,10 +12,12 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     # fmt: off
     from mbdkit_gradients.sensitivities import (
         PreparedSensitivities as PreparedSensitivities,
-        is_smooth as is_smooth,
     )
     from mbdkit_gradients.sensitivities import (
         Sensitivities as Sensitivities,
+    )
+    from mbdkit_gradients.sensitivities import (
+        is_smooth as is_smooth,
     )
     # fmt: on
 else:

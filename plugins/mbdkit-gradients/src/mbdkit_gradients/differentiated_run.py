@@ -11,7 +11,14 @@ import numpy as np
 from mbdkit.integrators.start import compiled_method
 from mbdkit.kernels import DIRECTIONS, Observed
 from mbdkit.plugin import MbdkitError, Method, RunError, RunSpec, SpecError, StepError, path_text, quoted
-from mbdkit.plugin.equations import FORMULATIONS, Formulation, SingularSystemError, Stabilization, StateObserver, Workspace
+from mbdkit.plugin.equations import (
+    FORMULATIONS,
+    Formulation,
+    SingularSystemError,
+    Stabilization,
+    StateObserver,
+    Workspace,
+)
 from mbdkit.plugin.measures import Found, RunExpression, Watch, Watched
 from mbdkit.plugin.methods import (
     NO_SEEDS,

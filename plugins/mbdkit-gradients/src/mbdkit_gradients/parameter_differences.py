@@ -46,7 +46,7 @@ LINEAR = 64.0
 APART = 1e-3
 """Smallest change of parameters, relative to their sizes, at which arrays show whether they are linear in all of them.
 
-Derivatives of arrays that are not, but seem to be, have relative errors of ``LINEAR`` units of round-off divided by this.
+Derivatives of arrays that are not, but seem to be, have relative errors of ``LINEAR`` units of round-off over this.
 """
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 BACKWARD = tuple(-place for place in FORWARD)

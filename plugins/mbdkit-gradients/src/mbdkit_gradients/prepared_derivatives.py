@@ -24,7 +24,6 @@ from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, Preparation, PreparedDerivatives
 
-
 FURTHER = 0.01
 """Smallest change of parameters, relative to their sizes, with which it is tested whether arrays are linear."""
 
@@ -61,9 +60,7 @@ class PreparedSpec:
         Whether quantities have given values at the start.
     """
 
-    def __init__(
-        self, spec: RunSpec, numbers: Callable[[RunSpec], Arrays], starts: Starts, *, is_given: bool
-    ):
+    def __init__(self, spec: RunSpec, numbers: Callable[[RunSpec], Arrays], starts: Starts, *, is_given: bool):
         self.spec, self._starts = spec, starts
         self.numbers = numbers(spec) if spec.parameters else {}
         self.given = GivenStart(spec.mechanism(), spec, starts) if is_given else None

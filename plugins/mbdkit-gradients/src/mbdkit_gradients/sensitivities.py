@@ -19,8 +19,8 @@ import mbdkit
 from mbdkit.kernels import DIRECTIONS
 from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, did_you_mean, listed, value_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.measures import MeasureExpression, RunExpression
 from mbdkit.plugin.files import Path
+from mbdkit.plugin.measures import MeasureExpression, RunExpression
 from mbdkit.plugin.methods import NO_SEEDS, Seeds, start_method
 from mbdkit.plugin.runs import build, guards, make_method, size_at_start, timetable
 from mbdkit.plugin.specs import RunSource, VariedSpecs, load_spec, names_in, variable_path
