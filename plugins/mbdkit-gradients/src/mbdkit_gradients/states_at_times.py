@@ -202,8 +202,8 @@ class DifferentiatedRunAtTimes(RunAtTimes):
             self._use(sides)
             # kernels evaluate states with equal first-order states together, on which motion alone does not depend
             states = new_duals(len(time), 0) if is_kinematic else z
-            given = (constants(x[..., 0], x[..., 1:]) for x in (q, v))
-            return self._evaluator.states(time, *given, states).observed
+            own_q, own_v = (constants(x[..., 0], x[..., 1:]) for x in (q, v))
+            return self._evaluator.states(time, own_q, own_v, states).observed
 
         some = slice(self._width)
         given = (np.asarray(x)[..., some] for x in (q, v, z))

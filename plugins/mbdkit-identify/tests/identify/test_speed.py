@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from identify.swings import NOISE, RATE, TRUE, by_lmfit, by_mujoco, measured, spec
+from identify.swings import NOISE, TRUE, by_lmfit, by_mujoco, measured, spec
 
 pytest.importorskip("lmfit", reason="lmfit is not installed: pip install lmfit")
 
@@ -38,7 +38,7 @@ def test_identification_of_a_double_pendulum_beside_lmfit_and_mujoco(
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     data = measured()
-    given = spec(tmp_path, data, 1.0 / RATE, {"name": "rk4"})
+    given = spec(tmp_path, data, 0.05, {"name": "dop853"})
 
     ours = mbdkit.identify(given)
     estimates = np.array([ours[name].value for name in TRUE])
