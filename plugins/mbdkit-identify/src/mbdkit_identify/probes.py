@@ -23,7 +23,7 @@ from mbdkit.plugin.mechanisms import PointForce, SlidingJoint, SpringDamper, Tor
 from mbdkit.plugin.specs import parameters_in_use, put
 from mbdkit_gradients import PreparedSensitivities
 
-AT_ONCE = 8
+AT_ONCE = 12
 """Number of probes in one spec; the time to prepare a run grows with the number of its elements."""
 SLIP = 0.01
 """Rate below which dry friction is smooth, as a share of the typical rate of the mechanism."""
@@ -119,28 +119,23 @@ def probe_spec(spec: RunSpec, probes: Sequence[Probe], quantities: Sequence[str]
     return type(spec)(**data | {"model": model, "parameters": kept | zeros})
 
 
-def probe_derivatives(
+def probe_sensitivities(
     spec: RunSpec,
     probes: Sequence[Probe],
     quantities: Sequence[str],
     times: np.ndarray,
     initial: Mapping[str, float] | None = None,
-) -> np.ndarray:
-    """Return the derivatives (Q, T, P) of quantities at given times with respect to probes; `spec` has the estimates.
-
-    Raises
-    ------
-    SpecError
-        If the quantities or times are wrong.
-    RunError
-        If the run ends before the last time.
+) -> list[PreparedSensitivities]:
+    """Return what evaluates the derivatives of quantities at given times with respect to probes, some probes each;
+    `spec` has the estimates.
     """
-    parts = [np.zeros((len(quantities), len(times), 0))]
-    for first in range(0, len(probes), AT_ONCE):
-        some = probes[first : first + AT_ONCE]
-        probed, names = probe_spec(spec, some, quantities), [probe.name for probe in some]
-        parts.append(PreparedSensitivities(probed, quantities, times, names, initial=initial).at({}).derivatives)
-    return np.concatenate(parts, axis=-1)
+    parts = [probes[first : first + AT_ONCE] for first in range(0, len(probes), AT_ONCE)]
+    return [
+        PreparedSensitivities(
+            probe_spec(spec, some, quantities), quantities, times, [probe.name for probe in some], initial=initial
+        )
+        for some in parts
+    ]
 
 
 def sensor_probes(units: Mapping[str, str], experiments: Sequence[str]) -> list[Probe]:
