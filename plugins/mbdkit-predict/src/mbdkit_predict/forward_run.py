@@ -46,10 +46,11 @@ class Difference:
 def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh: Mesh) -> Difference:
     """Integrate the controls of a solution from the start on, and also each interval on its own."""
     names, chosen, points = method.system.compiled_states, method.spec.chosen.control_states, method.c
-    n, size, nodes = equations.n, 2 * equations.n + len(names), method.nodes(mesh).T
+    n, size = equations.n, 2 * equations.n + len(names)
     rows = np.array([names.index(name) for name in chosen if name in names])  # unknowns of fibres are no states
     u = mesh.values["u"][[name in names for name in chosen]]
     controls, times = u.reshape(len(u), -1, len(points)), np.append(0.0, mesh.values["duration"] @ mesh.grid.ends)
+    nodes = method.states_of_bodies(mesh, method.nodes(mesh), times).T
     predicted = np.zeros((len(nodes), size))
     predicted[:, np.delete(np.arange(size), 2 * n + rows)] = nodes
     scale = _scale(predicted, n)

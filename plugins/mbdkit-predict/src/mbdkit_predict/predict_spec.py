@@ -176,6 +176,9 @@ class PredictSpec(ModelSpec):
     `measured.NAME`. The duration must be a number, and the tables must cover it."""
     minimize: str
     """What is minimized: an expression of measures such as `integral(forces.motor.value**2)` and `final(t)`."""
+    coordinates: Literal["joint", "absolute"] = "joint"
+    """Unknowns of the motion: coordinates of the joints of the spanning tree, or x, y and angle of each body.
+    Mechanisms with friction in joints always take the latter."""
     collocation: Collocation = Collocation()
     """The collocation method and the first mesh."""
     tolerance: Positive = 1e-6

@@ -61,7 +61,7 @@ def transcribed(spec: PredictSpec) -> Transcription:
         If an expression is wrong, or the mechanism cannot be exported.
     """
     try:
-        system = CasadiSystem(spec.chosen, 0.0)
+        system = CasadiSystem(spec.chosen, 0.0, is_joint=spec.coordinates == "joint")
         with spec.blaming("minimize"):
             objective = objective_of(spec, system)
         return Transcription(spec, system, objective, _simpler(spec))
@@ -87,14 +87,15 @@ def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     values, nodes, s = mesh.values, method.nodes(mesh), len(method.c)
     at_end = [nodes[:, -1]] * method.has_nodes
     own = np.column_stack([nodes[:, 0], np.vstack([values[name] for name in "qvz"]), *at_end])
-    q, v, z = np.split(own, [len(values["q"]), 2 * len(values["q"])])
+    time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * method.has_nodes])
+    size = 3 * len(method.system.bodies)
+    q, v, z = np.split(method.states_of_bodies(mesh, own, time), [size, 2 * size])
     low, high, _ = method.limits["u"]
     first, last = (
         np.clip(values["u"][:, points] @ weights(method.c, at), low, high)
         for points, at in ((slice(s), 0.0), (slice(-s, None), 1.0))
     )
     u = np.column_stack([first, values["u"], *[last] * method.has_nodes])
-    time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * method.has_nodes])
     by_name = dict(zip([*method.system.state_names, *result.spec.chosen.control_states], [*z, *u], strict=True))
     by_name |= {f"measured.{name}": curve_of(table)(time) for name, table in result.spec.tables.items()}
     states = [by_name[name] for name in method.system.compiled_states]

@@ -204,10 +204,11 @@ class Transcription:
             shares, end = np.linspace(0.0, 1.0, 5), knots[-1]
             drawn = np.clip(start + 0.25 * (high - low) * random.standard_normal((5, len(u))), low, high)
             u = np.array([np.interp(times, shares * end, x) for x in drawn.T])
-            size = np.array([*[float(np.ptp(np.reshape(poses, (-1, 3))[:, :2], axis=0).max()) or 1.0] * 2, 0.5 * np.pi])
+            way = float(np.ptp(poses, axis=0)[~system.is_angle].max(initial=0.0)) or 1.0
+            size = np.where(system.is_angle, 0.5 * np.pi, way)
             for t in shares[1:-1] * end:
                 pose = np.array([np.interp(t, knots, x) for x in np.array(poses).T])
-                pose = pose + np.tile(size, len(pose) // 3) * random.standard_normal(len(pose))
+                pose = pose + size * random.standard_normal(len(pose))
                 place = int(np.searchsorted(knots, t))
                 knots.insert(place, t)
                 poses.insert(place, self._nearest(pose, {}, t))
@@ -368,14 +369,14 @@ class Transcription:
         position, velocity, _ = system.constraints(*given)
         jacobian = ca.jacobian(position, system.q)
         is_held = np.array(ca.which_depends(position, system.q, 1)) if m else np.zeros(n, dtype=bool)
-        mass = ca.if_else(ca.DM(is_held), ca.diag(ca.jacobian(system.residual(*given), system.a)), 1.0)
-        weight = ca.vertcat(ca.SX.ones(n), mass, ca.SX.ones(system.z.numel()))
-        shift, jumps = ca.SX.sym("shift", weight.numel()), ca.SX.sym("jumps", 2 * m)
+        start = [np.concatenate([system.q0, system.v0, system.z0]), system.p0, 0.0]
+        mass = np.array(self._at_node(ca.diag(ca.jacobian(system.residual(*given), system.a)))(*start)).ravel()
+        weight = np.concatenate([np.ones(n), np.where(is_held, mass, 1.0), np.ones(system.z.numel())])
+        shift, jumps = ca.SX.sym("shift", len(weight)), ca.SX.sym("jumps", 2 * m)
         pushes = ca.mtimes(jacobian.T, ca.reshape(jumps, m, 2)) if m else ca.SX.zeros(n, 2)
         moved = weight * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
-        start = np.concatenate([system.q0, system.v0, system.z0]), system.p0, 0.0
         projection = self._at_node(moved, ca.vertcat(position, velocity), further=(shift, jumps))
-        return projection, np.array(self._at_node(weight)(*start))
+        return projection, weight[:, None]
 
     def _curvature_function(self, results: Sequence[ca.SX], mu: ca.SX) -> ca.Function:
         """Return the function of a collocation point that is the Hessian of its part of the Lagrangian, by `OF_POINTS`,
@@ -562,6 +563,13 @@ class Transcription:
     def _rows(self) -> dict[str, slice]:
         n = len(self.system.q0)
         return {"q": slice(n), "v": slice(n, 2 * n), "z": slice(2 * n, None)}
+
+    def states_of_bodies(self, mesh: Mesh, states: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return states (6 B + Z, T) of B bodies, given those of the coordinates (2 n + Z, T)."""
+        q, v, z = (states[rows] for rows in self._rows.values())
+        p, still = np.tile(mesh.values["p"][:, None], len(times)), 0.0 * v
+        placed = self.system.placed.map(len(times))(q, v, still, p, times[None])
+        return np.vstack([*map(np.array, placed[:2]), z])
 
     def nodes(self, mesh: Mesh) -> np.ndarray:
         """Return the states (2 n + Z, N + 1) at the start and at the ends of intervals."""
