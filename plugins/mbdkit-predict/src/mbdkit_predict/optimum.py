@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from mbdkit_predict.between_points import Residual, residual_between_points
-from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution, Stop
+from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution
 from mbdkit_predict.predict_spec import PredictSpec
-from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
+from mbdkit_predict.processes import Stop, results_of
+from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription, solved_meshes
 
 ROUNDING = 1e-8
 """Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
@@ -34,6 +35,10 @@ SLOWEST, FASTEST = 0.5, 2.0**-4
 """Largest and smallest ratio of two changes of the objective in a row with which the error is extrapolated. Where
 conditions become active, methods of high order have no constant ratio.
 """
+
+
+Problem = tuple[Transcription, Mesh, int]
+"""A problem, its first guess, and the largest number of iterations."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +114,22 @@ class Optimum:
         return {name: by_parameter[name] for name in self.spec.sensitivities} | by_duration | by_condition
 
 
-def find_optimum(transcription: Transcription, stop: Stop) -> Optimum:
-    """Return the best motion of a problem, found on finer and finer meshes until `stop` says to stop."""
-    return _MeshSearch(transcription, stop).run()
+def find_optima(transcriptions: Sequence[Transcription], stop: Stop) -> list[Optimum]:
+    """Return the best motion of each problem, found on finer and finer meshes until `stop` says to stop."""
+    searches, found = [_MeshSearch(one, stop).run() for one in transcriptions], dict[int, Optimum]()
+    asked = {k: next(search) for k, search in enumerate(searches)}
+    while asked:
+        meshes = iter(solved_meshes([problem for problems in asked.values() for problem in problems], stop))
+        for k, problems in [*asked.items()]:
+            try:
+                asked[k] = searches[k].send([next(meshes) for _ in problems])
+            except StopIteration as end:
+                found[k] = end.value
+                del asked[k]
+    return [found[k] for k in range(len(searches))]
+
+
+_Search = Generator[list[Problem], list[Mesh], Optimum]
 
 
 class _MeshSearch:
@@ -122,8 +140,9 @@ class _MeshSearch:
         self.meshes, self.starts = list[Mesh](), list[float]()
         self.halved = 0  # index of the mesh from which on all intervals are divided
 
-    def run(self) -> Optimum:
-        mesh, error, reason, jumps = self._first(), math.nan, "", list[float]()
+    def run(self) -> _Search:
+        """Yield problems to solve, take their solutions, and return the best motion."""
+        mesh, error, reason, jumps = (yield from self._first()), math.nan, "", list[float]()
         while _solution(mesh).is_optimum:
             self.meshes.append(mesh)
             error, is_known = self._error()
@@ -141,26 +160,23 @@ class _MeshSearch:
                     jumps = (mesh.values["duration"] @ mesh.grid.ends)[has_jump].tolist()
                     break
                 self.halved = len(self.meshes)
-            mesh = self.transcription.solved(self.transcription.refined(mesh, chosen), self.stop)
+            (mesh,) = yield [(self.transcription, self.transcription.refined(mesh, chosen), MOST_ITERATIONS)]
         if not _solution(mesh).is_optimum:
             reason = self._failure(mesh)
         best = self.meshes[-1] if self.meshes else mesh
         error = error if math.isfinite(error) else math.nan
         return Optimum(self.transcription, best, self.meshes, error, reason, jumps, self.starts)
 
-    def _first(self) -> Mesh:
-        random, best = np.random.default_rng(self.spec.seed), None
-        for k in range(self.spec.starts):
-            guess = self.transcription.guess(random if k else None, self.stop)
-            mesh = self.transcription.solved(guess, self.stop, ITERATIONS_OF_START if k else MOST_ITERATIONS)
-            solution = _solution(mesh)
-            self.starts.append(solution.objective if solution.is_optimum else np.nan)
-            if best is None or _order(mesh) < _order(best):
-                best = mesh
-            if self.stop.now:
-                break
-        assert best is not None
-        return best
+    def _first(self) -> Generator[list[Problem], list[Mesh], Mesh]:
+        random = np.random.default_rng(self.spec.seed)
+        guesses = [self.transcription.guess(random if k else None, self.stop) for k in range(self.spec.starts)]
+        meshes = yield [
+            (self.transcription, guess, ITERATIONS_OF_START if k else MOST_ITERATIONS)
+            for k, guess in enumerate(guesses)
+        ]
+        solutions = [_solution(mesh) for mesh in meshes]
+        self.starts = [solution.objective if solution.is_optimum else np.nan for solution in solutions]
+        return min(meshes, key=_order)
 
     def _error(self) -> tuple[float, bool]:
         """Return the estimated error of the objective, and whether it can be trusted.
@@ -207,7 +223,8 @@ class _MeshSearch:
 
     def _cause(self, mesh: Mesh) -> str:
         guess = self.transcription.guess()
-        largest = max(self.transcription.nearest_violations(guess, self.stop).items(), key=lambda x: x[1], default=None)
+        (found,) = results_of([lambda report: self.transcription.nearest_violations(guess, self.stop)], self.stop)
+        largest = max((found or {}).items(), key=lambda x: x[1], default=None)
         if largest is not None and largest[1] > 1e-6:
             return f"; `{largest[0]}` cannot hold with the others: the nearest motion misses it by {largest[1]:.3g}"
         name, size = max(_solution(mesh).violations.items(), key=lambda x: x[1])
@@ -244,5 +261,5 @@ def _solution(mesh: Mesh) -> Solution:
 def _order(mesh: Mesh) -> tuple[bool, float, float]:
     """Return by what solutions are ordered: optima first, by their objective, and then by violations."""
     solution = _solution(mesh)
-    worst = 0.0 if solution.is_optimum else max(solution.violations.values(), default=0.0)
+    worst = 0.0 if solution.is_optimum else max(solution.violations.values(), default=np.inf)
     return not solution.is_optimum, worst, solution.objective

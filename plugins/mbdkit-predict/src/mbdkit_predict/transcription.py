@@ -18,8 +18,9 @@ States are continuous from phase to phase, because the end of an interval is the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -37,12 +38,12 @@ from mbdkit_predict.nonlinear_program import (
     NonlinearProgram,
     ProgramCondition,
     Solution,
-    Stop,
     solve_pose,
 )
 from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_hessian import PointHessian
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
+from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
 
 OF_STATE = ("a", "lam", "u")
@@ -74,8 +75,9 @@ class Mesh:
     iterations: int = 0
     """Number of iterations of the optimizer, on this mesh and those before."""
     solution: Solution | None = None
-    program: NonlinearProgram | None = None
-    """What the optimizer returned, and its program; None for a guess."""
+    """What the optimizer returned; None for a guess."""
+    conditions: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Indices of points by name of the conditions of a solution, as in `NonlinearProgram.points`."""
     slopes: Mapping[str, np.ndarray] | None = None
     """Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points."""
 
@@ -181,7 +183,8 @@ class Transcription:
         system, spec = self.system, self.spec
         grid, (low, high, durations) = self._first_grid(), self.limits["duration"]
         if self.simpler is not None and self._simple is None:
-            self._simple = self.simpler.solved(self.simpler.guess(), stop or Stop())
+            given = self.simpler.guess()
+            self._simple = solved_meshes([(self.simpler, given, MOST_ITERATIONS)], stop or Stop())[0]
             self._known_motion = solved_motion(self._simple.times, self._simple.values, self.simpler.system, system)
         known_motion = self._known_motion if random is None else None
         if known_motion is not None:
@@ -295,12 +298,11 @@ class Transcription:
         meshes where conditions are active, because the Hessian of the Lagrangian has the wrong inertia.
         """
         assert mesh.solution is not None
-        assert mesh.program is not None
         slopes, duration, s = dict(mesh.solution.slopes), mesh.values["duration"], len(self.c)
         old, new = (np.kron(duration @ x.lengths, self.b) for x in (mesh.grid, grid))
         times = mesh.times
         nearest = np.searchsorted(0.5 * (times[1:] + times[:-1]), duration @ grid.points)
-        for name, points in {**dict.fromkeys(OF_POINTS, np.arange(len(old))), **mesh.program.points}.items():
+        for name, points in {**dict.fromkeys(OF_POINTS, np.arange(len(old))), **mesh.conditions}.items():
             values = np.zeros((slopes[name].size // len(points), len(old)))
             values[:, points] = np.reshape(slopes[name], (-1, len(points)), order="F") / old[points]
             slopes[name] = values[:, nearest] * new
@@ -312,13 +314,21 @@ class Transcription:
         slopes[COLLOCATION] = self.b[:, None] * costates
         return slopes
 
-    def solved(self, guess: Mesh, stop: Stop, most_iterations: int = MOST_ITERATIONS) -> Mesh:
-        """Return the optimum on the grid of a guess."""
+    def solved(
+        self, guess: Mesh, stop: Stop, most_iterations: int, report: Callable[[Mesh], None] = lambda mesh: None
+    ) -> Mesh:
+        """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
         unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)
         program = NonlinearProgram(unknowns, bounds, conditions, objective, self._sizes(), hessian)
-        solution = program.solve(guess.values, stop, most_iterations, guess.slopes)
-        done = guess.iterations + solution.iterations
-        return replace(guess, values=solution.values, iterations=done, solution=solution, program=program)
+
+        def mesh(solution: Solution) -> Mesh:
+            done = guess.iterations + solution.iterations
+            return replace(guess, values=solution.values, iterations=done, solution=solution, conditions=program.points)
+
+        def reported(solution: Solution) -> None:
+            report(mesh(solution))
+
+        return mesh(program.solve(guess.values, stop, reported, most_iterations, guess.slopes))
 
     def nearest_violations(self, guess: Mesh, stop: Stop) -> Mapping[str, float]:
         """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of
@@ -336,7 +346,8 @@ class Transcription:
             missed = (unknowns["over"] - unknowns["under"])[part.tolist()]
             conditions[k] = conditions[k]._replace(value=ca.vec(conditions[k].value) - missed)
         total = ca.dot(np.repeat(np.divide(weight, sizes), sizes), unknowns["over"] + unknowns["under"])
-        solution = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes()).solve(values, stop)
+        program = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes())
+        solution = program.solve(values, stop, lambda solution: None)
         if not solution.is_optimum:
             return {}
         misses = np.maximum(solution.values["over"], solution.values["under"])
@@ -641,6 +652,17 @@ class Transcription:
         program = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": self._at_node(rows)(still, system.p0, t)}
         low, high = ([*[0.0] * len(system.constraint_names), *(row[k] for row in wanted)] for k in (1, 2))
         return solve_pose(program, x0=q, lbg=low, ubg=high)
+
+
+def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Stop) -> list[Mesh]:
+    """Return the optima of problems on the grids of guesses in at most so many iterations, each found in a process of
+    its own; best iterates, or the guesses themselves, if `stop` says to stop.
+    """
+    found = results_of([partial(method.solved, guess, stop, most) for method, guess, most in problems], stop)
+    return [
+        replace(guess, solution=Solution(guess.values, np.nan, {})) if mesh is None else mesh
+        for mesh, (_, guess, _) in zip(found, problems, strict=True)
+    ]
 
 
 def _limits(variables: Iterable[Variable | None], present: Iterable[float]) -> np.ndarray:
