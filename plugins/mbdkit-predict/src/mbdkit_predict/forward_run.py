@@ -28,7 +28,8 @@ MOST_EVALUATIONS = 400
 class Difference:
     """How a forward run differs from the prediction, as a share of the range of the motion.
 
-    Ranges and differences are those of all coordinates x and y, of all angles, and of each first-order state.
+    Ranges and differences are those of all coordinates x and y, and of all angles; differences of each first-order
+    state are shares of its largest magnitude.
 
     Attributes
     ----------
@@ -106,8 +107,10 @@ def _between_stops(rates: Rates, span: tuple[float, float], state: np.ndarray, s
 
 
 def _scale(states: np.ndarray, n: int) -> np.ndarray:
-    """Return the ranges (2 n + Z,) of coordinates, velocities and states; infinite if nothing moves."""
-    ranges = np.ptp(states, axis=0)
+    """Return the ranges (2 n + Z,) of coordinates and velocities, infinite if nothing moves, and the largest magnitudes
+    of states, because some hardly change.
+    """
+    ranges = np.concatenate([np.ptp(states[:, : 2 * n], axis=0), abs(states[:, 2 * n :]).max(axis=0)])
     for begin in (0, n):
         of_bodies = ranges[begin : begin + n].reshape(-1, 3)
         of_bodies[:, :2], of_bodies[:, 2] = of_bodies[:, :2].max(), of_bodies[:, 2].max()

@@ -22,7 +22,7 @@ MOST_ITERATIONS = 2000
 PRECISION = 1e-10
 """Tolerance of the optimizer, to which it scales the conditions of optimality."""
 SCALE = 100.0
-"""Factor of the objective for the optimizer, by which its last barrier parameter has less effect: the error of a squat
+"""Factor of the objective, relative to its natural size, for the optimizer, by which its last barrier parameter has less effect: the error of a squat
 due to it is 2e-11 instead of 2e-9."""
 NEAR, BARRIER = 1e-5, 1e-5
 """Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
@@ -128,6 +128,8 @@ class NonlinearProgram:
         Natural size of each row of unknowns, by which they are divided for the optimizer; 1 if it is not given.
     hessian
         The second derivatives; those of CasADi by default.
+    size
+        Natural size of the objective.
 
     Attributes
     ----------
@@ -143,7 +145,9 @@ class NonlinearProgram:
         objective: ca.MX,
         sizes: Mapping[str, np.ndarray],
         hessian: PointHessian | None = None,
+        size: float = 1.0,
     ):
+        self._scale = SCALE / size
         self._names, self._shapes = list(unknowns), {name: bounds[name][0].shape for name in unknowns}
         self.points = {condition.name: condition.points for condition in conditions if condition.points is not None}
         self._conditions = [(condition.name, condition.value.numel()) for condition in conditions]
@@ -182,7 +186,7 @@ class NonlinearProgram:
         watcher = _Watcher(len(self._low_x), self._low, self._high, stop, lambda best: report(self._iterate(*best)))
         watcher.note(first / self._sizes, *self._program(first)[::-1])
         options: dict[str, Any] = {
-            "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": SCALE,
+            "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": self._scale,
             **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _WARM), **self._hessian,
         }  # fmt: skip
         start = {"x0": first / self._sizes}

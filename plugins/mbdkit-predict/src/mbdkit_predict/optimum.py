@@ -18,7 +18,7 @@ from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription, solved_
 ROUNDING = 1e-8
 """Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
 NOTHING = 1e-9
-"""Changes of the objective below this count as zero."""
+"""Changes of the objective below this, relative to its natural size, count as zero."""
 MOST_INTERVALS = 640
 """Largest number of intervals of a refined mesh; every first mesh is refined once."""
 ITERATIONS_OF_START = 500
@@ -146,7 +146,8 @@ class _MeshSearch:
         while _solution(mesh).is_optimum:
             self.meshes.append(mesh)
             error, is_known = self._error()
-            limit, count = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING, len(mesh.grid.phase)
+            objective, count = abs(_solution(mesh).objective), len(mesh.grid.phase)
+            limit = self.spec.tolerance * objective + NOTHING * mesh.size
             is_last = len(self.meshes) > self.halved + 1 and 2 * count > MOST_INTERVALS
             chosen = None
             if (is_known and error <= limit) or is_last:

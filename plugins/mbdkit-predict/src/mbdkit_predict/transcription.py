@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -59,6 +59,8 @@ JOINTS = "the joints at the ends of intervals"
 """Names of conditions."""
 WEIGHT_OF_START = 10.0
 """Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`."""
+ORDINARY = 1e-3, 1e4
+"""Objectives of such magnitudes are not scaled for the optimizer."""
 MOST_UNEVEN = 0.125
 """Largest share of such intervals."""
 
@@ -80,6 +82,8 @@ class Mesh:
     """Indices of points by name of the conditions of a solution, as in `NonlinearProgram.points`."""
     slopes: Mapping[str, np.ndarray] | None = None
     """Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points."""
+    size: float = 1.0
+    """Natural size of the objective."""
 
     @property
     def times(self) -> np.ndarray:
@@ -230,7 +234,8 @@ class Transcription:
         values = {name: x[:, 1:] for name, x in columns.items()}
         values |= {"duration": durations, "p": p, "start": np.concatenate([q[:, 0], v[:, 0], z[:, 0]])}
         done = self._simple.iterations if self._simple is not None and random is None else 0
-        return Mesh(grid, self._with_nodes(values), done)
+        mesh = Mesh(grid, self._with_nodes(values), done)
+        return replace(mesh, size=self._size_of_objective(mesh))
 
     def _first_grid(self) -> IntervalGrid:
         """Return the first mesh: intervals of equal length, some of which end earlier or later, at discontinuities of
@@ -266,7 +271,8 @@ class Transcription:
             columns = {m: self.values_at(mesh, name, shares) for m, shares in within.items()}
             values[name] = np.concatenate([columns[m][:, i] for i, m in enumerate(divided.tolist())], axis=1)
         grid = mesh.grid.divided(divided)
-        return Mesh(grid, self._with_nodes(values), mesh.iterations, slopes=self._refined_slopes(mesh, grid))
+        slopes = self._refined_slopes(mesh, grid)
+        return Mesh(grid, self._with_nodes(values), mesh.iterations, slopes=slopes, size=mesh.size)
 
     def _parts(self, mesh: Mesh) -> np.ndarray:
         """Return the number of parts (N,) into which intervals are divided for the next mesh."""
@@ -319,7 +325,7 @@ class Transcription:
     ) -> Mesh:
         """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
         unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)
-        program = NonlinearProgram(unknowns, bounds, conditions, objective, self._sizes(), hessian)
+        program = NonlinearProgram(unknowns, bounds, conditions, objective, self._sizes, hessian, guess.size)
 
         def mesh(solution: Solution) -> Mesh:
             done = guess.iterations + solution.iterations
@@ -346,7 +352,7 @@ class Transcription:
             missed = (unknowns["over"] - unknowns["under"])[part.tolist()]
             conditions[k] = conditions[k]._replace(value=ca.vec(conditions[k].value) - missed)
         total = ca.dot(np.repeat(np.divide(weight, sizes), sizes), unknowns["over"] + unknowns["under"])
-        program = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes())
+        program = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes)
         solution = program.solve(values, stop, lambda solution: None)
         if not solution.is_optimum:
             return {}
@@ -588,23 +594,60 @@ class Transcription:
         ends = values["nodes"] if self.has_nodes else np.vstack([values[name][:, s - 1 :: s] for name in "qvz"])
         return np.column_stack([values["start"], ends])
 
+    @cached_property
     def _sizes(self) -> dict[str, np.ndarray]:
-        """Return natural sizes: of controls and parameters the largest bound, of multipliers the weight.
+        """Natural sizes: of controls and parameters the largest bound, of multipliers the weight.
 
-        The optimizer regularizes indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations,
-        not 24.
+        Controls that are forces or torques are at most those that balance the weight. The optimizer regularizes
+        indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations, not 24.
         """
-        sizes = {"lam": np.full(len(self.system.constraint_names), self._weight)}
+        system = self.system
+        sizes = {"lam": np.full(len(system.constraint_names), self._weight)}
         for name in "up":
             largest = abs(self.limits[name][:2]).max(axis=0)
-            sizes[name] = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)
-        return sizes
+            sizes[name] = np.where(np.isfinite(largest) & (largest > 0.0), largest, np.inf)
+        start = [system.q0, system.v0, 0.0 * system.v0, np.zeros(len(system.constraint_names)), system.z0, system.u0]
+        slopes = ca.Function("slopes", [*system.symbols.values()], [ca.jacobian(system.residual.call(
+            [*system.symbols.values()])[0], system.u)])  # fmt: skip
+        effects = abs(np.array(slopes(*start, system.p0, 0.0)).reshape(len(system.q0), -1))
+        weights = self._weight * np.where(system.is_angle, self._length, 1.0)[:, None]
+        with np.errstate(divide="ignore"):
+            balancing = np.where(effects > 0.0, weights / effects, np.inf).min(axis=0, initial=np.inf)
+        of_spec = np.array([name in self.spec.controls for name in system.control_names], dtype=bool)
+        sizes["u"] = np.where(of_spec, np.minimum(sizes["u"], balancing), sizes["u"])
+        present = np.where(system.p0 == 0.0, 1.0, abs(system.p0))
+        return sizes | {
+            "u": np.where(np.isfinite(sizes["u"]), sizes["u"], 1.0),
+            "p": np.where(np.isfinite(sizes["p"]), sizes["p"], present),
+        }
+
+    def _size_of_objective(self, mesh: Mesh) -> float:
+        """Return the natural size of the objective: that of a guess, with controls changed by half their natural sizes;
+        1 if it is of ordinary magnitude.
+        """
+        low, high, _ = self.limits["u"]
+        values, count = dict(mesh.values), len(mesh.times)
+        values["u"] = np.clip(values["u"] + 0.5 * self._sizes["u"][:, None], low[:, None], high[:, None])
+        own = [values[name] for name in ("q", "v", "a", "lam", "z", "u")]
+        p, duration = np.tile(values["p"][:, None], count), values["duration"]
+        integrands = np.array(self.stage.map(count)(*own, p, mesh.times[None], values["mu"])[3])
+        integrals = integrands @ np.kron(duration @ mesh.grid.lengths, self.b)
+        finals = self._at_node(self.objective.finals)(self.nodes(mesh)[:, -1], values["p"], duration.sum())
+        size = abs(float(self.objective.value(integrals, finals, duration.sum())))
+        return 1.0 if not 0.0 < size < np.inf or ORDINARY[0] <= size <= ORDINARY[1] else size
+
+    @property
+    def _length(self) -> float:
+        """Largest distance of bodies in one direction at the start [m], or 1 if there is none."""
+        q = np.array(self.system.placed(self.system.q0, self.system.v0, 0.0 * self.system.v0, self.system.p0, 0.0)[0])
+        return float(np.ptp(q.reshape(-1, 3)[:, :2], axis=0).max(initial=0.0)) or 1.0
 
     @property
     def _weight(self) -> float:
-        """Weight of all bodies [N], or 1 without gravity."""
-        mechanism = self.spec.mechanism()
-        return sum(body.mass for body in mechanism.bodies.values()) * float(np.hypot(*mechanism.gravity)) or 1.0
+        """Weight of all bodies [N], or the force that moves them by their distance, without gravity."""
+        mechanism, duration = self.spec.mechanism(), float(self.limits["duration"][2].sum())
+        mass = sum(body.mass for body in mechanism.bodies.values())
+        return mass * (float(np.hypot(*mechanism.gravity)) or self._length / duration**2) or 1.0
 
     def _with_nodes(self, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         if self.has_nodes:
@@ -668,7 +711,7 @@ def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Sto
 def _limits(variables: Iterable[Variable | None], present: Iterable[float]) -> np.ndarray:
     """Return lower bounds, upper bounds, and starts within them (3, K); present values where a number is fixed."""
     rows = [
-        (x, x, x) if own is None else (*own.bounds, x if own.start is None else own.start)
+        (x, x, x) if own is None else (*own.limits, x if own.start is None else own.start)
         for own, x in zip(variables, present, strict=True)
     ]
     low, high, start = np.reshape(rows, (-1, 3)).T
