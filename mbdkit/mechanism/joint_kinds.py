@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, cast
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, SerializationInfo, ValidationError, ValidationInfo
@@ -15,7 +15,7 @@ from mbdkit.base.plain_data import plain
 from mbdkit.base.strict_model import located_below
 from mbdkit.mechanism.joint_base import FunctionJoint, JointBase
 from mbdkit.mechanism.model_methods import of_models
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import JointKind
 from mbdkit.registry.item import described
 from mbdkit.registry.manager import registry
@@ -48,7 +48,13 @@ def joint_class(item: Registered) -> type[FunctionJoint]:
 
 def joint_builders() -> dict[str, str]:
     """Return the types of joints of all kinds by the names of the methods of `Mechanism` that add them."""
-    return {cast(JointKind, item.plugin).builder: name for name, item in joint_kinds().items() if ":" not in name}
+    return _builders(registry())
+
+
+@lru_cache(maxsize=4)
+def _builders(known: Registry) -> dict[str, str]:
+    kinds = known.by_accepted_name("joint-kind")
+    return {cast(JointKind, item.plugin).builder: name for name, item in kinds.items() if ":" not in name}
 
 
 @cache

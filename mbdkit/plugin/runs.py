@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.runs.recorder import shared_forces as shared_forces
     from mbdkit.runs.simulation_batch import SimulationBatch as SimulationBatch, why_not_batched as why_not_batched
     from mbdkit.runs.simulation import measured_in as measured_in, simulate_arrays as simulate_arrays
-    from mbdkit.runs.step_interpolation import StepEnds as StepEnds
+    from mbdkit.runs.step_interpolation import StepEnds as StepEnds, over_single_steps as over_single_steps
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

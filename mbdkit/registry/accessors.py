@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, ClassVar, Self, cast
 
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import MissingPartError, PluginError
 from mbdkit.base.text import listed
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.feature_items import Accessor
 from mbdkit.registry.manager import log, registry
 from mbdkit.registry.target import Target
@@ -57,8 +58,13 @@ class _Computed:
 
 def accessors(kind: type) -> dict[str, list[Registered]]:
     """Return the accessors of a class by name; several distributions may offer the same name."""
+    return _accessors(kind, registry())
+
+
+@lru_cache(maxsize=64)
+def _accessors(kind: type, known: Registry) -> dict[str, list[Registered]]:
     items: dict[str, list[Registered]] = {}
-    for item in registry().of_kind("accessor"):
+    for item in known.of_kind("accessor"):
         if cast(Accessor, item.plugin).of == kind.__name__:
             items.setdefault(item.name, []).append(item)
     return items

@@ -96,8 +96,11 @@ class GivenStart:
         free[self.search.free] = 1.0
         self.light = free / np.sqrt(self.search.mass)
 
-    def state(self, values: Mapping[str, float | str]) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities (n,) at which joints are closed and quantities have the given `values`."""
+    def state(self, values: Mapping[str, float | str], near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities (n,) at which joints are closed and quantities have the given `values`.
+
+        If the values and the joints determine the positions, these are found from the positions `near` (n,), if given.
+        """
         held: dict[str, tuple[Quantity, float]] = {}
         moving: dict[str, tuple[Quantity, float]] = {}
         for name, given in values.items():
@@ -113,7 +116,7 @@ class GivenStart:
             kind[name] = quantity, value
         q, v = self.start.q0[: self.n].copy(), self.start.v0[: self.n].copy()
         if held:
-            q = self._positions(q, held)
+            q = self._positions(q, held, near)
         return q, self._velocities(q, v, moving)
 
     def independent(self, names: Iterable[str]) -> list[str]:
@@ -154,8 +157,12 @@ class GivenStart:
         self.names.find(f"{element}.{RATES[axis]}", "initial").add_gradient(q[None], rows)
         return float(product(rows, v)[0])
 
-    def _positions(self, q: np.ndarray, held: Mapping[str, tuple[Quantity, float]]) -> np.ndarray:
+    def _positions(
+        self, q: np.ndarray, held: Mapping[str, tuple[Quantity, float]], near: np.ndarray | None
+    ) -> np.ndarray:
         quantities = [quantity for quantity, _ in held.values()]
+        if near is not None and self._are_determining(near, quantities):
+            q = near
         goal, here = np.array([value for _, value in held.values()]), self._values(quantities, q)
         unit = np.array([1.0 if quantity.unit == "rad" else self.length for quantity in quantities])
         parts = max(1, math.ceil(float(np.max(np.abs(goal - here) / unit)) / LONGEST))
@@ -170,6 +177,11 @@ class GivenStart:
             if isinstance(quantity, Coordinate):
                 q[3 * quantity.body + quantity.axis] = value  # set exactly, without rounding errors
         return q
+
+    def _are_determining(self, q: np.ndarray, quantities: list[Quantity]) -> bool:
+        """Return whether no movement at positions `q` keeps the joints closed and the quantities constant."""
+        rows, _, _ = self._rows(q, quantities)
+        return bool(np.linalg.matrix_rank(rows * self.light, INDEPENDENT) == np.count_nonzero(self.light))
 
     def _closed(self, q: np.ndarray, quantities: list[Quantity], values: np.ndarray) -> np.ndarray | None:
         """Return positions with closed joints in which the quantities have the given values; None if none are found."""

@@ -16,6 +16,9 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_gradients.sensitivities import (
         Sensitivities as Sensitivities,
     )
+    from mbdkit_gradients.sensitivities import (
+        is_smooth as is_smooth,
+    )
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -11,7 +11,14 @@ import numpy as np
 from mbdkit.integrators.start import compiled_method
 from mbdkit.kernels import DIRECTIONS, Observed
 from mbdkit.plugin import MbdkitError, Method, RunError, RunSpec, SpecError, StepError, path_text, quoted
-from mbdkit.plugin.equations import FORMULATIONS, Formulation, SingularSystemError, Stabilization, StateObserver
+from mbdkit.plugin.equations import (
+    FORMULATIONS,
+    Formulation,
+    SingularSystemError,
+    Stabilization,
+    StateObserver,
+    Workspace,
+)
 from mbdkit.plugin.measures import Found, RunExpression, Watch, Watched
 from mbdkit.plugin.methods import (
     NO_SEEDS,
@@ -239,7 +246,7 @@ def differentiated_stepper(
     seeds: Seeds,
     needs: Needs,
     sizes: Sequence[float] | None,
-    start: tuple[np.ndarray, np.ndarray] | None = None,
+    workspace: Workspace | None = None,
     **changes: Any,
 ) -> DifferentiatedStepper | SidedStepper:
     """Return a run at its start.
@@ -248,15 +255,14 @@ def differentiated_stepper(
 
     Parameters
     ----------
-    start
-        Other initial positions and velocities (3 (B + 1),).
+    workspace
+        The workspace of the spec, possibly with another initial state; built by default.
     **changes
         Fields of the timetable, such as ``every``.
     """
     method = make_method(spec)
-    workspace, _ = build(spec)
-    if start is not None:
-        workspace = replace(workspace, q0=start[0], v0=start[1])
+    if workspace is None:
+        workspace, _ = build(spec)
     workspace.mechanism.refuse_kinds("gradients")
     if needs != Needs():
         workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")

@@ -249,7 +249,8 @@ class DifferentiatedStepper(CompiledStepper):
         if control is not None and self._sizes is not None:
             control = replace(control, scale=ANY_ERROR)
         super().__init__(method, workspace, timetable, control)
-        rows = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
+        known = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
+        rows = known + len(self.run_state.row_time)  # room for as many as one stretch may record after the last
         self._steps = DifferentiatedSteps(method, workspace, seeds, rows, int(with_nodes))
         self._dual_sampler = DifferentiatedSampler(self.steps, self.sampler)
         self._dual_sampler.passed(timetable.start, self.run_state.z)

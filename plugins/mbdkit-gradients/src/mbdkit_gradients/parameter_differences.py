@@ -43,6 +43,11 @@ whichever is larger.
 """
 LINEAR = 64.0
 """Largest deviation from a line that counts as rounding, in units of round-off of the array."""
+APART = 1e-3
+"""Smallest change of parameters, relative to their sizes, at which arrays show whether they are linear in all of them.
+
+Derivatives of arrays that are not, but seem to be, have relative errors of ``LINEAR`` units of round-off over this.
+"""
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 BACKWARD = tuple(-place for place in FORWARD)
 """Positions of the points, in a unit that is at most a quarter of `WIDEST` times the size of the parameter."""
@@ -80,6 +85,16 @@ class PreparedDerivatives:
     side: np.ndarray
 
 
+@dataclass(frozen=True)
+class KnownDerivatives:
+    """Derivatives of the arrays of a preparation at some values (K,) of its parameters."""
+
+    values: np.ndarray
+    mechanism: CompiledMechanism
+    base: Arrays
+    derivatives: PreparedDerivatives
+
+
 class Preparation(ABC):
     """Prepares a spec with other values of a parameter.
 
@@ -114,20 +129,58 @@ class Preparation(ABC):
         SpecError
             If the structure of the arrays depends on a parameter, or if the spec is not valid near its value.
         """
-        found = [self._by(parameter) for parameter in parameters]
+        return self._joined([self._by(parameter) for parameter in parameters], parameters)
+
+    def lines(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        """Return what the derivatives are if all arrays are linear in the parameters, from one point for each.
+
+        Raises
+        ------
+        SpecError
+            See `derivatives`.
+        """
+        points = [self._point(one, min(FEW[CENTRAL]) * self._unit(one)) for one in parameters]
+        slopes = [{name: (arrays[name] - x) / change for name, x in self.base.items()} for change, arrays in points]
+        nonzero = [{name: x for name, x in own.items() if np.any(x)} for own in slopes]
+        return self._joined([_ArrayDerivatives(own, 0.0, 0) for own in nonzero], parameters)
+
+    def _joined(self, found: Sequence[_ArrayDerivatives], parameters: Sequence[Parameter]) -> PreparedDerivatives:
         seeds = {
             name: np.stack([one.slopes.get(name, np.zeros(x.shape)) for one in found], axis=-1)
             for name, x in self.base.items()
             if any(name in one.slopes for one in found)
         }
-        if "mass" in seeds:  # the derivatives of inverse masses are exact, and zero for ground
-            weight = self.mechanism.topology.weight
-            seeds["weight"] = -(weight**2)[..., None] * seeds["mass"]
-        return PreparedDerivatives(
-            Seeds(seeds, np.array([self._scale(parameter) for parameter in parameters])),
-            np.array([one.error for one in found]),
-            np.array([one.side for one in found]),
-        )
+        error, side = np.array([one.error for one in found]), np.array([one.side for one in found])
+        return self._completed(seeds, parameters, error, side)
+
+    def _completed(self, slopes: Arrays, parameters: Sequence[Parameter], *rest: np.ndarray) -> PreparedDerivatives:
+        """Add sizes of the parameters, and derivatives of inverse masses, which are exact, and zero for ground."""
+        if "mass" in slopes:
+            slopes = {**slopes, "weight": -(self.mechanism.topology.weight**2)[..., None] * slopes["mass"]}
+        return PreparedDerivatives(Seeds(slopes, np.array([self._scale(parameter) for parameter in parameters])), *rest)
+
+    def repeated(self, known: KnownDerivatives, parameters: Sequence[Parameter]) -> PreparedDerivatives | None:
+        """Return derivatives that are known at other values, if all arrays are linear in the parameters together, from
+        these values to the present ones; otherwise None.
+
+        Products of parameters are told apart from linear arrays only if all parameters differ.
+        """
+        slopes, error, side = known.derivatives.seeds, known.derivatives.error, known.derivatives.side
+        changes = np.array([one.value for one in parameters]) - known.values
+        if np.any(error) or np.any(side) or np.any(np.abs(changes) < APART * slopes.scale):
+            return None
+        topologies = zip(self.mechanism.topology, known.mechanism.topology, strict=True)
+        if any(x.dtype.kind == "i" and not np.array_equal(x, y) for x, y in topologies):
+            return None
+        for name, x in self.base.items():
+            y, slope = known.base[name], slopes.get(name)
+            if x.shape != y.shape:
+                return None
+            steps = np.zeros((*x.shape, 1)) if slope is None else slope * changes
+            limit = LINEAR * np.finfo(float).eps * (np.abs(x) + np.abs(y) + np.sum(np.abs(steps), axis=-1))
+            if np.any(np.abs(x - y - np.sum(steps, axis=-1)) > limit):
+                return None
+        return self._completed(slopes.arrays, parameters, error, side)
 
     def mechanism_arrays(self, mechanism: CompiledMechanism) -> dict[str, np.ndarray]:
         """Return the arrays of a mechanism that may depend on parameters."""
@@ -169,6 +222,9 @@ class Preparation(ABC):
         """Return the size of a parameter, relative to which its changes are measured."""
         return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
 
+    def _unit(self, parameter: Parameter) -> float:
+        return float(2.0 ** np.floor(elementary.log2(WIDEST / 4.0 * self._scale(parameter))))
+
     def _by(self, parameter: Parameter) -> _ArrayDerivatives:
         try:
             return _ArrayDerivatives(*self._with_places(parameter, CENTRAL), 0)
@@ -186,7 +242,7 @@ class Preparation(ABC):
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
         """Return non-zero derivatives with respect to a parameter and their error, from points at these positions."""
-        unit = 2.0 ** np.floor(elementary.log2(WIDEST / 4.0 * self._scale(parameter)))
+        unit = self._unit(parameter)
         points = {place: self._point(parameter, place * unit) for place in FEW[places]}
         slopes: dict[str, np.ndarray] = {}
         errors: dict[str, float] = {}

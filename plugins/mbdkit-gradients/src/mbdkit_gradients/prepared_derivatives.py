@@ -8,18 +8,24 @@ expressions of measures and events may depend on named parameters, and are diffe
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
 
 from mbdkit.plugin import RunSpec, SpecError
-from mbdkit.plugin.equations import CompiledMechanism, Starts, with_ground
+from mbdkit.plugin.equations import Starts, Workspace, with_ground
 from mbdkit.plugin.files import Path
-from mbdkit.plugin.runs import GivenStart, knots_of
+from mbdkit.plugin.runs import GivenStart, build, knots_of
 from mbdkit.plugin.specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
 from mbdkit_gradients.gradient_parameters import Parameter
-from mbdkit_gradients.parameter_differences import Arrays, Preparation, PreparedDerivatives
+from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, Preparation, PreparedDerivatives
+
+FURTHER = 0.01
+"""Smallest change of parameters, relative to their sizes, with which it is tested whether arrays are linear."""
 
 
 def prepared_derivatives(
@@ -45,21 +51,56 @@ def prepared_derivatives(
     return RunPreparation(spec, numbers).derivatives(parameters)
 
 
+class PreparedSpec:
+    """A spec with its compiled mechanism, numbers of expressions, and what depends on them alone.
+
+    Parameters
+    ----------
+    is_given
+        Whether quantities have given values at the start.
+    """
+
+    def __init__(self, spec: RunSpec, numbers: Callable[[RunSpec], Arrays], starts: Starts, *, is_given: bool):
+        self.spec, self._starts = spec, starts
+        self.numbers = numbers(spec) if spec.parameters else {}
+        self.given = GivenStart(spec.mechanism(), spec, starts) if is_given else None
+        self.start = (
+            starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
+            if self.given is None
+            else self.given.start
+        )
+        self.knots = knots_of(spec)
+
+    @cached_property
+    def workspace(self) -> Workspace:
+        """The workspace of a run."""
+        return build(self.spec, self._starts)[0]
+
+    def state(self, initial: Mapping[str, float], near: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities at the start (3 (B + 1),), ground last; see `GivenStart.state`."""
+        if self.given is None:
+            return self.start.q0, self.start.v0
+        q, v = self.given.state(initial, None if near is None else near[: self.given.n])
+        return with_ground(q), with_ground(v)
+
+
 class RunPreparation(Preparation):
     """Prepares runs of a spec with other values of a parameter.
 
     Parameters
     ----------
     spec
-        The spec.
+        The base of the spec.
     numbers
         Function that returns the numbers of expressions that may depend on named parameters, by name of the array.
     initial
         Values of kinematic quantities at the start; see `mbdkit.PreparedRun.run`. The key path of a parameter that is
         one of them is ``("initial", NAME)``.
     specs, values
-        What makes specs from the base of `spec`, and the values by key path with which it has made `spec`; by default,
-        `spec` is the base.
+        What makes specs from the base, and the values by key path that make the spec; none by default.
+    prepared
+        Specs that have been prepared, by the values that made them from the base; preparations that differ in nothing
+        but `initial` share them.
     """
 
     ROUNDED = ("q", "v")
@@ -71,45 +112,69 @@ class RunPreparation(Preparation):
         initial: Mapping[str, float] = MappingProxyType({}),
         specs: VariedSpecs | None = None,
         values: Mapping[Path, float] = MappingProxyType({}),
+        prepared: dict[tuple[tuple[Path, float], ...], PreparedSpec] | None = None,
     ):
-        self.spec, self.numbers, self.initial, self.values = spec, numbers, initial, values
-        self.specs = VariedSpecs(spec.canonical_json()) if specs is None else specs
-        self.starts = Starts()
-        self._given: tuple[RunSpec, GivenStart] | None = None
-        self.mechanism, self.base = self._arrays(spec, self._numbers(spec), initial)
-        self.knots = knots_of(spec)
+        self.initial, self.values, self._numbers = initial, values, numbers
+        self._specs = VariedSpecs(spec.canonical_json()) if specs is None else specs
+        self._starts = Starts()
+        self._prepared = {} if prepared is None else prepared
+        self._base = spec
+        self._own = self._with_values(values)
+        self.spec, self.mechanism = self._own.spec, self._own.start.mechanism
+        self.base = self._arrays(self._own, initial)
+
+    @property
+    def workspace(self) -> Workspace:
+        """The workspace of a run of the spec."""
+        return replace(self._own.workspace, q0=self.base["q"], v0=self.base["v"])
+
+    def _with_values(self, values: Mapping[Path, float]) -> PreparedSpec:
+        key = tuple(values.items())
+        if key not in self._prepared:
+            spec = self._specs.spec(key) if key else self._base
+            self._prepared[key] = PreparedSpec(spec, self._numbers, self._starts, is_given=bool(self.initial))
+        return self._prepared[key]
 
     def _arrays(
-        self, spec: RunSpec, numbers: Arrays, initial: Mapping[str, float]
-    ) -> tuple[CompiledMechanism, dict[str, np.ndarray]]:
-        if initial:
-            if self._given is None or self._given[0] is not spec:
-                self._given = spec, GivenStart(spec.mechanism(), spec, self.starts)
-            start = self._given[1].start
-            q, v = map(with_ground, self._given[1].state(initial))
-        else:
-            start = self.starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
-            q, v = start.q0, start.v0
-        return start.mechanism, {**self.mechanism_arrays(start.mechanism), "q": q, "v": v, **numbers}
+        self, prepared: PreparedSpec, initial: Mapping[str, float], near: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        q, v = prepared.state(initial, near)
+        return {**self.mechanism_arrays(prepared.start.mechanism), "q": q, "v": v, **prepared.numbers}
 
-    def _numbers(self, spec: RunSpec) -> Arrays:
-        """Return the numbers of expressions, if the spec has parameters on which they may depend."""
-        return self.numbers(spec) if spec.parameters else {}
+    def derivatives(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        """See `Preparation.derivatives`.
+
+        One point for each parameter is enough if all arrays are linear in the parameters together, as another point
+        shows in which all parameters differ, by unequal shares of their sizes.
+        """
+        with suppress(SpecError):
+            if len(parameters) > 1:
+                found = self.lines(parameters)
+                shares = np.linspace(1.0, 2.0, len(parameters)) * FURTHER
+                changed = [
+                    replace(one, value=one.value + float(share * size))
+                    for one, share, size in zip(parameters, shares, found.seeds.scale, strict=True)
+                ]
+                values = {one.path: one.value for one in changed if one.path[0] != "initial"}
+                initial = {str(one.path[1]): one.value for one in changed if one.path[0] == "initial"}
+                start, both = {**self.initial, **initial}, {**self.values, **values}
+                other = RunPreparation(self._base, self._numbers, start, self._specs, both, self._prepared)
+                known = np.array([one.value for one in parameters])
+                if other.repeated(KnownDerivatives(known, self.mechanism, self.base, found), changed) is not None:
+                    return found
+        return super().derivatives(parameters)
 
     def at(self, parameter: Parameter, value: float) -> Arrays:
         """Return the arrays for another value of a parameter; see `Preparation.at`."""
         if parameter.path[0] == "initial":
-            changed = {**self.initial, str(parameter.path[1]): value}
-            return self._arrays(self.spec, {name: self.base[name] for name in self._numbers(self.spec)}, changed)[1]
-        spec = self.specs.spec([*{**self.values, parameter.path: value}.items()])
-        if knots_of(spec) != self.knots:
+            return self._arrays(self._own, {**self.initial, str(parameter.path[1]): value}, self.base["q"])
+        changed = self._with_values({**self.values, parameter.path: value})
+        if changed.knots != self._own.knots:
             raise SpecError(
                 f"the time at which a motion, or its derivative, is discontinuous depends on '{parameter.name}'; "
                 f"there are no derivatives with respect to such a parameter",
                 key="gradients",
             )
-        numbers = self._numbers(spec)
-        self.require_same_form(numbers, parameter)
-        mechanism, arrays = self._arrays(spec, numbers, self.initial)
-        self.require_same_structure(mechanism, parameter, value)
-        return arrays
+        self.require_same_form(changed.numbers, parameter)
+        self.require_same_structure(changed.start.mechanism, parameter, value)
+        return self._arrays(changed, self.initial, self.base["q"])

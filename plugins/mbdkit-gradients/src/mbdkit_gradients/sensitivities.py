@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import gcd
 from typing import Any
 
@@ -18,6 +19,7 @@ import mbdkit
 from mbdkit.kernels import DIRECTIONS
 from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, did_you_mean, listed, value_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.plugin.files import Path
 from mbdkit.plugin.measures import MeasureExpression, RunExpression
 from mbdkit.plugin.methods import NO_SEEDS, Seeds, start_method
 from mbdkit.plugin.runs import build, guards, make_method, size_at_start, timetable
@@ -25,9 +27,9 @@ from mbdkit.plugin.specs import RunSource, VariedSpecs, load_spec, names_in, var
 from mbdkit_gradients.differentiated_run import Needs, differentiated_stepper, refuse
 from mbdkit_gradients.differentiated_states import require_derivative, series_of
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
-from mbdkit_gradients.parameter_differences import Arrays
-from mbdkit_gradients.prepared_derivatives import RunPreparation
-from mbdkit_gradients.sided_stepper import SidedStepper
+from mbdkit_gradients.law_corners import with_sides
+from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, PreparedDerivatives
+from mbdkit_gradients.prepared_derivatives import PreparedSpec, RunPreparation
 from mbdkit_gradients.states_at_times import DifferentiatedRunAtTimes, RunAtTimes, Way
 
 INITIAL = "initial"
@@ -178,22 +180,17 @@ class PreparedSensitivities:
         self._expressions = self._parsed(spec)
         self._uses_parameters = bool(set().union(*map(names_in, self.quantities)) & spec.parameters.keys())
         self.units = tuple(_unit(text, spec) for text in self.quantities)
-        self._is_sided = False
         self.differences = self._why_differences()
         self._grid = _grid(spec, self.sorted)
-        self._way = self._chosen_way()
+        self._way: Way = "rows" if self._grid is not None else "ends" if is_smooth(spec) else "within"
         self._specs = VariedSpecs(spec.canonical_json())
-        self._prepared = mbdkit.prepare(spec)
+        self._preparations: dict[object, RunPreparation] = {}
+        self._known: dict[object, KnownDerivatives] = {}
+        self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
 
-    def _chosen_way(self) -> Way:
-        """Return how states at the times are found: without stops and first-order states, motion is smooth between ends
-        of steps.
-        """
-        if self._grid is not None:
-            return "rows"
-        mechanism = self.spec.mechanism()
-        has_stops = bool(timetable(self.spec, guards(self.spec, 1.0)).stops)
-        return "within" if has_stops or mechanism.state_names() or mechanism.held_names() or self._is_sided else "ends"
+    @cached_property
+    def _prepared(self) -> mbdkit.PreparedRun:
+        return mbdkit.prepare(self.spec)
 
     def _initial(self, name: str) -> Parameter:
         quantity = name.removeprefix(f"{INITIAL}.")
@@ -232,8 +229,7 @@ class PreparedSensitivities:
             for one in self._expressions:
                 for quantity in one.quantities:
                     require_derivative(quantity)
-            stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), None)
-            self._is_sided = isinstance(stepper, SidedStepper)
+            differentiated_stepper(spec, NO_SEEDS, Needs(), None)
         except MbdkitError as error:
             return (error.message if isinstance(error, SpecError) else str(error)).rstrip(".")
         return ""
@@ -306,15 +302,20 @@ class PreparedSensitivities:
 
     def _preparation(self, plain: Mapping[str, float], start: Mapping[str, float]) -> RunPreparation:
         values = {variable_path(name): value for name, value in plain.items()}
-        spec = self._specs.spec([*values.items()]) if values else self.spec
-        return RunPreparation(spec, self._numbers, start, self._specs, values)
+        if (values, bool(start)) != self._prepared_at[0]:
+            self._prepared_at, self._preparations = ((values, bool(start)), {}), {}
+        key = tuple(start.items())
+        if key not in self._preparations:
+            shared = self._prepared_at[1]
+            self._preparations[key] = RunPreparation(self.spec, self._numbers, start, self._specs, values, shared)
+        return self._preparations[key]
 
     def _exact(
         self, plain: Mapping[str, float], start: Mapping[str, float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return values (Q, T), derivatives (Q, T, K) and their errors (K,) at the sorted times."""
         preparation = self._preparation(plain, start)
-        prepared = preparation.derivatives(self._valued(preparation.spec, start))
+        prepared = self._derivatives(preparation, start)
         count = len(self.parameters)
         values, slopes = np.empty((len(self.quantities), len(self.sorted))), []
         for first in range(0, count, DIRECTIONS):
@@ -322,6 +323,19 @@ class PreparedSensitivities:
             values, slope = self._states(preparation, seeds)
             slopes.append(slope)
         return values, np.concatenate(slopes, axis=-1), prepared.error
+
+    def _derivatives(self, preparation: RunPreparation, start: Mapping[str, float]) -> PreparedDerivatives:
+        """Return the derivatives of a preparation; those that are known are used again while arrays are linear."""
+        parameters = self._valued(preparation.spec, start)
+        differentiated = {one.path[1] for one in parameters if one.path[0] == INITIAL}
+        fixed = tuple(item for item in start.items() if item[0] not in differentiated)
+        known = self._known.get(fixed)
+        found = None if known is None else preparation.repeated(known, parameters)
+        if found is None:
+            values = np.array([one.value for one in parameters])
+            found = preparation.derivatives(parameters)
+            self._known[fixed] = KnownDerivatives(values, preparation.mechanism, preparation.base, found)
+        return found
 
     def _valued(self, spec: RunSpec, start: Mapping[str, float]) -> list[Parameter]:
         """Return the parameters with their present values."""
@@ -335,19 +349,16 @@ class PreparedSensitivities:
     def _states(self, preparation: RunPreparation, seeds: Seeds) -> tuple[np.ndarray, np.ndarray]:
         """Return values (Q, T) and derivatives (Q, T, K) at the sorted times."""
         spec = preparation.spec
-        begin = (preparation.base["q"], preparation.base["v"]) if preparation.initial else None
+        workspace = preparation.workspace
         expressions = self._parsed(spec) if self._uses_parameters else self._expressions
         method, count = make_method(spec), seeds.count
         uses_accelerations, way = not method.traits.suits_stiff, self._way
         changes: dict[str, Any] = {"every": self._grid or 1, "interval": None, "single": way == "within"}
         run: RunAtTimes
         if count:
-            stepper = differentiated_stepper(spec, seeds, Needs(), None, begin, **changes)
+            stepper = differentiated_stepper(spec, seeds, Needs(), None, workspace, **changes)
             run = DifferentiatedRunAtTimes(stepper, count, way, uses_accelerations=uses_accelerations)
         else:
-            workspace, _ = build(spec)
-            if begin is not None:
-                workspace = replace(workspace, q0=begin[0], v0=begin[1])
             table = replace(timetable(spec, guards(spec, size_at_start(spec, workspace))), **changes)
             plain = start_method(method, workspace, table)
             run = RunAtTimes(plain, workspace, way, uses_accelerations=uses_accelerations)
@@ -426,6 +437,16 @@ KINEMATIC = frozenset(
     for name in names
 )
 """Arrays of quantities that depend on positions, velocities and first-order states, but not on forces."""
+
+
+def is_smooth(spec: RunSpec) -> bool:
+    """Return whether motion is smooth between the ends of steps, so that states can be interpolated: without stops,
+    first-order states, and force laws that fixed steps may cross at a discontinuity.
+    """
+    mechanism = spec.mechanism()
+    if timetable(spec, guards(spec, 1.0)).stops or mechanism.state_names() or mechanism.held_names():
+        return False
+    return spec.claims.adaptive or with_sides(build(spec)[0].mechanism) is None
 
 
 def _is_kinematic(expression: RunExpression) -> bool:

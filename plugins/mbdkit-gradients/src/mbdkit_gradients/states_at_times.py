@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from mbdkit.kernels import Duals, Observed, new_duals
-from mbdkit.plugin import RunError
+from mbdkit.kernels import Observed, new_duals
+from mbdkit.plugin import RunError, StepError
 from mbdkit.plugin.equations import StateObserver, Workspace
-from mbdkit.plugin.methods import Moment, Stepper, Stretch, joined, states_at_start
-from mbdkit.plugin.runs import StepEnds
+from mbdkit.plugin.methods import Moment, Stepper, Stretch, constants, joined, states_at_start
+from mbdkit.plugin.runs import StepEnds, over_single_steps
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator
@@ -65,7 +65,10 @@ class RunAtTimes:
         return parts[0] if len(parts) == 1 else one_after_another(parts)
 
     def _advance(self) -> Stretch:
-        stretch = self.stepper.advance()
+        try:
+            stretch = self.stepper.advance()
+        except StepError as error:
+            raise RunError(str(error)) from None
         if self.stepper.failure is not None:
             raise RunError(f"{self.stepper.failure.code}: {self.stepper.failure.sentence}")
         return stretch
@@ -81,12 +84,15 @@ class RunAtTimes:
         q, v, z = (np.concatenate([a[None], b]) for a, b in zip(self._first, self._recorded(stretches), strict=True))
         if self.way == "ends":
             known = self._states(rows, q, v, z, None, is_kinematic=False) if self._uses_accelerations else None
-            between = np.zeros((2, len(times), *q.shape[1:]))
+            a = None if known is None else known.observed.acc
             # the run interpolates its values over several steps; that takes too long for all derivatives
-            for some, most in ((slice(1), None), (slice(1, self._width), 2)):
-                ends = q[..., some], v[..., some], None if known is None else known.observed.acc[..., some]
-                between[..., some] = StepEnds(rows, *ends, most=most).at(times)
-            return (between[0], between[1], z[: len(times)]), [None] * len(times)
+            values = StepEnds(rows, q[..., 0], v[..., 0], None if a is None else a[..., 0]).at(times)
+            if self._width == 1:
+                q, v = (x[..., None] for x in values)
+            else:
+                q, v = over_single_steps(rows, q[..., : self._width], v[..., : self._width], a, times)
+                q[..., 0], v[..., 0] = values
+            return (q, v, z[: len(times)]), [None] * len(times)
         places = np.searchsorted(0.5 * (rows[1:] + rows[:-1]), times)
         return (q[places], v[places], z[places]), self._sides(places)
 
@@ -199,9 +205,8 @@ class DifferentiatedRunAtTimes(RunAtTimes):
             self._use(sides)
             # kernels evaluate states with equal first-order states together, on which motion alone does not depend
             states = new_duals(len(time), 0) if is_kinematic else z
-            return self._evaluator.states(
-                time, np.ascontiguousarray(q).view(Duals), np.ascontiguousarray(v).view(Duals), states
-            ).observed
+            own_q, own_v = (constants(x[..., 0], x[..., 1:]) for x in (q, v))
+            return self._evaluator.states(time, own_q, own_v, states).observed
 
         some = slice(self._width)
         given = (np.asarray(x)[..., some] for x in (q, v, z))

@@ -117,15 +117,24 @@ def arm(case: str, **sections: Any) -> dict[str, Any]:
 INITIAL = {"hub.angle": 0.2, "elbow.angle": -0.5, "a.angular_velocity": 1.0}
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.0017])
-@pytest.mark.parametrize("case", ["plain", "states", "controller", "input"])
-def test_exact_derivatives_agree_with_differences_of_stepped_runs(case: str, shift: float) -> None:
+WHOLE = INITIAL | {"b.angular_velocity": -0.4}
+"""Values that determine the start, which is then differentiated as an implicit function."""
+
+
+@pytest.mark.parametrize(
+    ("case", "shift", "initial"),
+    [(case, shift, INITIAL) for case in ("plain", "states", "controller", "input") for shift in (0.0, 0.0017)]
+    + [("plain", 0.0, WHOLE), ("input", 0.0, WHOLE)],
+)
+def test_exact_derivatives_agree_with_differences_of_stepped_runs(
+    case: str, shift: float, initial: dict[str, float]
+) -> None:
     quantities = ["b.angle", "elbow.angle", "b.vx", "joints.elbow.force", "k*a.angular_acceleration"]
     if case == "states":
         quantities.append("states.current")
     names = ["m", "k", "c", "x0", "initial.hub.angle", "initial.a.angular_velocity"]
     times = np.arange(0.05, 0.55, 0.05) + shift
-    prepared = PreparedSensitivities(load_spec(arm(case)), quantities, times, names, initial=INITIAL)
+    prepared = PreparedSensitivities(load_spec(arm(case)), quantities, times, names, initial=initial)
     exact = prepared.at({})
     assert exact.differences == ""
     np.testing.assert_allclose(prepared.values({}), exact.values, rtol=1e-9, atol=1e-9)
@@ -196,3 +205,19 @@ def test_a_run_that_ends_early_is_an_error() -> None:
     assert mbdkit.sensitivities(stopped, ["cart.x"], [0.1], ["k"]).differences.startswith("an event ends the run")
     with pytest.raises(RunError, match=r"the run ends before t = 1 s: .*back"):
         mbdkit.sensitivities(stopped, ["cart.x"], [1.0], ["k"])
+
+
+@pytest.mark.parametrize("stiffness", ["k", "k*m"])
+def test_derivatives_at_other_values_are_those_of_the_closed_form(stiffness: str) -> None:
+    """Those of the preparation are known from first values; they hold at others if it is linear in all parameters."""
+    source = oscillator()
+    source["model"]["forces"]["spring"]["stiffness"] = stiffness
+    times, others = np.linspace(0.1, 2.0, 20), {"m": 1.2, "k": 25.0, "c": 0.5, "x0": 0.2}
+    prepared = PreparedSensitivities(load_spec(source, ()), ["cart.x"], times, list(PARAMETERS))
+    prepared.at({})
+    found = prepared.at(others)
+    for k, name in enumerate(PARAMETERS):
+        z: dict[str, Any] = {**others, name: others[name] + 1e-30j}
+        z["k"] = z["k"] * z["m"] if stiffness == "k*m" else z["k"]
+        slope = closed_form(times.astype(complex), **z).imag / 1e-30
+        np.testing.assert_allclose(found.derivatives[0, :, k], slope, atol=1e-7)

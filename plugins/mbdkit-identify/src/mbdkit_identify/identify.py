@@ -13,6 +13,7 @@ from mbdkit import prepare
 from mbdkit.plugin import MbdkitError, RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
+from mbdkit_gradients import PreparedSensitivities
 from mbdkit_identify.estimation import best_fit, failed, fit_at, fit_some, variance_factor
 from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
@@ -22,9 +23,9 @@ from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import ExperimentData, read_experiment
 from mbdkit_identify.misfit import doubts_of
 from mbdkit_identify.next_experiment import next_experiment
-from mbdkit_identify.probes import Probe, probe_derivatives, probes_of, sensor_derivatives, sensor_probes
+from mbdkit_identify.probes import Probe, probe_sensitivities, probes_of, sensor_derivatives, sensor_probes
 from mbdkit_identify.problem import Problem
-from mbdkit_identify.segments import Segment, segments_of
+from mbdkit_identify.segments import segments_of
 
 EXACT, DIFFERENCES = 1e-9, 1e-6
 """Relative errors of exact derivatives and of central differences."""
@@ -160,7 +161,7 @@ class _Identification:
     def _integration_bias(self) -> np.ndarray:
         """Return the errors (n,) of the estimates that follow from the integration error of the runs."""
         problem, x = self.problem, self.fit.x
-        finer = [segment_with(one, _finer(one.spec)) for one in problem.segments]
+        finer = [replace(one, spec=_finer(one.spec)) for one in problem.segments]
         other = Problem(problem.unknowns, problem.names, finer)
         other.noises = problem.noises
         change = other.predicted(x) - problem.predicted(x)
@@ -381,11 +382,12 @@ class _Identification:
         rows = self.fit.jacobian[len(problem.measured) :], self.fit.white[len(problem.measured) :]
         self.doubts += doubts_of(
             residuals,
-            problem.slopes(x)[order][:, self.fit.free],
+            problem.slopes(x)[order],
             columns[order],
             probes,
             stated=[(k.experiment, k.quantity) for k, one in zip(problem.signals, problem.known, strict=True) if one],
-            priors=(rows[0][:, self.fit.free], rows[1]),
+            priors=rows,
+            sides=self.fit.at_high.astype(int) - self.fit.at_low,
             level=self.spec.intervals.level,
         )
 
@@ -395,13 +397,18 @@ class _Identification:
         units = {one.quantity: one.unit for segment in problem.segments for one in segment.signals}
         sensors = sensor_probes(units, list(dict.fromkeys(one.experiment for one in problem.segments)))
         mechanical: list[Probe] = []
+        evaluators: dict[int, list[PreparedSensitivities]] = {}  # of windows that share runs
         parts = []
         for segment, some in zip(problem.segments, problem.valid, strict=True):
             plain, start = segment.given(x)
-            spec = prepare(segment.spec).spec_with(plain)
-            mechanical = mechanical or probes_of(spec)
-            quantities = [signal.quantity for signal in segment.signals]
-            slopes = probe_derivatives(spec, mechanical, quantities, segment.time, start)
+            if id(segment.prepared) not in evaluators:
+                spec = prepare(segment.spec).spec_with(plain)
+                mechanical = mechanical or probes_of(spec)
+                quantities = [signal.quantity for signal in segment.signals]
+                some_probes = probe_sensitivities(spec, mechanical, quantities, segment.time, start)
+                evaluators[id(segment.prepared)] = some_probes
+            found = [one.at({}, start).derivatives for one in evaluators[id(segment.prepared)]]
+            slopes = np.concatenate(found, axis=-1)
             shown, _ = segment.shown(segment.prepared.values(plain, start), None, x, problem.names)
             for row, signal in enumerate(segment.signals):
                 gain = signal.sensor.gain
@@ -437,11 +444,6 @@ class _Identification:
     def _plain_spec(self) -> Mapping[str, object]:
         assert self.spec._document is not None
         return dict(copied(self.spec._document.data))
-
-
-def segment_with(segment: Segment, spec: RunSpec) -> Segment:
-    """Return a window with another spec of its run."""
-    return replace(segment, spec=spec, _prepared=None)
 
 
 def _finer(spec: RunSpec) -> RunSpec:

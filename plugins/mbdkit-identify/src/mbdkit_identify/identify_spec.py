@@ -6,22 +6,35 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
-from mbdkit.plugin import FormatVersion, Number, Positive, RunSpec, SpecError, path_text, value_text
+from mbdkit.plugin import FormatVersion, Number, Positive, RunSpec, SpecError, path_text, read_quantity, value_text
 from mbdkit.plugin.mechanisms import pair
 from mbdkit.plugin.specs import Count, Section, StrictSpec, check_name
 from mbdkit_studies import Overrides
 
+
+def _plain(given: object) -> object:
+    """Return a number without its unit, which may only be percent, because other units cannot be checked here."""
+    if quantity := read_quantity(given):
+        value, unit = quantity
+        if unit.si != "1":
+            raise SpecError(f"should be a number in SI units, {value:.9g} [{unit.si}], not '{given}'")
+        return value
+    return given
+
+
+SINumber = Annotated[Number, BeforeValidator(_plain)]
 Interval = Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [lower, upper]"))]
-NumberOrName = Number | str
-"""A number, or the name of a parameter to be estimated."""
+SIInterval = Annotated[tuple[SINumber, SINumber], BeforeValidator(pair("two numbers [lower, upper]"))]
+NumberOrName = Annotated[Number | str, BeforeValidator(_plain)]
+"""A number in SI units, or the name of a parameter to be estimated."""
 
 
 class Prior(Section):
     """What is known of a parameter before the experiments: a normal distribution."""
 
-    mean: Number
+    mean: SINumber
     """Mean."""
-    deviation: Positive
+    deviation: Annotated[Positive, BeforeValidator(_plain)]
     """Standard deviation."""
 
 
@@ -30,9 +43,9 @@ class Estimated(Section):
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("start", "bounds", "prior")
 
-    start: Number | None = None
+    start: SINumber | None = None
     """Value at which the search begins; by default, the value in the base, or else the middle of the bounds."""
-    bounds: Interval | None = None
+    bounds: SIInterval | None = None
     """Smallest and largest value; by default none."""
     prior: Prior | None = None
     """What is known of the parameter before the experiments."""
@@ -116,7 +129,7 @@ class Experiment(Section):
     inputs: dict[str, Annotated[MeasuredInput, BeforeValidator(_column)]] = Field(default_factory=dict)
     """Measured inputs of the mechanism, each with its column: the heading alone, or a mapping."""
     initial: (
-        Annotated[Literal["estimated", "rest"] | dict[str, Number | Interval], BeforeValidator(_initial)] | None
+        Annotated[Literal["estimated", "rest"] | dict[str, SINumber | SIInterval], BeforeValidator(_initial)] | None
     ) = None
     """The state at the beginning of the data. `estimated`: positions and velocities are estimated. `rest`: positions
     are estimated, velocities are zero. A mapping of quantities, such as ``{crank.angle: 0.3}``: numbers are exact, and

@@ -79,16 +79,11 @@ def read_experiment(spec: IdentifySpec, name: str) -> ExperimentData:
     """
     one = spec.experiments[name]
     place = ("experiments", name)
-    headings = [
-        one.time,
-        *(signal.column for signal in one.observed.values()),
-        *(i.column for i in one.inputs.values()),
-    ]
+    headings: dict[tuple[str, ...], str] = {("time",): one.time}
+    headings |= {("observed", key, "column"): signal.column for key, signal in one.observed.items()}
+    headings |= {("inputs", key, "column"): given.column for key, given in one.inputs.items()}
     path = (spec._document.folder if spec._document is not None else FilePath()) / one.file
-    try:
-        columns: np.ndarray = np.array(read_columns(path, headings, has_gaps=True))
-    except FileNotFoundError:
-        raise SpecError(f"there is no file '{one.file}'", key=path_text((*place, "file"))) from None
+    columns = np.array([_column(path, heading, (*place, *key)) for key, heading in headings.items()])
     time, values = columns[0], columns[1:]
     if not np.all(np.isfinite(time)):
         raise SpecError(f"the column '{one.time}' of '{one.file}' has an empty cell", key=path_text((*place, "time")))
@@ -129,6 +124,14 @@ def read_experiment(spec: IdentifySpec, name: str) -> ExperimentData:
         if given.deviation is not None:
             deviations[named] = abs(factor) * given.deviation
     return ExperimentData(name, one, time, tuple(signals), inputs, deviations)
+
+
+def _column(path: FilePath, heading: str, key: tuple[str, ...]) -> list[float]:
+    """Return a column; an error has the key of its heading, or that of the file if it cannot be read at all."""
+    try:
+        return read_columns(path, [heading], has_gaps=True)[0]
+    except SpecError as error:
+        raise SpecError(str(error), key=path_text((*key[:2], "file") if error.line is None else key)) from None
 
 
 def _unit_of(quantity: str, spec: IdentifySpec, where: str) -> str:

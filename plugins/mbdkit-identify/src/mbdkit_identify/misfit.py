@@ -163,6 +163,9 @@ class EffectTests:
         Residuals of the priors, divided by their deviations, as the derivatives are.
     limits
         (P,) smallest and largest plausible value of the parameter of each effect.
+    bounded
+        Number of parameters of the model at a bound, which are the last of the effects: not tested, but free to leave
+        their bounds when another effect is added.
 
     Attributes
     ----------
@@ -172,7 +175,7 @@ class EffectTests:
 
     def __init__(
         self, residuals: Sequence[Residuals], jacobian: np.ndarray, columns: np.ndarray, stated: Sequence[bool],
-        priors: np.ndarray, limits: Sequence[tuple[float, float]],
+        priors: np.ndarray, limits: Sequence[tuple[float, float]], bounded: int = 0,
     ):  # fmt: skip
         sizes = np.concatenate([np.full(len(one.time), one.deviation) for one in residuals] + [np.ones(len(priors))])
         errors = np.concatenate([*(one.measured - one.fitted for one in residuals), priors]) / sizes
@@ -183,7 +186,10 @@ class EffectTests:
         columns = columns / sizes[:, None]
         rest = columns - basis @ (basis.T @ columns)
         self._size = np.linalg.norm(rest, axis=0)
-        self.distinct = np.flatnonzero(self._size > INSIDE * np.linalg.norm(columns, axis=0)).tolist()
+        distinct = np.flatnonzero(self._size > INSIDE * np.linalg.norm(columns, axis=0)).tolist()
+        tested = len(self._size) - bounded
+        self.distinct = [index for index in distinct if index < tested]
+        self._bounded = [index for index in distinct if index >= tested]
         every = np.column_stack([basis, rest / np.where(self._size > 0, self._size, 1.0), errors])
         self.count, self._signals, start = basis.shape[1], [], 0
         for one, is_stated in zip(residuals, stated, strict=True):
@@ -197,15 +203,17 @@ class EffectTests:
 
     def _fit(self, effects: Sequence[int], noise: tuple[_Noise, ...]) -> _Fit:
         """Return the fit with some effects; `noise` is where the estimate of the noise begins."""
-        used = [*range(self.count), *(self.count + index for index in effects)]
-        weights = np.zeros(len(self._priors))
-        weights[-1] = 1.0
+        moved = self._bounded
         for _ in range(ROUNDS):
+            used = [*range(self.count), *(self.count + index for index in (*effects, *moved))]
+            weights = np.zeros(len(self._priors))
+            weights[-1] = 1.0
             normal = self._priors + sum(
                 signal.product(one.correlation) / one.deviation**2
                 for signal, one in zip(self._signals, noise, strict=True)
             )
             weights[used] = -np.linalg.lstsq(normal[np.ix_(used, used)], normal[used, -1], rcond=None)[0]
+            moved = [index for index in moved if self._is_plausible(index, weights)]
             noise = tuple(signal.noise(weights, one) for signal, one in zip(self._signals, noise, strict=True))
         costs = [signal.cost(weights, one) for signal, one in zip(self._signals, noise, strict=True)]
         return _Fit(weights, np.array([*costs, weights @ self._priors @ weights]), noise)
@@ -221,14 +229,17 @@ class EffectTests:
         fits = {index: self._fit([*added, index], without.noise) for index in self.distinct if index not in added}
         gains = np.zeros(len(self._size))
         for index, fit in fits.items():
-            low, high = self._limits[index]
-            if low < self._value(index, fit) < high:
+            if self._is_plausible(index, fit.weights):
                 gains[index] = max(float(np.sum(without.costs - fit.costs)), 0.0)
         return gains, fits, without
 
-    def _value(self, index: int, fit: _Fit) -> float:
+    def _value(self, index: int, weights: np.ndarray) -> float:
         """Return the first estimate of the parameter of an effect."""
-        return float(-fit.weights[self.count + index] / self._size[index])
+        return float(-weights[self.count + index] / self._size[index])
+
+    def _is_plausible(self, index: int, weights: np.ndarray) -> bool:
+        low, high = self._limits[index]
+        return low < self._value(index, weights) < high
 
     def found(self, limit: float) -> list[_Effect]:
         """Return the effects with significant statistics, each after those before it were added to the model."""
@@ -242,7 +253,7 @@ class EffectTests:
             best = order[0]
             alike = tuple(index for index in order[1:] if gains[index] > (1 - ALIKE) * largest)
             signal = int(np.argmax((without.costs - fits[best].costs)[:-1]))
-            effects.append(_Effect(best, float(gains[best]), self._value(best, fits[best]), signal, alike))
+            effects.append(_Effect(best, float(gains[best]), self._value(best, fits[best].weights), signal, alike))
         return effects
 
 
@@ -272,9 +283,10 @@ def doubts_of(
     columns: np.ndarray,
     probes: Sequence[Probe],
     *,
-    stated: Collection[tuple[str, str]] = (),
-    priors: tuple[np.ndarray, np.ndarray] | None = None,
-    level: float = 0.95,
+    stated: Collection[tuple[str, str]],
+    priors: tuple[np.ndarray, np.ndarray],
+    sides: np.ndarray,
+    level: float,
 ) -> tuple[Doubt, ...]:
     """Return the reasons to doubt a fitted model, the most significant first.
 
@@ -291,16 +303,18 @@ def doubts_of(
         Experiments and quantities of the signals whose deviation was stated.
     priors
         (M, K) derivatives and (M,) residuals of priors, divided by their deviations.
+    sides
+        (K,) -1 for parameters at their lower bound, 1 at the upper one, and otherwise 0.
     level
         Share of the values that the bands of predictions should contain.
     """
     fitted = [one for one in residuals if not one.is_hold_out]
     is_stated = [(one.experiment, one.quantity) in stated for one in fitted]
-    slopes, rests = priors or (np.zeros((0, jacobian.shape[1])), np.zeros(0))
-    columns = np.concatenate([columns, np.zeros((len(rests), columns.shape[1]))])
-    tests = EffectTests(
-        fitted, np.concatenate([jacobian, slopes]), columns, is_stated, rests, [one.limits for one in probes]
-    )
+    jacobian, bounded = np.concatenate([jacobian, priors[0]]), np.flatnonzero(sides)
+    columns = np.concatenate([columns, np.zeros((len(priors[1]), columns.shape[1]))])
+    limits = [one.limits for one in probes] + [(0.0, np.inf) if sides[k] < 0 else (-np.inf, 0.0) for k in bounded]
+    columns = np.column_stack([columns, jacobian[:, bounded]])
+    tests = EffectTests(fitted, jacobian[:, sides == 0], columns, is_stated, priors[1], limits, len(bounded))
     tested = max(len(tests.distinct), 1)
     limit = float(stats.chi2.isf(1 - (1 - LEVEL) ** (1 / tested), 1))  # Sidak
     doubts = []

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,18 +19,11 @@ from scipy.interpolate import CubicSpline
 
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, RunSpec, parse_path
 from mbdkit.plugin.files import Path
-from mbdkit.plugin.mechanisms import (
-    PointForce,
-    SlidingJoint,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-    mechanism_size,
-)  # fmt: skip
+from mbdkit.plugin.mechanisms import PointForce, SlidingJoint, SpringDamper, Torque, TorsionSpring, mechanism_size
 from mbdkit.plugin.specs import parameters_in_use, put
 from mbdkit_gradients import PreparedSensitivities
 
-AT_ONCE = 8
+AT_ONCE = 12
 """Number of probes in one spec; the time to prepare a run grows with the number of its elements."""
 SLIP = 0.01
 """Rate below which dry friction is smooth, as a share of the typical rate of the mechanism."""
@@ -66,7 +60,8 @@ class Probe:
     limits
         Smallest and largest plausible value of the parameter.
     changes
-        Numbers and expressions of the model that change: key path, and derivative with respect to the parameter.
+        Numbers and expressions of the model that change: key path, and derivative with respect to the parameter. Inputs
+        change wherever expressions use them.
     forces
         Forces to be added to the model, by name.
     markers
@@ -88,7 +83,8 @@ def probes_of(spec: RunSpec) -> list[Probe]:
     """Return the effects that a model may lack, or have with a wrong number.
 
     They are friction, stiffness and a constant torque or force in each revolute and prismatic joint, drag on each body,
-    other laws of springs, other masses, inertias, centres of mass and lengths of bodies, and other loads.
+    other laws of springs, other masses, inertias, centres of mass and lengths of bodies, other loads, other gains of
+    inputs, and another direction of gravity.
     """
     return _Probes(spec).all()
 
@@ -104,6 +100,11 @@ def probe_spec(spec: RunSpec, probes: Sequence[Probe], quantities: Sequence[str]
     for probe in probes:
         for path, factor in probe.changes:
             holder: Any = model
+            if path[0] == "inputs":
+                name = re.escape(str(path[1]))
+                use = re.compile(rf"""inputs(\.{name}\b|\[(\\"|'){name}(\\"|')\])""")
+                model = json.loads(use.sub(rf"((1 + {probe.name})*\g<0>)", json.dumps(model)))
+                continue
             for part in path:
                 holder = holder[part]
             put(model, path, f"{holder if isinstance(holder, str) else repr(holder)} + ({factor})*{probe.name}")
@@ -118,44 +119,22 @@ def probe_spec(spec: RunSpec, probes: Sequence[Probe], quantities: Sequence[str]
     return type(spec)(**data | {"model": model, "parameters": kept | zeros})
 
 
-def probe_derivatives(
+def probe_sensitivities(
     spec: RunSpec,
     probes: Sequence[Probe],
     quantities: Sequence[str],
     times: np.ndarray,
     initial: Mapping[str, float] | None = None,
-) -> np.ndarray:
-    """Return the derivatives (Q, T, P) of quantities at given times with respect to probes; `spec` has the estimates.
-
-    Raises
-    ------
-    SpecError
-        If the quantities or times are wrong.
-    RunError
-        If the run ends before the last time.
+) -> list[PreparedSensitivities]:
+    """Return what evaluates the derivatives of quantities at given times with respect to probes, some probes each;
+    `spec` has the estimates.
     """
-    parts = []
-    for first in range(0, len(probes), AT_ONCE):
-        some = probes[first : first + AT_ONCE]
-        probed, names = probe_spec(spec, some, quantities), [probe.name for probe in some]
-        parts.append(PreparedSensitivities(probed, quantities, times, names, initial=initial).at({}).derivatives)
-    return np.concatenate(parts, axis=-1)
-
-
-def start_probes(names: Sequence[str], experiment: str) -> list[Probe]:
-    """Return the probes of initial values that were not estimated, such as ``initial.crank.angle``; their derivatives
-    are sensitivities of these names.
-    """
-    place = f"start of the experiment '{experiment}'"
+    parts = [probes[first : first + AT_ONCE] for first in range(0, len(probes), AT_ONCE)]
     return [
-        Probe(
-            f"{name} of {experiment}",
-            place,
-            f"another {name.removeprefix('initial.')} at the {place}",
-            "SI",
-            is_lacking=False,
+        PreparedSensitivities(
+            probe_spec(spec, some, quantities), quantities, times, [probe.name for probe in some], initial=initial
         )
-        for name in names
+        for some in parts
     ]
 
 
@@ -202,6 +181,7 @@ def sensor_derivatives(
 def _written_out(mechanism: Mechanism) -> dict[str, Any]:
     """Return the model of a mechanism with all points and initial states, also those that are defaults."""
     model = mechanism.to_spec()
+    model.setdefault("gravity", [*mechanism.gravity])
     model.setdefault("forces", {})
     model.setdefault("markers", {})
     for body in model["bodies"].values():
@@ -252,6 +232,11 @@ class _Probes:
                 self._of_load(name)
             elif isinstance(force, SpringDamper | TorsionSpring) and force.stiffness:
                 self._of_spring(name, force)
+        for name in self.mechanism.inputs:
+            self._wrong(f"gain of the input '{name}'", "", [(("inputs", name), "inputs")])
+        if any(gravity := self.mechanism.gravity):
+            turned = [(("gravity", 0), repr(-gravity[1])), (("gravity", 1), repr(gravity[0]))]
+            self._wrong("direction of gravity", "rad", turned)
         return self.probes
 
     def _wrong(self, place: str, unit: str, changes: Sequence[tuple[Path, str]], limits: Limits = ANY) -> None:
@@ -284,16 +269,10 @@ class _Probes:
             torque, along, slip = "force", "m", SLIP * self.speed
             pathway = {"type": "coordinate", "bodies": [a, b], "points": [[0.0, 0.0], [*joint.ends[1]]]}
             for axis in "xy":  # the rates of springs without stiffness
-                helpers[f"{self.prefix} {name} {axis}"] = {
-                    "type": "law",
-                    "law": "linear",
-                    "pathway": pathway | {"coordinate": axis},
-                }
-            rate = (
-                "("
-                + " + ".join(f'{u!r}*forces["{key}"].rate' for u, key in zip(joint.direction, helpers, strict=True))
-                + ")"
-            )
+                spring = {"type": "law", "law": "linear", "pathway": pathway | {"coordinate": axis}}
+                helpers[f"{self.prefix} {name} {axis}"] = spring
+            rates = (f'{u!r}*forces["{key}"].rate' for u, key in zip(joint.direction, helpers, strict=True))
+            rate = f"({' + '.join(rates)})"
         else:
             return
         unit = "N m" if torque == "torque" else "N"
@@ -371,11 +350,8 @@ class _Probes:
         if body.inertia is None:
             return
         self._wrong(f"inertia of the body '{name}'", "", [(("bodies", name, "inertia"), repr(body.inertia))], SHARE)
-        air = {
-            "type": "torque",
-            "body": name,
-            "value": f"-{self._next}*{w}*sqrt({w}**2 + {(SMOOTH * self.rate) ** 2!r})",
-        }
+        value = f"-{self._next}*{w}*sqrt({w}**2 + {(SMOOTH * self.rate) ** 2!r})"
+        air = {"type": "torque", "body": name, "value": value}
         self._lacking(drag, f"a torque of quadratic {drag}", "N m s^2/rad^2", POSITIVE, {self._next: air})
         elements = [(kind, key, one) for kind, some in self.mechanism.elements.items() for key, one in some.items()]
         paths = [getattr(one, "pathway", None) for *_, one in elements]
@@ -441,14 +417,8 @@ class _Probes:
                                 for at, to in ((xa, xb), (ya, yb))]}
                 for end, body, point in placed
             }  # fmt: skip
-        self._lacking(
-            stiffness,
-            f"a cubic part of the force of the spring '{name}'",
-            f"{'N' if is_line else 'N m'}/{unit}^3",
-            ANY,
-            forces,
-            markers,
-        )
+        kind = f"a cubic part of the force of the spring '{name}'"
+        self._lacking(stiffness, kind, f"{'N' if is_line else 'N m'}/{unit}^3", ANY, forces, markers)
 
     def _turns(self, body: str) -> bool:
         return body == GROUND or self.mechanism.bodies[body].inertia is not None

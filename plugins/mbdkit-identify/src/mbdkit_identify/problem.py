@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +60,7 @@ class Problem:
         self.runs = self.derived = 0
         self._values: dict[bytes, np.ndarray] = {}
         self._slopes: tuple[np.ndarray, np.ndarray] | None = None
+        self._is_jacobian_next = True
         self._index()
 
     def _index(self) -> None:
@@ -147,13 +149,22 @@ class Problem:
         return self._slopes[1]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """Return the whitened residuals (R + P,): prediction minus measurement in deviations, and P priors."""
+        """Return the whitened residuals (R + P,): prediction minus measurement in deviations, and P priors.
+
+        Searches ask for derivatives next, at the same unknowns, unless they refuse a step. One run yields both, so that
+        derivatives are computed at once as long as they were asked for the last time.
+        """
+        if self._is_jacobian_next and not self.differences:
+            with suppress(MbdkitError):
+                self.slopes(x)
+        self._is_jacobian_next = False
         raw = self.predicted(x) - self.measured
         found = [self.white(raw), self._priors(x)]
         return np.asarray(np.nan_to_num(np.concatenate(found), nan=FAILED, posinf=FAILED, neginf=-FAILED))
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R + P, n) of `residuals`."""
+        self._is_jacobian_next = True
         priors = [place for place, one in enumerate(self.unknowns) if one.prior is not None]
         rows = np.zeros((len(priors), len(x)))
         for row, place in enumerate(priors):
@@ -162,7 +173,8 @@ class Problem:
             slopes = self.white(self.slopes(x))
         except MbdkitError:
             slopes = np.zeros((len(self.measured), len(x)))
-        return np.asarray(np.concatenate([np.nan_to_num(slopes), rows]))
+        slopes = np.nan_to_num(slopes, copy=False)
+        return np.concatenate([slopes, rows]) if priors else slopes
 
     def _priors(self, x: np.ndarray) -> np.ndarray:
         pairs = [(x[place], one.prior) for place, one in enumerate(self.unknowns) if one.prior is not None]

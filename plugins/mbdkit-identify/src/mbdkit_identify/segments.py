@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -11,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 from mbdkit.plugin import RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.equations import Starts
 from mbdkit.plugin.runs import GivenStart
-from mbdkit_gradients import PreparedSensitivities
+from mbdkit_gradients import PreparedSensitivities, is_smooth
 from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.loading import sensor_names
 from mbdkit_identify.measured_data import LEAST_SAMPLES, ExperimentData, SignalData
@@ -76,6 +77,8 @@ class Segment:
         Places of the unknowns that are parameters of the run, by name.
     initial
         Initial values: the place of an unknown, or a number, by quantity.
+    shared
+        What evaluates the quantities; windows of equal runs, which differ in their initial values alone, share it.
     """
 
     experiment: str
@@ -85,22 +88,20 @@ class Segment:
     spec: RunSpec
     parameters: dict[str, int]
     initial: dict[str, int | float]
-    _prepared: PreparedSensitivities | None = field(default=None, repr=False)
+    shared: dict[object, PreparedSensitivities] = field(default_factory=dict, repr=False)
 
-    @property
+    @cached_property
     def prepared(self) -> PreparedSensitivities:
         """Evaluates the quantities of the run."""
-        if self._prepared is None:
-            self._prepared = self.prepare(self.spec)
-        return self._prepared
-
-    def prepare(self, spec: RunSpec) -> PreparedSensitivities:
-        """Return what evaluates the quantities of another run of this window."""
         start = {name: 0.0 if isinstance(value, int) else value for name, value in self.initial.items()}
         own = [f"{INITIAL}.{name}" for name, value in self.initial.items() if isinstance(value, int)]
         quantities = [signal.quantity for signal in self.signals]
+        names = [*self.parameters, *own]
+        key = self.spec.canonical_json(), *quantities, self.time.tobytes(), *names, *start
         try:
-            return PreparedSensitivities(spec, quantities, self.time, [*self.parameters, *own], initial=start)
+            if key not in self.shared:
+                self.shared[key] = PreparedSensitivities(self.spec, quantities, self.time, names, initial=start)
+            return self.shared[key]
         except SpecError as error:
             raise error.located(prefix=path_text(("experiments", self.experiment))) from None
 
@@ -162,9 +163,11 @@ def segments_of(
     unknowns = [_parameter(spec, name) for name in spec.parameters if name in of_run or name in shown]
     names = {one.name: place for place, one in enumerate(unknowns)}
     segments: list[Segment] = []
+    shared: dict[object, PreparedSensitivities] = {}
     for one in data:
         for number, some in enumerate(_windows(one, spec.shooting.window if spec.shooting else None)):
-            segments.append(_segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run}))
+            segment = _segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run})
+            segments.append(replace(segment, shared=shared))
     return unknowns, segments, names
 
 
@@ -232,7 +235,12 @@ def _segment(
         try:
             given = GivenStart(run.mechanism(), run, Starts())
             numbers = {one.name: one.start for one in unknowns}
-            for name, value, bounds in _initial_values(given, choice, run, numbers, signals, time):
+            values = _initial_values(given, choice, run, numbers, signals, time)
+            if not isinstance(choice, str):
+                given.state(
+                    {name: value for name, value, _ in values}
+                )  # raises errors of names and values with the key
+            for name, value, bounds in values:
                 if bounds is None:
                     initial[name] = value
                     continue
@@ -255,14 +263,19 @@ def _in_window(signal: SignalData, time: np.ndarray, some: np.ndarray, spec: Ide
 
 
 def run_of_window(base: RunSpec, time: np.ndarray, inputs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> RunSpec:
-    """Return the base for the times (T,) of a window, whose samples are at ends of steps if they are equidistant."""
+    """Return the base for the times (T,) of a window.
+
+    Equidistant samples are at ends of steps, which are shortened for that, except samples within steps over which the
+    motion is smooth.
+    """
     assert base._document is not None
     data = copied(base._document.data)
     step, end = base.time.step, float(time[-1])
     section = {"stops": [stop for stop in base.time.stops if time[0] < stop < end]} if base.time.stops else {}
     places = (time - time[0]) / np.median(np.diff(time))
     interval = (end - float(time[0])) / max(round(places[-1]), 1)  # between samples, of which gaps may lack some
-    if step is not None and np.all(np.abs(places - np.round(places)) < UNIFORM * len(time)):
+    is_uniform = bool(np.all(np.abs(places - np.round(places)) < UNIFORM * len(time)))
+    if step is not None and is_uniform and (step <= interval or inputs or not is_smooth(base)):
         step = interval / np.ceil(interval / step * (1 - 1e-9))
         end = float(time[0]) + step * round((end - time[0]) / step)
     data["time"] = section | {"start": float(time[0]), "end": end} | ({} if step is None else {"step": step})

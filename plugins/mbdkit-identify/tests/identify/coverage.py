@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.stats import norm
-from tests.identify.synthetic_cases import SyntheticCase, synthetic_cases
 
 import mbdkit
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
@@ -33,6 +32,8 @@ from mbdkit_identify.intervals import covariance_of, freedom_of, profile_of, qua
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.noise import Noise
 from mbdkit_identify.problem import Problem
+
+from .synthetic_cases import SyntheticCase, synthetic_cases
 
 CORRELATIONS = {"white": 0.0, "ar": 0.7}
 LEVEL = 0.95
@@ -253,8 +254,7 @@ def main() -> None:
                 f"{campaign.case}, {campaign.noise}, {campaign.method}: {asked.repeats} repeats, "
                 f"{np.mean(seconds):.3f} s each"
             )
-            if asked.interpolated and asked.jobs == 1:
-                problem = _repeats(campaign).problem
+            if asked.jobs == 1 and isinstance(problem := _repeats(campaign).problem, InterpolatedProblem):
                 print(f"  error of the polynomials {problem.error:.1e} standard deviations of the noise")
             for k, name in enumerate(found[0].names):
                 print(

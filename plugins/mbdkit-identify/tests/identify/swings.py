@@ -171,7 +171,9 @@ def by_mujoco(data: np.ndarray) -> tuple[np.ndarray, float, int]:
         return absolute / NOISE, observed, observed
 
     residual = sysid.build_residual_fn(models_sequences=[sequences], modify_residual=difference, n_threads=1)
-    found, _ = sysid.optimize(parameters, residual, verbose=False, optimizer="mujoco", max_iters=50)
+    # of the optimizers, the faster one here; unscaled, the other one ends at once, far from the data
+    scale = np.array([*START.values()])
+    found, _ = sysid.optimize(parameters, residual, verbose=False, optimizer="scipy", x_scale=scale)
     x = np.array([found[name].value[0] for name in TRUE])
     squares = float(np.sum(np.concatenate(residual(x, found)[0]) ** 2))
     return x, squares, count

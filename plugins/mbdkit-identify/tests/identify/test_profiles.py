@@ -69,6 +69,8 @@ CRANK: dict[str, Any] = {
 }
 MECHANISMS = {"pendulum": (PENDULUM, ("a.angle", "b.angle"), 0.1, 0.02), "crank": (CRANK, ("crank.angle",), 0.02, 0.01)}
 """Base, measured quantities, deviation of the noise, and sampling interval [s]."""
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in MECHANISMS]
+"""Mechanisms, of which the other packages need thousands of runs."""
 REGRESSIONS = {"Misra1a": MISRA1A, "Puromycin": PUROMYCIN, "Thurber": THURBER}
 
 
@@ -122,7 +124,7 @@ def test_estimates_and_deviations_are_the_published_ones(regression: Regression)
     assert fit.cost * problem.noises[0].deviation ** 2 == pytest.approx(regression.squares, rel=5e-4)
 
 
-@pytest.mark.parametrize("name", ["Misra1a", "Puromycin", "Thurber", *MECHANISMS])
+@pytest.mark.parametrize("name", ["Misra1a", "Puromycin", "Thurber", *SLOW])
 def test_limits_are_those_of_lmfit(name: str, tmp_path: Path) -> None:
     pytest.importorskip("lmfit")
     problem = problem_of(name, tmp_path)
@@ -133,7 +135,7 @@ def test_limits_are_those_of_lmfit(name: str, tmp_path: Path) -> None:
         assert_equal(our_limits(problem, fit, place), others)
 
 
-@pytest.mark.parametrize("name", ["Misra1a", "Puromycin", *MECHANISMS])
+@pytest.mark.parametrize("name", ["Misra1a", "Puromycin", *SLOW])
 def test_limits_are_those_of_pypesto(name: str, tmp_path: Path) -> None:
     pytest.importorskip("pypesto")
     problem = problem_of(name, tmp_path)

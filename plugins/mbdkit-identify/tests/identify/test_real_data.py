@@ -1,0 +1,128 @@
+"""Identifications from published measurements, compared with the parameters that their authors published.
+
+The published parameters are those of the packaged bases. Predictions of the records that are held out are compared with
+the same windows, initial states and zeros of encoders; only the parameters of the model differ.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mbdkit
+from mbdkit_identify.identification import Identification
+from mbdkit_identify.identify import identify
+from mbdkit_identify.loading import load_identify_spec
+from mbdkit_identify.measured_data import read_experiment
+
+SWING, DRIVEN = "double-pendulum-swing", "driven-double-pendulum"
+
+PUBLISHED_SWING = {
+    "m1": 0.0938440, "m2": 0.137596, "a1": 0.108565, "a2": 0.116779, "L1": 0.172719, "I1": 4.37529e-4,
+    "I2": 1.26883e-3, "k1": 2.37143e-4, "k2": 1.0e-5, "g": 9.80858,
+}  # fmt: skip
+"""EstimatedParameters_DoublePendulum.mat of https://github.com/dynamicslab/MultiArm-Pendulum, copyright (c) 2022
+dynamicslab, MIT License; rounded to six digits."""
+PUBLISHED_DRIVEN = {
+    "I1": 0.053470810264216295, "I2": 0.02392374528789766, "Ir": 7.659297952841183e-05, "b1": 0.001, "b2": 0.001,
+    "cf1": 0.093, "cf2": 0.078, "g": 9.81, "gr": 6.0, "l1": 0.3, "m1": 0.5593806151425046, "m2": 0.6043459469186889,
+    "r1": 0.3, "r2": 0.18377686083653508,
+}  # fmt: skip
+"""data/system_identification/identified_parameters/design_A.0/model_2.0/model_parameters.yml of
+https://github.com/dfki-ric-underactuated-lab/double_pendulum, copyright (c) 2022 DFKI RIC Underactuated Robotics Lab,
+BSD 3-Clause License."""
+
+
+INERTIAS = {"upper_center": "a1", "upper_inertia": "I1", "lower_inertia": "I2"}
+
+
+def swing(t: float, y: np.ndarray) -> list[float]:
+    """Equations of the free swing: angles from the upward vertical, damping in both pins."""
+    p, (u, w, du, dw) = PUBLISHED_SWING, y
+    coupling = p["m2"] * p["L1"] * p["a2"]
+    mass = [
+        [p["I1"] + p["m1"] * p["a1"] ** 2 + p["m2"] * p["L1"] ** 2, coupling * np.cos(u - w)],
+        [coupling * np.cos(u - w), p["I2"] + p["m2"] * p["a2"] ** 2],
+    ]
+    pin = p["k2"] * (dw - du)
+    upper = (p["m1"] * p["a1"] + p["m2"] * p["L1"]) * p["g"] * np.sin(u) - coupling * np.sin(u - w) * dw**2
+    lower = p["m2"] * p["a2"] * p["g"] * np.sin(w) + coupling * np.sin(u - w) * du**2
+    return [du, dw, *np.linalg.solve(mass, [upper - p["k1"] * du + pin, lower - pin])]
+
+
+def driven(t: float, y: np.ndarray, torques: Any) -> list[float]:
+    """Equations of the driven double pendulum: shoulder from hanging, elbow from the straight arm, rotors, friction."""
+    p, (a, b, da, db) = PUBLISHED_DRIVEN, y
+    coupling = p["l1"] * p["m2"] * p["r2"]
+    across = p["I2"] + coupling * np.cos(b) - p["gr"] * p["Ir"]
+    rotors = (p["gr"] ** 2 + 1) * p["Ir"]
+    mass = [
+        [p["I1"] + p["I2"] + p["l1"] ** 2 * p["m2"] + 2 * coupling * np.cos(b) + rotors, across],
+        [across, p["I2"] + p["gr"] ** 2 * p["Ir"]],
+    ]
+    lower = -p["g"] * p["m2"] * p["r2"] * np.sin(a + b)
+    upper = -p["g"] * (p["m1"] * p["r1"] + p["m2"] * p["l1"]) * np.sin(a) + lower
+    spin = coupling * np.sin(b) * np.array([(2 * da + db) * db, -(da**2)])
+    friction = [p["b1"] * da + p["cf1"] * np.arctan(100 * da), p["b2"] * db + p["cf2"] * np.arctan(100 * db)]
+    return [da, db, *np.linalg.solve(mass, np.array([upper, lower]) + spin + torques(t) - friction)]
+
+
+def zeros_only(name: str) -> dict[str, Any]:
+    """Return the parameters of the zeros of the encoders."""
+    return {key: {"start": 0} for key in load_identify_spec(name).parameters if "_zero" in key}
+
+
+def error(fit: Identification) -> float:
+    """Return the root mean square error [rad] of all predictions."""
+    return float(np.sqrt(np.mean(np.concatenate([one.measured - one.fitted for one in fit.hold_out]) ** 2)))
+
+
+def test_the_base_of_the_free_swing_follows_the_published_equations() -> None:
+    base = load_identify_spec(SWING, parameters=zeros_only(SWING)).run_spec
+    run = mbdkit.run(base)
+    start = [run.bodies["upper"].angle[0], run.bodies["lower"].angle[0], base.numbers["upper_rate"],
+             base.numbers["lower_rate"]]  # fmt: skip
+    exact = solve_ivp(swing, (0, 4), start, t_eval=run.time, method="DOP853", rtol=1e-11, atol=1e-12).y
+    assert np.ptp(exact[1]) > 2.0
+    for body, angle in zip(("upper", "lower"), exact, strict=False):
+        np.testing.assert_allclose(run.bodies[body].angle, angle, atol=1e-5)
+
+
+def test_the_driven_base_follows_the_published_equations() -> None:
+    spec = load_identify_spec(DRIVEN, parameters=zeros_only(DRIVEN))
+    given = read_experiment(spec, "fast").inputs
+    tables = {name: {"table": [times.tolist(), values.tolist()]} for name, (times, values) in given.items()}
+    run = mbdkit.run(spec.run_spec, inputs=tables, time={"end": 1.0, "step": 0.0005})
+
+    def torques(t: float) -> np.ndarray:
+        return np.array([np.interp(t, *given[name]) for name in ("shoulder", "elbow")])
+
+    exact = solve_ivp(driven, (0, 1), [np.pi / 2, 0, 0, 0], args=(torques,), t_eval=run.time, max_step=0.002,
+                      rtol=1e-9, atol=1e-10).y  # fmt: skip
+    assert np.ptp(exact[1]) > 0.5
+    np.testing.assert_allclose(run.bodies["upper"].angle, exact[0], atol=1e-5)
+    np.testing.assert_allclose(run.joints["elbow"].angle, exact[1], atol=1e-5)
+
+
+def test_two_seconds_of_the_swing_give_the_published_inertias() -> None:
+    file = "double-pendulum-swing.csv"
+    observed = {"upper.angle": "upper", "lower.angle": "lower"}
+    piece = {"file": file, "observed": observed, "initial": "estimated", "window": [0, 2]}
+    known = {name: {"start": 1.2 * PUBLISHED_SWING[of]} for name, of in INERTIAS.items()}
+    fit = identify(SWING, experiments={"start": piece}, parameters=known | zeros_only(SWING))
+    for name, of in INERTIAS.items():
+        assert fit[name].value == pytest.approx(PUBLISHED_SWING[of], rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "lacking"), [(SWING, "drag on the body 'lower'"), (DRIVEN, "friction in the joint 'elbow'")]
+)
+def test_predictions_are_better_than_with_the_published_parameters(name: str, lacking: str) -> None:
+    fit, published = identify(name), identify(name, parameters=zeros_only(name))
+    assert error(fit) <= error(published)
+    assert fit.verdict == published.verdict == "doubtful"
+    assert any(doubt.place == lacking for doubt in published.doubts)
