@@ -108,7 +108,7 @@ class CasadiSystem:
         self.constraint_names = tuple(solved[k].label for k in self._cut)
         sizes = (n, n, n, len(self._cut), sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
         self.symbols = {name: ca.SX.sym(name, size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
-        *own, lam, z, self._u, self._p, (self.time,) = map(_elements, self.symbols.values())
+        *of_joints, lam, z, self._u, self._p, (self.time,) = map(_elements, self.symbols.values())
         states = iter(z)
         self._z = [self._u[self._controls[name]] if name in self._controls else next(states) for name in names]
         self.z0 = self._compiled.initial_states[self._is_state]
@@ -118,7 +118,7 @@ class CasadiSystem:
         self.taken = self._taken()
         given = start.q0[:whole], start.v0[:whole], np.zeros(whole), self.p0, t0
         self.q0, self.v0, _ = (np.array(x).ravel() for x in self.taken(*given))
-        self._q, self._v, self._a = own = self._bodies(Motion(*map(np.array, own)))
+        self._q, self._v, self._a = own = self._bodies(Motion(*map(np.array, of_joints)))
         self.placed = ca.Function("placed", [*(self.symbols[x] for x in "qvapt")], [*map(column, own)])
         self._lam = np.full(len(solved), 0.0, dtype=object)
         self._lam[self._cut] = lam

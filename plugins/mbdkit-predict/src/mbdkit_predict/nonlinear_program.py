@@ -22,8 +22,8 @@ MOST_ITERATIONS = 2000
 PRECISION = 1e-10
 """Tolerance of the optimizer, to which it scales the conditions of optimality."""
 SCALE = 100.0
-"""Factor of the objective, relative to its natural size, for the optimizer, by which its last barrier parameter has less effect: the error of a squat
-due to it is 2e-11 instead of 2e-9."""
+"""Factor of the objective, relative to its natural size, for the optimizer. Its last barrier parameter then has less
+effect: the error of a squat due to it is 2e-11 instead of 2e-9."""
 NEAR, BARRIER = 1e-5, 1e-5
 """Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
 FEASIBLE = 1e-6
@@ -251,9 +251,7 @@ class _Watcher(ca.Callback):
         Unknowns, values of conditions, and objective.
     """
 
-    def __init__(
-        self, size: int, low: np.ndarray, high: np.ndarray, stop: Stop, report: Callable[[_Iterate], None]
-    ):
+    def __init__(self, size: int, low: np.ndarray, high: np.ndarray, stop: Stop, report: Callable[[_Iterate], None]):
         super().__init__()
         self._sizes = {"x": size, "lam_x": size, "f": 1, "g": len(low), "lam_g": len(low)}
         self._bounds, self._stop, self._report, self._reported = (low, high), stop, report, -np.inf

@@ -25,6 +25,10 @@ ITERATIONS_OF_START = 500
 """Largest number of iterations from a drawn guess."""
 HUGE = 1e8
 """Unknowns above this size at the limit of iterations are taken for unbounded ones."""
+OPEN, DIVISIONS = 0.1, 2
+"""Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
+intervals in which they do are divided.
+"""
 SAFETY = 3.0
 """Factor of the estimated error of the objective."""
 ACCIDENT, ACCIDENT_OF_ACTIVE = 2.0**-10, 2.0**-5
@@ -143,7 +147,17 @@ class _MeshSearch:
     def run(self) -> _Search:
         """Yield problems to solve, take their solutions, and return the best motion."""
         mesh, error, reason, jumps = (yield from self._first()), math.nan, "", list[float]()
+        divisions = 0
         while _solution(mesh).is_optimum:
+            opens, joints = self.transcription.openings(mesh)
+            if opens.max() > OPEN and divisions == DIVISIONS:
+                reason = self._branches(mesh, opens, joints)
+                break
+            if opens.max() > OPEN:
+                divisions += 1
+                refined = self.transcription.refined(mesh, opens > OPEN)
+                (mesh,) = yield [(self.transcription, refined, MOST_ITERATIONS)]
+                continue
             self.meshes.append(mesh)
             error, is_known = self._error()
             objective, count = abs(_solution(mesh).objective), len(mesh.grid.phase)
@@ -162,7 +176,7 @@ class _MeshSearch:
                     break
                 self.halved = len(self.meshes)
             (mesh,) = yield [(self.transcription, self.transcription.refined(mesh, chosen), MOST_ITERATIONS)]
-        if not _solution(mesh).is_optimum:
+        if not _solution(mesh).is_optimum and not reason:
             reason = self._failure(mesh)
         best = self.meshes[-1] if self.meshes else mesh
         error = error if math.isfinite(error) else math.nan
@@ -200,6 +214,15 @@ class _MeshSearch:
     def _floor(self) -> float:
         solution = _solution(self.meshes[-1])
         return max(ROUNDING * abs(solution.objective), 2.0 * solution.gap)
+
+    def _branches(self, mesh: Mesh, opens: np.ndarray, joints: Sequence[str]) -> str:
+        place, ends = int(opens.argmax()), mesh.values["duration"] @ mesh.grid.ends
+        begin = float(ends[place] - mesh.values["duration"] @ mesh.grid.lengths[:, place])
+        return (
+            f"jump: between t = {begin:.4g} and {float(ends[place]):.4g} s, bodies jump from one position to another: "
+            f"the joint '{joints[place]}' is closed at the collocation points only; use revolute joints and slots, "
+            "whose coordinates cannot jump, another `guess`, or conditions along the path"
+        )
 
     def _failure(self, mesh: Mesh) -> str:
         if self.stop.interrupted:

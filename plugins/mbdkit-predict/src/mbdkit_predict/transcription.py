@@ -59,8 +59,10 @@ JOINTS = "the joints at the ends of intervals"
 """Names of conditions."""
 WEIGHT_OF_START = 10.0
 """Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`."""
-ORDINARY = 1e-3, 1e4
-"""Objectives of such magnitudes are not scaled for the optimizer."""
+BETWEEN = 7
+"""Times within each interval at which joints are looked at."""
+SMALL = 1e-3
+"""Smaller objectives are multiplied for the optimizer, which scales large ones itself."""
 MOST_UNEVEN = 0.125
 """Largest share of such intervals."""
 
@@ -295,6 +297,23 @@ class Transcription:
             parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
         return np.asarray(parts @ np.array([weights(points, share) for share in shares]).T)
 
+    def openings(self, mesh: Mesh) -> tuple[np.ndarray, list[str]]:
+        """Return how far cut joints open between the points of each interval (N,), at most, as a share of the largest
+        distance of bodies, and the name of the joint that opens most in each.
+        """
+        labels, count = self.system.constraint_names, len(mesh.grid.phase)
+        if not labels:
+            return np.zeros(count), [""] * count
+        shares = np.linspace(0.0, 1.0, BETWEEN + 2)[1:-1]
+        x = {name: self.values_at(mesh, name, shares).reshape(-1, count * BETWEEN) for name in "qvz"}
+        times = (mesh.values["duration"] @ (mesh.grid.ends[..., None] - mesh.grid.lengths[..., None] * (1.0 - shares)
+                                            ).reshape(len(mesh.values["duration"]), -1))  # fmt: skip
+        given = [x["q"], x["v"], 0.0 * x["v"], np.zeros((len(labels), len(times))), x["z"]]
+        u, p = (np.tile(y[:, None], len(times)) for y in (self.system.u0, mesh.values["p"]))
+        position = np.array(self.system.constraints.map(len(times))(*given, u, p, times[None])[0])
+        largest = abs(position).reshape(len(labels), count, -1).max(axis=2)
+        return largest.max(axis=0) / self._length, [labels[row].rpartition(".")[0] for row in largest.argmax(axis=0)]
+
     def _refined_slopes(self, mesh: Mesh, grid: IntervalGrid) -> dict[str, np.ndarray]:
         """Return `Solution.slopes` on a finer grid.
 
@@ -391,7 +410,7 @@ class Transcription:
         weight = np.concatenate([np.ones(n), np.where(is_held, mass, 1.0), np.ones(system.z.numel())])
         shift, jumps = ca.SX.sym("shift", len(weight)), ca.SX.sym("jumps", 2 * m)
         pushes = ca.mtimes(jacobian.T, ca.reshape(jumps, m, 2)) if m else ca.SX.zeros(n, 2)
-        moved = weight * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
+        moved = ca.DM(weight) * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
         projection = self._at_node(moved, ca.vertcat(position, velocity), further=(shift, jumps))
         return projection, weight[:, None]
 
@@ -623,7 +642,7 @@ class Transcription:
 
     def _size_of_objective(self, mesh: Mesh) -> float:
         """Return the natural size of the objective: that of a guess, with controls changed by half their natural sizes;
-        1 if it is of ordinary magnitude.
+        1 unless it is small.
         """
         low, high, _ = self.limits["u"]
         values, count = dict(mesh.values), len(mesh.times)
@@ -634,7 +653,7 @@ class Transcription:
         integrals = integrands @ np.kron(duration @ mesh.grid.lengths, self.b)
         finals = self._at_node(self.objective.finals)(self.nodes(mesh)[:, -1], values["p"], duration.sum())
         size = abs(float(self.objective.value(integrals, finals, duration.sum())))
-        return 1.0 if not 0.0 < size < np.inf or ORDINARY[0] <= size <= ORDINARY[1] else size
+        return size if 0.0 < size < SMALL else 1.0
 
     @property
     def _length(self) -> float:
