@@ -70,9 +70,11 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         STATE_ROW as STATE_ROW, STATE_USE as STATE_USE, TENSION as TENSION,
     )
     from mbdkit.engine.kernels.tree import (
-        BODY as BODY, PLACE as PLACE, PLACE_SIDE as PLACE_SIDE, coordinates_of as coordinates_of,
+        BODY as BODY, PLACE as PLACE, PLACE_SIDE as PLACE_SIDE, TURN as TURN,
+        accelerate_coordinates as accelerate_coordinates, coordinates_of as coordinates_of,
         place_bodies as place_bodies, turned as turned,
     )
+    from mbdkit.engine.kernels.tree_displacements import accelerate_bodies as accelerate_bodies
     from mbdkit.engine.kernels.vectors import (
         copy as copy, fill as fill, fill_rows as fill_rows, stays_finite as stays_finite,
     )

@@ -89,10 +89,11 @@ def residual_between_points(method: Transcription, mesh: Mesh) -> Residual:
     impulse = abs(np.concatenate([forces, defects]) @ weight) * lengths
     jump = _jumps(method, mesh, own_rates @ weights(method.c, 1.0))
     states = abs(values["z"]).max(axis=1, initial=0.0)
+    is_angle = method.system.is_angle
     return Residual(
         change,
-        _largest_share(impulse, acting @ b @ lengths, states),
-        _largest_share(jump, acting.max(axis=(1, 2)), states / lengths.sum()),
+        _largest_share(impulse, acting @ b @ lengths, states, is_angle),
+        _largest_share(jump, acting.max(axis=(1, 2)), states / lengths.sum(), is_angle),
     )
 
 
@@ -130,12 +131,12 @@ def _jumps(method: Transcription, mesh: Mesh, rates: np.ndarray) -> np.ndarray:
     return np.asarray(jumps)
 
 
-def _largest_share(values: np.ndarray, sizes: np.ndarray, states: np.ndarray) -> np.ndarray:
+def _largest_share(values: np.ndarray, sizes: np.ndarray, states: np.ndarray, is_angle: np.ndarray) -> np.ndarray:
     """Return the largest values (N,) of forces, moments and rates (rows, N), each as a share of the largest size of its
     kind (rows,); sizes are at least `LEAST` of all forces, or of the states (Z,).
     """
-    count = len(sizes) - len(states)
-    kinds = np.concatenate([-1 - (np.arange(count) % 3 == 2), np.arange(len(states))])
+    count = len(is_angle)
+    kinds = np.concatenate([-1 - is_angle, np.arange(len(states))])
     largest = np.array([sizes[kinds == kind].max() for kind in kinds])
     least = np.concatenate([np.full(count, sizes[:count].max(initial=0.0)), states])
     largest = np.maximum(largest, LEAST * least)

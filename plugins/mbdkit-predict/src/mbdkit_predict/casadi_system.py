@@ -20,6 +20,7 @@ from mbdkit.plugin.measures import RunExpression, value_of
 from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import ElementEquilibrium, symbolic_elements
 from mbdkit_predict.interpreted import Interpreter
+from mbdkit_predict.joint_coordinates import JointCoordinates, Motion
 from mbdkit_predict.symbols import BranchError, Symbol, column, symbols
 
 ARGUMENTS = ("q", "v", "a", "lam", "z", "u", "p", "t")
@@ -82,7 +83,7 @@ class CasadiSystem:
         see `mbdkit_predict.exported_elements.ElementEquilibrium.conditions`.
     """
 
-    def __init__(self, chosen: ChosenNumbers, t0: float):
+    def __init__(self, chosen: ChosenNumbers, t0: float, *, is_joint: bool = False):
         self.chosen = chosen
         start = mechanism_at_start(self.chosen.mechanism, t0)
         self._compiled = start.mechanism
@@ -93,20 +94,34 @@ class CasadiSystem:
         names = [state.name for state in self._compiled.states]
         self._is_state = [name not in self._controls for name in names]
         self.bodies, self.compiled_states = self._compiled.bodies, tuple(names)
-        self.constraint_names = tuple(row.label for row in self._compiled.solved_rows)
         self.state_names = tuple(name for name in names if name not in self._controls)
         self.control_names, self.parameter_names = chosen.controls, chosen.parameters
-        n, m = 3 * len(self._compiled.bodies), len(self._compiled.solved_rows)
-        sizes = (n, n, n, m, sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
+        work = Workspace(self._compiled, 0.0, *np.zeros((2, self._compiled.size)))
+        self._joints = None
+        if is_joint and not len(self._compiled.topology.frictions):
+            self._joints = JointCoordinates(self._compiled.topology, work.solver.row_index)
+        whole, solved = 3 * len(self._compiled.bodies), self._compiled.solved_rows
+        in_tree = self._joints.tree_rows if self._joints else set()
+        self._cut = [k for k in range(len(solved)) if k not in in_tree]
+        self._places = self._joints.places if self._joints else np.arange(whole)
+        self.is_angle, n = self._places % 3 == 2, len(self._places)
+        self.constraint_names = tuple(solved[k].label for k in self._cut)
+        sizes = (n, n, n, len(self._cut), sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
         self.symbols = {name: ca.SX.sym(name, size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
-        self._q, self._v, self._a, self._lam, z, self._u, self._p, (self.time,) = map(_elements, self.symbols.values())
+        *of_joints, lam, z, self._u, self._p, (self.time,) = map(_elements, self.symbols.values())
         states = iter(z)
         self._z = [self._u[self._controls[name]] if name in self._controls else next(states) for name in names]
-        self.q0, self.v0 = start.q0[:n].copy(), start.v0[:n].copy()
         self.z0 = self._compiled.initial_states[self._is_state]
         self.u0, self.p0 = np.array(chosen.control_start), np.array(chosen.parameter_start)
         self._run = Interpreter(self._compiled.laws, self._elements)
-        self._equations = self._new_equations()
+        self._equations = self._new_equations(work)
+        self.taken = self._taken()
+        given = start.q0[:whole], start.v0[:whole], np.zeros(whole), self.p0, t0
+        self.q0, self.v0, _ = (np.array(x).ravel() for x in self.taken(*given))
+        self._q, self._v, self._a = own = self._bodies(Motion(*map(np.array, of_joints)))
+        self.placed = ca.Function("placed", [*(self.symbols[x] for x in "qvapt")], [*map(column, own)])
+        self._lam = np.full(len(solved), 0.0, dtype=object)
+        self._lam[self._cut] = lam
         self._add_functions()
 
     def __repr__(self) -> str:
@@ -124,15 +139,37 @@ class CasadiSystem:
         given, values = list(self.symbols.values()), ca.cse(list(results.values()))
         return ca.Function(name, given, values, list(self.symbols), list(results))
 
-    def _new_equations(self) -> equations.Equations:
-        known = self._compiled
-        work = Workspace(known, 0.0, np.zeros(known.size), np.zeros(known.size))
-        top = self.chosen.topology(known.topology, self._p)
+    def _new_equations(self, work: Workspace) -> equations.Equations:
+        top = self.chosen.topology(self._compiled.topology, self._p)
         scratch = _objects(work.scratch)
         scratch.law_values[:] = top.law_parameters
         bundle: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
         self._run(applied_forces.take_states)(top, scratch, self._z)
         return bundle
+
+    def _taken(self) -> ca.Function:
+        """Return positions, velocities and accelerations of the coordinates as a function of those of all bodies, and
+        of parameters and time.
+        """
+        given = [ca.SX.sym(name, 3 * len(self.bodies)) for name in "qva"]
+        own = Motion(*(np.array(_elements(x), dtype=object) for x in given))
+        eq = self._equations
+        if self._joints is not None:
+            self._run(system.prepare)(eq.top, eq.w, self.time, np.append(own.q, np.zeros(3)))
+            own = self._joints.coordinates(self._run, eq.top, eq.w, own)
+        return ca.Function("taken", [*given, self.p, self.t], [*map(column, own)])
+
+    def coordinates_of(self, *whole: np.ndarray, time: np.ndarray) -> list[np.ndarray]:
+        """Return positions, velocities and accelerations (n, T) of the coordinates, given those of all bodies (3 B, T)
+        at times (T,).
+        """
+        p = np.tile(self.p0[:, None], len(time))
+        return [*map(np.array, self.taken.map(len(time))(*whole, p, time[None]))]
+
+    def _bodies(self, own: Motion) -> Motion:
+        """Return the motion of all bodies, given that of the coordinates."""
+        eq = self._equations
+        return own if self._joints is None else self._joints.bodies(self._run, eq.top, eq.w, self.time, own)
 
     def _add_functions(self) -> None:
         eq, run = self._equations, self._run
@@ -146,14 +183,20 @@ class CasadiSystem:
         rates = self._rates(top)
         position, velocity, gamma, acceleration = _zeros(4, len(self._lam))
         run(equations.rows_of)(eq, self.time, self._q, self._v, position, velocity, gamma)
+        balance = column(residual)
+        if self._joints is not None:
+            balance = ca.jtimes(column(self._v), self.v, balance, True)
+            for k, row, multiplier in self._joints.multipliers(top, w.jac, residual):
+                self._lam[eq.solver.row_index[k, row] - len(residual)] = multiplier
         eq.a[: len(self._a)] = self._a
         for k, row in np.ndindex(*w.phi.shape):
             if row < top.rows[k]:
                 index = eq.solver.row_index[k, row] - len(self._q)
                 by_acceleration = run(system.constraint_rate)(top.pairs, w.jac, _zeros(*w.phi_t.shape), eq.a, k, row)
                 acceleration[index] = by_acceleration - gamma[index]
-        rows = {"position": column(position), "velocity": column(velocity), "acceleration": column(acceleration)}
-        self.residual = self.function("residual", {"residual": column(residual)})
+        rows = {"position": position, "velocity": velocity, "acceleration": acceleration}
+        rows = {name: column(values[self._cut]) for name, values in rows.items()}
+        self.residual = self.function("residual", {"residual": balance})
         self.constraints = self.function("constraints", rows)
         self.rates = self.function("rates", {"rates": column(rates[self._is_state])})
         self.equilibrium = self.function("equilibrium", {"equilibrium": column(list(self._equilibrium()))})

@@ -28,7 +28,8 @@ MOST_EVALUATIONS = 400
 class Difference:
     """How a forward run differs from the prediction, as a share of the range of the motion.
 
-    Ranges and differences are those of all coordinates x and y, of all angles, and of each first-order state.
+    Ranges and differences are those of all coordinates x and y, and of all angles; differences of each first-order
+    state are shares of its largest magnitude.
 
     Attributes
     ----------
@@ -46,10 +47,11 @@ class Difference:
 def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh: Mesh) -> Difference:
     """Integrate the controls of a solution from the start on, and also each interval on its own."""
     names, chosen, points = method.system.compiled_states, method.spec.chosen.control_states, method.c
-    n, size, nodes = equations.n, 2 * equations.n + len(names), method.nodes(mesh).T
+    n, size = equations.n, 2 * equations.n + len(names)
     rows = np.array([names.index(name) for name in chosen if name in names])  # unknowns of fibres are no states
     u = mesh.values["u"][[name in names for name in chosen]]
     controls, times = u.reshape(len(u), -1, len(points)), np.append(0.0, mesh.values["duration"] @ mesh.grid.ends)
+    nodes = method.states_of_bodies(mesh, method.nodes(mesh), times).T
     predicted = np.zeros((len(nodes), size))
     predicted[:, np.delete(np.arange(size), 2 * n + rows)] = nodes
     scale = _scale(predicted, n)
@@ -105,8 +107,10 @@ def _between_stops(rates: Rates, span: tuple[float, float], state: np.ndarray, s
 
 
 def _scale(states: np.ndarray, n: int) -> np.ndarray:
-    """Return the ranges (2 n + Z,) of coordinates, velocities and states; infinite if nothing moves."""
-    ranges = np.ptp(states, axis=0)
+    """Return the ranges (2 n + Z,) of coordinates and velocities, infinite if nothing moves, and the largest magnitudes
+    of states, because some hardly change.
+    """
+    ranges = np.concatenate([np.ptp(states[:, : 2 * n], axis=0), abs(states[:, 2 * n :]).max(axis=0)])
     for begin in (0, n):
         of_bodies = ranges[begin : begin + n].reshape(-1, 3)
         of_bodies[:, :2], of_bodies[:, 2] = of_bodies[:, :2].max(), of_bodies[:, 2].max()

@@ -59,10 +59,11 @@ def archived_motion(spec: PredictSpec, system: CasadiSystem) -> GuessedMotion:
         if not set(bodies) & set(system.bodies):
             both = f"{listed(bodies, 'and')}; the mechanism has {listed(system.bodies, 'and')}"
             raise SpecError(f"no body of {shown(path.name)} is one of the mechanism: it has {both}", key="guess")
-        known = {
-            name: _chosen(system.bodies, bodies, run.array(f"trajectory/{array}"))
-            for name, array in (("q", "position"), ("v", "velocity"), ("a", "acceleration"))
-        }
+        of_bodies = [
+            _chosen(system.bodies, bodies, run.array(f"trajectory/{name}"))
+            for name in ("position", "velocity", "acceleration")
+        ]
+        known = dict(zip("qva", system.coordinates_of(*of_bodies, time=time), strict=True))
         if run.records("constraints/multiplier"):
             rows = run.array("constraints/constraint").tolist()
             known["lam"] = _chosen(system.constraint_names, rows, run.array("constraints/multiplier"))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import ctypes
 import io
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,14 +15,15 @@ import casadi as ca
 import numpy as np
 
 from mbdkit_predict.point_hessian import PointHessian
+from mbdkit_predict.processes import Stop
 
 MOST_ITERATIONS = 2000
 """Largest number of iterations of the optimizer on a mesh."""
 PRECISION = 1e-10
 """Tolerance of the optimizer, to which it scales the conditions of optimality."""
 SCALE = 100.0
-"""Factor of the objective for the optimizer, by which its last barrier parameter has less effect: the error of a squat
-due to it is 2e-11 instead of 2e-9."""
+"""Factor of the objective, relative to its natural size, for the optimizer. Its last barrier parameter then has less
+effect: the error of a squat due to it is 2e-11 instead of 2e-9."""
 NEAR, BARRIER = 1e-5, 1e-5
 """Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
 FEASIBLE = 1e-6
@@ -32,19 +33,23 @@ ACTIVE = 1e-6
 ACCEPTABLE = 1e-8
 """Violation of the conditions of optimality up to which an optimizer that cannot reduce it further has succeeded."""
 SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+STOPPED = "User_Requested_Stop"
+REPORTING = 0.1
+"""Least time between two reports of iterates [s]."""
 ROUNDED = "Search_Direction_Becomes_Too_Small"
 """Reports of the optimizer."""
 
 _SILENT: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
 _OPTIONS: dict[str, Any] = {
     **_SILENT, "show_eval_warnings": False, "calc_lam_x": True, "ipopt.tol": PRECISION,
-    "ipopt.bound_relax_factor": 0.0, "ipopt.mumps_pivtol": 0.01,
+    "ipopt.bound_relax_factor": 0.0, "ipopt.mumps_pivtol": 1e-3, "ipopt.mumps_scaling": 7,
 }  # fmt: skip
 """Options of the optimizer.
 
 `calc_lam_x` computes multipliers of unknowns with equal bounds too, which the optimizer takes for constants.
-`mumps_pivtol` is the default of the linear solver itself. With that of the optimizer, 1e-6, the inertia of the matrix
-is wrong on meshes of 100 intervals or more, and the problem is regularized without need.
+With the `mumps_pivtol` of the optimizer, 1e-6, the inertia of the matrix is wrong on meshes of 100 intervals or more,
+and the problem is regularized without need. The iterative scaling of rows and columns, `mumps_scaling`, lets the solver
+keep its order of pivots: with its own choice, the factorization for a chain of 8 rods takes four times as long.
 """
 _PUSHES = "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
 _WARM: dict[str, object] = {
@@ -55,6 +60,10 @@ _WARM: dict[str, object] = {
 
 With adaptive barrier parameters, a walk leaves the neighbourhood of the optimum on the coarser mesh.
 """
+
+
+_Iterate = tuple[np.ndarray, np.ndarray, float]
+"""Unknowns, values of conditions, and objective."""
 
 
 class ProgramCondition(NamedTuple):
@@ -70,25 +79,6 @@ class ProgramCondition(NamedTuple):
     points: np.ndarray | None = None
 
 
-@dataclass
-class Stop:
-    """Says when an optimization stops early: on Ctrl-C, or after a limit of wall time."""
-
-    end: float = np.inf
-    """Time at which it stops, as returned by `time.perf_counter` [s]."""
-    interrupted: bool = False
-    """Whether the user interrupted it."""
-
-    @property
-    def now(self) -> bool:
-        """Whether to stop."""
-        return self.interrupted or time.perf_counter() > self.end
-
-    def interrupt(self) -> None:
-        """Note that the user interrupts the optimization."""
-        self.interrupted = True
-
-
 @dataclass(frozen=True)
 class Solution:
     """What the optimizer returned."""
@@ -96,20 +86,20 @@ class Solution:
     values: Mapping[str, np.ndarray]
     """Arrays of the unknowns by name."""
     objective: float
-    status: str
-    """Report of the optimizer."""
-    iterations: int
     violations: Mapping[str, float]
     """Largest violation of each condition by name."""
-    slopes: Mapping[str, np.ndarray]
+    status: str = STOPPED
+    """Report of the optimizer."""
+    iterations: int = 0
+    slopes: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Derivatives of the objective by name of unknown or condition: by a change of both bounds. Arrays of the shape of
     the unknown, or of the values of the condition."""
-    gap: float
+    gap: float = np.nan
     """Bound of the error of the objective that is due to the tolerance of the optimizer: the sum of all products of
     multipliers with slacks, or with violations."""
-    is_smooth: bool
+    is_smooth: bool = False
     """Whether no bound of an unknown or a condition is active at some points only."""
-    is_strict: bool
+    is_strict: bool = False
     """Whether the second-order condition holds: the Hessian of the Lagrangian is positive definite on the null space of
     the active conditions. The optimizer knows this from the inertia of its matrix (A. Waechter and L. T. Biegler,
     Mathematical Programming 106:25-57, 2006, section 3.1): it adds a multiple of the identity otherwise, which it did
@@ -138,6 +128,8 @@ class NonlinearProgram:
         Natural size of each row of unknowns, by which they are divided for the optimizer; 1 if it is not given.
     hessian
         The second derivatives; those of CasADi by default.
+    size
+        Natural size of the objective.
 
     Attributes
     ----------
@@ -153,7 +145,9 @@ class NonlinearProgram:
         objective: ca.MX,
         sizes: Mapping[str, np.ndarray],
         hessian: PointHessian | None = None,
+        size: float = 1.0,
     ):
+        self._scale = SCALE / size
         self._names, self._shapes = list(unknowns), {name: bounds[name][0].shape for name in unknowns}
         self.points = {condition.name: condition.points for condition in conditions if condition.points is not None}
         self._conditions = [(condition.name, condition.value.numel()) for condition in conditions]
@@ -170,8 +164,8 @@ class NonlinearProgram:
         given = ca.vertcat(*(ca.vec(x) for x in unknowns.values()))
         values = [objective, ca.vertcat(*(ca.vec(condition.value) for condition in conditions))]
         x = ca.MX.sym("x", *given.shape)
-        program = ca.Function("program", [given], values)
-        self._functions: Any = dict(zip("xfg", [x, *program(ca.DM(self._sizes) * x)], strict=True))
+        self._program = ca.Function("program", [given], values)
+        self._functions: Any = dict(zip("xfg", [x, *self._program(ca.DM(self._sizes) * x)], strict=True))
         by_name = {condition.name: condition.value for condition in conditions}
         self._hessian = {} if hessian is None else {"hess_lag": hessian.whole(by_name, given, self._sizes)}
 
@@ -179,19 +173,23 @@ class NonlinearProgram:
         self,
         guess: Mapping[str, np.ndarray],
         stop: Stop,
+        report: Callable[[Solution], None],
         most_iterations: int = MOST_ITERATIONS,
         slopes: Mapping[str, np.ndarray] | None = None,
     ) -> Solution:
         """Return the optimum near a guess; the best iterate if the optimizer does not reach it.
 
-        With `slopes`, which have columns for all points, the guess is near an optimum.
+        With `slopes`, which have columns for all points, the guess is near an optimum. `report` is called with the best
+        iterates in between.
         """
-        watcher = _Watcher(len(self._low_x), self._low, self._high, stop)
+        first = np.concatenate([_flat(guess[name]) for name in self._names])
+        watcher = _Watcher(len(self._low_x), self._low, self._high, stop, lambda best: report(self._iterate(*best)))
+        watcher.note(first / self._sizes, *self._program(first)[::-1])
         options: dict[str, Any] = {
-            "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": SCALE,
+            "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": self._scale,
             **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _WARM), **self._hessian,
         }  # fmt: skip
-        start = {"x0": np.concatenate([_flat(guess[name]) for name in self._names]) / self._sizes}
+        start = {"x0": first / self._sizes}
         if slopes is not None:
             rows = [slopes[name][:, self.points[name]] if name in self.points else slopes[name]
                     for name, _ in self._conditions]  # fmt: skip
@@ -200,33 +198,41 @@ class NonlinearProgram:
         with redirect_stderr(io.StringIO()), _one_thread():
             solver = ca.nlpsol("prediction", "ipopt", self._functions, {**_OPTIONS, **options})
             result: Any = solver(lbx=self._low_x, ubx=self._high_x, lbg=self._low, ubg=self._high, **start)
-        report = solver.stats()
-        status, x, g, objective = report["return_status"], result["x"], result["g"], result["f"]
-        if status == ROUNDED and max(report["iterations"][name][-1] for name in ("inf_pr", "inf_du")) <= ACCEPTABLE:
+        found = solver.stats()
+        status, count = found["return_status"], found["iter_count"]
+        if status == ROUNDED and max(found["iterations"][name][-1] for name in ("inf_pr", "inf_du")) <= ACCEPTABLE:
             status = SUCCESSES[1]
         if status not in SUCCESSES and watcher.best is not None:
-            _, x, g, objective = watcher.best
-        x, g, lam_x, lam = (np.array(values).ravel() for values in (x, g, result["lam_x"], result["lam_g"]))
-        violation = _beyond(g, self._low, self._high)
-        rows = np.split(np.arange(len(g)), np.cumsum([size for _, size in self._conditions])[:-1])
-        violations, slopes = dict[str, float](), self._apart(-lam_x / self._sizes)
-        for (name, _), row in zip(self._conditions, rows, strict=True):
-            violations[name] = max(violations.get(name, 0.0), float(violation[row].max(initial=0.0)))
-            slopes[name] = -lam[row]
+            return replace(self._iterate(*watcher.best), status=status, iterations=count)
+        x, g, lam_x, lam = (np.array(result[name]).ravel() for name in ("x", "g", "lam_x", "lam_g"))
+        slopes = self._apart(-lam_x / self._sizes)
+        slopes |= {name: -lam[row] for name, row in self._rows()}
         of_points = [row for places in self._apart(np.arange(len(x))).values() if places.ndim > 1 for row in places]
         is_smooth = not any(
             _is_partly_active(value[row], low[row], high[row])
             for value, low, high, groups in (
                 (x, self._low_x, self._high_x, of_points),
-                (g, self._low, self._high, rows),
+                (g, self._low, self._high, [row for _, row in self._rows()]),
             )
             for row in groups
         )
         gap = _gap(lam_x, x, self._low_x, self._high_x) + _gap(lam, g, self._low, self._high)
-        values = self._apart(self._sizes * x)
-        is_strict = status in SUCCESSES and report["iterations"]["regularization_size"][-1] == 0.0
-        counted = status, report["iter_count"]
-        return Solution(values, float(objective), *counted, violations, slopes, gap, is_smooth, is_strict)
+        is_strict = status in SUCCESSES and found["iterations"]["regularization_size"][-1] == 0.0
+        solution = self._iterate(x, g, float(result["f"]))
+        return replace(
+            solution, status=status, iterations=count, slopes=slopes, gap=gap, is_smooth=is_smooth, is_strict=is_strict
+        )
+
+    def _iterate(self, x: np.ndarray, g: np.ndarray, objective: float) -> Solution:
+        violation, violations = _beyond(g, self._low, self._high), dict[str, float]()
+        for name, row in self._rows():
+            violations[name] = max(violations.get(name, 0.0), float(violation[row].max(initial=0.0)))
+        return Solution(self._apart(self._sizes * x), objective, violations)
+
+    def _rows(self) -> list[tuple[str, np.ndarray]]:
+        ends = np.cumsum([size for _, size in self._conditions])[:-1]
+        rows = np.split(np.arange(len(self._low)), ends)
+        return [(name, row) for (name, _), row in zip(self._conditions, rows, strict=True)]
 
     def _apart(self, x: np.ndarray) -> dict[str, np.ndarray]:
         sizes = [int(np.prod(self._shapes[name])) for name in self._names]
@@ -237,19 +243,20 @@ class NonlinearProgram:
 
 
 class _Watcher(ca.Callback):
-    """Is called by the optimizer after each iteration: keeps the best iterate, and stops it early.
+    """Is called by the optimizer after each iteration: keeps and reports the best iterate, and stops it early.
 
     Attributes
     ----------
     best
-        Violation and objective, by which iterates are ordered, unknowns, values of conditions, and objective.
+        Unknowns, values of conditions, and objective.
     """
 
-    def __init__(self, size: int, low: np.ndarray, high: np.ndarray, stop: Stop):
+    def __init__(self, size: int, low: np.ndarray, high: np.ndarray, stop: Stop, report: Callable[[_Iterate], None]):
         super().__init__()
         self._sizes = {"x": size, "lam_x": size, "f": 1, "g": len(low), "lam_g": len(low)}
-        self._bounds, self._stop = (low, high), stop
-        self.best: tuple[tuple[float, float], Any, Any, float] | None = None
+        self._bounds, self._stop, self._report, self._reported = (low, high), stop, report, -np.inf
+        self.best: _Iterate | None = None
+        self._order, self._is_new = (np.inf, np.inf), False
         self.construct("watcher", {})
 
     def get_n_in(self) -> int:
@@ -263,11 +270,18 @@ class _Watcher(ca.Callback):
 
     def eval(self, values: Any) -> list[int]:
         now = dict(zip(map(ca.nlpsol_out, range(len(values))), values, strict=True))
-        g, f = np.array(now["g"]).ravel(), float(now["f"])
-        order = max(float(_beyond(g, *self._bounds).max(initial=0.0)), FEASIBLE), f
-        if np.all(np.isfinite(order)) and (self.best is None or order < self.best[0]):
-            self.best = order, np.array(now["x"]), g, f
+        self.note(now["x"], now["g"], now["f"])
         return [int(self._stop.now)]
+
+    def note(self, x: Any, g: Any, objective: Any) -> None:
+        """Take an iterate if it is better than those before: has smaller violations, or a smaller objective."""
+        g, f = np.array(g).ravel(), float(objective)
+        order = max(float(_beyond(g, *self._bounds).max(initial=0.0)), FEASIBLE), f
+        if np.all(np.isfinite(order)) and order < self._order:
+            self._order, self.best, self._is_new = order, (np.array(x).ravel(), g, f), True
+        if self.best is not None and self._is_new and time.perf_counter() - self._reported > REPORTING:
+            self._report(self.best)
+            self._reported, self._is_new = time.perf_counter(), False
 
 
 @contextmanager

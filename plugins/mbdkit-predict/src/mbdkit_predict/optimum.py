@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from mbdkit_predict.between_points import Residual, residual_between_points
-from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution, Stop
+from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution
 from mbdkit_predict.predict_spec import PredictSpec
-from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
+from mbdkit_predict.processes import Stop, results_of
+from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription, solved_meshes
 
 ROUNDING = 1e-8
 """Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
 NOTHING = 1e-9
-"""Changes of the objective below this count as zero."""
+"""Changes of the objective below this, relative to its natural size, count as zero."""
 MOST_INTERVALS = 640
 """Largest number of intervals of a refined mesh; every first mesh is refined once."""
 ITERATIONS_OF_START = 500
 """Largest number of iterations from a drawn guess."""
 HUGE = 1e8
 """Unknowns above this size at the limit of iterations are taken for unbounded ones."""
+OPEN, DIVISIONS = 0.1, 2
+"""Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
+intervals in which they do are divided.
+"""
 SAFETY = 3.0
 """Factor of the estimated error of the objective."""
 ACCIDENT, ACCIDENT_OF_ACTIVE = 2.0**-10, 2.0**-5
@@ -34,6 +39,10 @@ SLOWEST, FASTEST = 0.5, 2.0**-4
 """Largest and smallest ratio of two changes of the objective in a row with which the error is extrapolated. Where
 conditions become active, methods of high order have no constant ratio.
 """
+
+
+Problem = tuple[Transcription, Mesh, int]
+"""A problem, its first guess, and the largest number of iterations."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +118,22 @@ class Optimum:
         return {name: by_parameter[name] for name in self.spec.sensitivities} | by_duration | by_condition
 
 
-def find_optimum(transcription: Transcription, stop: Stop) -> Optimum:
-    """Return the best motion of a problem, found on finer and finer meshes until `stop` says to stop."""
-    return _MeshSearch(transcription, stop).run()
+def find_optima(transcriptions: Sequence[Transcription], stop: Stop) -> list[Optimum]:
+    """Return the best motion of each problem, found on finer and finer meshes until `stop` says to stop."""
+    searches, found = [_MeshSearch(one, stop).run() for one in transcriptions], dict[int, Optimum]()
+    asked = {k: next(search) for k, search in enumerate(searches)}
+    while asked:
+        meshes = iter(solved_meshes([problem for problems in asked.values() for problem in problems], stop))
+        for k, problems in [*asked.items()]:
+            try:
+                asked[k] = searches[k].send([next(meshes) for _ in problems])
+            except StopIteration as end:
+                found[k] = end.value
+                del asked[k]
+    return [found[k] for k in range(len(searches))]
+
+
+_Search = Generator[list[Problem], list[Mesh], Optimum]
 
 
 class _MeshSearch:
@@ -122,12 +144,24 @@ class _MeshSearch:
         self.meshes, self.starts = list[Mesh](), list[float]()
         self.halved = 0  # index of the mesh from which on all intervals are divided
 
-    def run(self) -> Optimum:
-        mesh, error, reason, jumps = self._first(), math.nan, "", list[float]()
+    def run(self) -> _Search:
+        """Yield problems to solve, take their solutions, and return the best motion."""
+        mesh, error, reason, jumps = (yield from self._first()), math.nan, "", list[float]()
+        divisions = 0
         while _solution(mesh).is_optimum:
+            opens, joints = self.transcription.openings(mesh)
+            if opens.max() > OPEN and divisions == DIVISIONS:
+                reason = self._branches(mesh, opens, joints)
+                break
+            if opens.max() > OPEN:
+                divisions += 1
+                refined = self.transcription.refined(mesh, opens > OPEN)
+                (mesh,) = yield [(self.transcription, refined, MOST_ITERATIONS)]
+                continue
             self.meshes.append(mesh)
             error, is_known = self._error()
-            limit, count = self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING, len(mesh.grid.phase)
+            objective, count = abs(_solution(mesh).objective), len(mesh.grid.phase)
+            limit = self.spec.tolerance * objective + NOTHING * mesh.size
             is_last = len(self.meshes) > self.halved + 1 and 2 * count > MOST_INTERVALS
             chosen = None
             if (is_known and error <= limit) or is_last:
@@ -141,26 +175,23 @@ class _MeshSearch:
                     jumps = (mesh.values["duration"] @ mesh.grid.ends)[has_jump].tolist()
                     break
                 self.halved = len(self.meshes)
-            mesh = self.transcription.solved(self.transcription.refined(mesh, chosen), self.stop)
-        if not _solution(mesh).is_optimum:
+            (mesh,) = yield [(self.transcription, self.transcription.refined(mesh, chosen), MOST_ITERATIONS)]
+        if not _solution(mesh).is_optimum and not reason:
             reason = self._failure(mesh)
         best = self.meshes[-1] if self.meshes else mesh
         error = error if math.isfinite(error) else math.nan
         return Optimum(self.transcription, best, self.meshes, error, reason, jumps, self.starts)
 
-    def _first(self) -> Mesh:
-        random, best = np.random.default_rng(self.spec.seed), None
-        for k in range(self.spec.starts):
-            guess = self.transcription.guess(random if k else None, self.stop)
-            mesh = self.transcription.solved(guess, self.stop, ITERATIONS_OF_START if k else MOST_ITERATIONS)
-            solution = _solution(mesh)
-            self.starts.append(solution.objective if solution.is_optimum else np.nan)
-            if best is None or _order(mesh) < _order(best):
-                best = mesh
-            if self.stop.now:
-                break
-        assert best is not None
-        return best
+    def _first(self) -> Generator[list[Problem], list[Mesh], Mesh]:
+        random = np.random.default_rng(self.spec.seed)
+        guesses = [self.transcription.guess(random if k else None, self.stop) for k in range(self.spec.starts)]
+        meshes = yield [
+            (self.transcription, guess, ITERATIONS_OF_START if k else MOST_ITERATIONS)
+            for k, guess in enumerate(guesses)
+        ]
+        solutions = [_solution(mesh) for mesh in meshes]
+        self.starts = [solution.objective if solution.is_optimum else np.nan for solution in solutions]
+        return min(meshes, key=_order)
 
     def _error(self) -> tuple[float, bool]:
         """Return the estimated error of the objective, and whether it can be trusted.
@@ -183,6 +214,15 @@ class _MeshSearch:
     def _floor(self) -> float:
         solution = _solution(self.meshes[-1])
         return max(ROUNDING * abs(solution.objective), 2.0 * solution.gap)
+
+    def _branches(self, mesh: Mesh, opens: np.ndarray, joints: Sequence[str]) -> str:
+        place, ends = int(opens.argmax()), mesh.values["duration"] @ mesh.grid.ends
+        begin = float(ends[place] - mesh.values["duration"] @ mesh.grid.lengths[:, place])
+        return (
+            f"jump: between t = {begin:.4g} and {float(ends[place]):.4g} s, bodies jump from one position to another: "
+            f"the joint '{joints[place]}' is closed at the collocation points only; use revolute joints and slots, "
+            "whose coordinates cannot jump, another `guess`, or conditions along the path"
+        )
 
     def _failure(self, mesh: Mesh) -> str:
         if self.stop.interrupted:
@@ -207,7 +247,8 @@ class _MeshSearch:
 
     def _cause(self, mesh: Mesh) -> str:
         guess = self.transcription.guess()
-        largest = max(self.transcription.nearest_violations(guess, self.stop).items(), key=lambda x: x[1], default=None)
+        (found,) = results_of([lambda report: self.transcription.nearest_violations(guess, self.stop)], self.stop)
+        largest = max((found or {}).items(), key=lambda x: x[1], default=None)
         if largest is not None and largest[1] > 1e-6:
             return f"; `{largest[0]}` cannot hold with the others: the nearest motion misses it by {largest[1]:.3g}"
         name, size = max(_solution(mesh).violations.items(), key=lambda x: x[1])
@@ -244,5 +285,5 @@ def _solution(mesh: Mesh) -> Solution:
 def _order(mesh: Mesh) -> tuple[bool, float, float]:
     """Return by what solutions are ordered: optima first, by their objective, and then by violations."""
     solution = _solution(mesh)
-    worst = 0.0 if solution.is_optimum else max(solution.violations.values(), default=0.0)
+    worst = 0.0 if solution.is_optimum else max(solution.violations.values(), default=np.inf)
     return not solution.is_optimum, worst, solution.objective

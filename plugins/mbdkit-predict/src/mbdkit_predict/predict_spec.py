@@ -51,17 +51,22 @@ class Variable(Section):
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("start",)
 
-    bounds: Bounds
-    """Smallest and largest value."""
+    bounds: Bounds | Literal["none"]
+    """Smallest and largest value, or `none`."""
     start: Number | None = None
     """Value with which the optimization begins; by default, that of the base."""
 
     @model_validator(mode="after")
     def _starts_within(self) -> Variable:
-        low, high = self.bounds
+        low, high = self.limits
         if self.start is not None and not low <= self.start <= high:
             raise SpecError(f"should be within the bounds, {low:g} to {high:g}, not {self.start:g}", key="start")
         return self
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest value, infinite without bounds."""
+        return (-math.inf, math.inf) if isinstance(self.bounds, str) else self.bounds
 
 
 class Duration(Variable):
@@ -176,6 +181,9 @@ class PredictSpec(ModelSpec):
     `measured.NAME`. The duration must be a number, and the tables must cover it."""
     minimize: str
     """What is minimized: an expression of measures such as `integral(forces.motor.value**2)` and `final(t)`."""
+    coordinates: Literal["joint", "absolute"] = "joint"
+    """Unknowns of the motion: coordinates of the joints of the spanning tree, or x, y and angle of each body.
+    Mechanisms with friction in joints always take the latter."""
     collocation: Collocation = Collocation()
     """The collocation method and the first mesh."""
     tolerance: Positive = 1e-6
@@ -324,7 +332,7 @@ class PredictSpec(ModelSpec):
         controls = list(dict.fromkeys([*self.controls, *unknowns, *functions]))
         self._chosen = chosen = ChosenNumbers(mechanism, controls, [*self.optimized, *fixed])
         for i, (name, variable) in enumerate(self.optimized.items()):
-            for bound in variable.bounds:
+            for bound in filter(math.isfinite, variable.limits):
                 try:
                     chosen.with_parameters([*chosen.parameter_start[:i], bound, *chosen.parameter_start[i + 1 :]])
                 except SpecError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -19,11 +20,11 @@ from mbdkit.plugin.terminal import interrupts_noted
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.forward_run import Difference, forward_difference
 from mbdkit_predict.grid import weights
-from mbdkit_predict.nonlinear_program import Stop
 from mbdkit_predict.objective import objective_of
-from mbdkit_predict.optimum import Optimum, find_optimum
+from mbdkit_predict.optimum import Optimum, find_optima
 from mbdkit_predict.predict_loading import compared_spec, simpler_spec
 from mbdkit_predict.predict_spec import PredictSpec
+from mbdkit_predict.processes import Stop
 from mbdkit_predict.transcription import Transcription
 
 NO_OPTIMUM = "The motion is that of the best iterate: it is no optimum, and may violate conditions."
@@ -41,15 +42,18 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     if file is not None:
         guess = spec.folder / spec.guess if isinstance(spec.guess, str) else None
         check_target(file, overwrite=overwrite, source=guess)
-    transcription = transcribed(spec)
-    other = transcribed(compared_spec(spec)) if spec.compare else None
-    setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
-    stop = Stop(np.inf if spec.limits is None else wall + spec.limits.wall_time)
+    problems = [transcribed(spec), *([transcribed(compared_spec(spec))] if spec.compare else [])]
+    setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), _processor_time()
+    stop = Stop(np.inf if spec.limits is None else begin + spec.limits.wall_time)
     with one_thread_of_linear_algebra(), interrupts_noted(stop.interrupt):
-        result = find_optimum(transcription, stop)
-        rival = None if other is None or stop.now else find_optimum(other, stop)
-    timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    return _run_of(result, rival, file, timings, overwrite=overwrite)
+        result, *others = find_optima(problems, stop)
+    timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": _processor_time() - cpu}
+    return _run_of(result, others[0] if others else None, file, timings, overwrite=overwrite, is_stopped=stop.now)
+
+
+def _processor_time() -> float:
+    """Return the processor time of this process and of those that it has ended [s]."""
+    return time.process_time() + sum(os.times()[2:4])
 
 
 def transcribed(spec: PredictSpec) -> Transcription:
@@ -61,7 +65,7 @@ def transcribed(spec: PredictSpec) -> Transcription:
         If an expression is wrong, or the mechanism cannot be exported.
     """
     try:
-        system = CasadiSystem(spec.chosen, 0.0)
+        system = CasadiSystem(spec.chosen, 0.0, is_joint=spec.coordinates == "joint")
         with spec.blaming("minimize"):
             objective = objective_of(spec, system)
         return Transcription(spec, system, objective, _simpler(spec))
@@ -87,14 +91,15 @@ def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     values, nodes, s = mesh.values, method.nodes(mesh), len(method.c)
     at_end = [nodes[:, -1]] * method.has_nodes
     own = np.column_stack([nodes[:, 0], np.vstack([values[name] for name in "qvz"]), *at_end])
-    q, v, z = np.split(own, [len(values["q"]), 2 * len(values["q"])])
+    time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * method.has_nodes])
+    size = 3 * len(method.system.bodies)
+    q, v, z = np.split(method.states_of_bodies(mesh, own, time), [size, 2 * size])
     low, high, _ = method.limits["u"]
     first, last = (
         np.clip(values["u"][:, points] @ weights(method.c, at), low, high)
         for points, at in ((slice(s), 0.0), (slice(-s, None), 1.0))
     )
     u = np.column_stack([first, values["u"], *[last] * method.has_nodes])
-    time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * method.has_nodes])
     by_name = dict(zip([*method.system.state_names, *result.spec.chosen.control_states], [*z, *u], strict=True))
     by_name |= {f"measured.{name}": curve_of(table)(time) for name, table in result.spec.tables.items()}
     states = [by_name[name] for name in method.system.compiled_states]
@@ -102,7 +107,13 @@ def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
 
 
 def _run_of(
-    result: Optimum, rival: Optimum | None, path: Path | None, timings: dict[str, float], *, overwrite: bool
+    result: Optimum,
+    rival: Optimum | None,
+    path: Path | None,
+    timings: dict[str, float],
+    *,
+    overwrite: bool,
+    is_stopped: bool,
 ) -> Run:
     """Return the motion as a run, and write it to an archive."""
     spec, method = result.spec, result.transcription
@@ -129,14 +140,15 @@ def _run_of(
         mechanism, time, *whole, lambda: observed, work=work, dissipated=lost, start_energy=start,
         elapsed=np.zeros(len(time)), z=z,
     )  # fmt: skip
-    forward = forward_difference(equations, method, result.mesh) if result.is_optimum else Difference()
+    is_checked = result.is_optimum and not is_stopped
+    forward = forward_difference(equations, method, result.mesh) if is_checked else Difference()
     status = result.reason.partition(":")[0] if result.reason.startswith("interrupted") else "failed"
     ending = Ending(
         status if result.reason else "complete",
         result.reason,
         {"newton_iterations": result.mesh.iterations, **timings},
         states.misalignment.max(axis=0, initial=0.0),
-        _judgement(result, rival, forward),
+        _judgement(result, rival, forward if is_checked else None),
     )
     provenance = model_provenance(spec) | _results(result, rival, forward)
     return finish_states(spec, states, ending, provenance, path=path, overwrite=overwrite, sizes=np.diff(time))
@@ -158,7 +170,7 @@ def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dic
     return {"casadi": version("casadi"), **numbers, **{name: json.dumps(value) for name, value in texts.items()}}
 
 
-def _judgement(result: Optimum, rival: Optimum | None, forward: Difference) -> Judgement:
+def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | None) -> Judgement:
     if not result.is_optimum:
         return Judgement("bad", (NO_OPTIMUM,))
     # the objective of a minimum changes with the square of a change of the motion
@@ -175,7 +187,9 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference) -> J
         )
     if not result.is_minimum:
         doubts.append(NO_MINIMUM)
-    if not forward.of_intervals <= limit:
+    if forward is None:
+        doubts.append("The optimization was stopped, so that no forward run confirms the motion.")
+    elif not forward.of_intervals <= limit:
         doubts.append(
             f"A forward run with the controls differs by {forward.of_intervals:.2g} of the range of the motion in the "
             f"sum of all intervals; `tolerance` explains {limit:.2g}."

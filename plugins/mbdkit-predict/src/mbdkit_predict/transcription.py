@@ -18,8 +18,9 @@ States are continuous from phase to phase, because the end of an interval is the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -37,12 +38,12 @@ from mbdkit_predict.nonlinear_program import (
     NonlinearProgram,
     ProgramCondition,
     Solution,
-    Stop,
     solve_pose,
 )
 from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_hessian import PointHessian
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
+from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
 
 OF_STATE = ("a", "lam", "u")
@@ -58,6 +59,10 @@ JOINTS = "the joints at the ends of intervals"
 """Names of conditions."""
 WEIGHT_OF_START = 10.0
 """Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`."""
+BETWEEN = 7
+"""Times within each interval at which joints are looked at."""
+SMALL = 1e-3
+"""Smaller objectives are multiplied for the optimizer, which scales large ones itself."""
 MOST_UNEVEN = 0.125
 """Largest share of such intervals."""
 
@@ -74,10 +79,13 @@ class Mesh:
     iterations: int = 0
     """Number of iterations of the optimizer, on this mesh and those before."""
     solution: Solution | None = None
-    program: NonlinearProgram | None = None
-    """What the optimizer returned, and its program; None for a guess."""
+    """What the optimizer returned; None for a guess."""
+    conditions: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Indices of points by name of the conditions of a solution, as in `NonlinearProgram.points`."""
     slopes: Mapping[str, np.ndarray] | None = None
     """Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points."""
+    size: float = 1.0
+    """Natural size of the objective."""
 
     @property
     def times(self) -> np.ndarray:
@@ -181,7 +189,8 @@ class Transcription:
         system, spec = self.system, self.spec
         grid, (low, high, durations) = self._first_grid(), self.limits["duration"]
         if self.simpler is not None and self._simple is None:
-            self._simple = self.simpler.solved(self.simpler.guess(), stop or Stop())
+            given = self.simpler.guess()
+            self._simple = solved_meshes([(self.simpler, given, MOST_ITERATIONS)], stop or Stop())[0]
             self._known_motion = solved_motion(self._simple.times, self._simple.values, self.simpler.system, system)
         known_motion = self._known_motion if random is None else None
         if known_motion is not None:
@@ -204,10 +213,11 @@ class Transcription:
             shares, end = np.linspace(0.0, 1.0, 5), knots[-1]
             drawn = np.clip(start + 0.25 * (high - low) * random.standard_normal((5, len(u))), low, high)
             u = np.array([np.interp(times, shares * end, x) for x in drawn.T])
-            size = np.array([*[float(np.ptp(np.reshape(poses, (-1, 3))[:, :2], axis=0).max()) or 1.0] * 2, 0.5 * np.pi])
+            way = float(np.ptp(poses, axis=0)[~system.is_angle].max(initial=0.0)) or 1.0
+            size = np.where(system.is_angle, 0.5 * np.pi, way)
             for t in shares[1:-1] * end:
                 pose = np.array([np.interp(t, knots, x) for x in np.array(poses).T])
-                pose = pose + np.tile(size, len(pose) // 3) * random.standard_normal(len(pose))
+                pose = pose + size * random.standard_normal(len(pose))
                 place = int(np.searchsorted(knots, t))
                 knots.insert(place, t)
                 poses.insert(place, self._nearest(pose, {}, t))
@@ -226,7 +236,8 @@ class Transcription:
         values = {name: x[:, 1:] for name, x in columns.items()}
         values |= {"duration": durations, "p": p, "start": np.concatenate([q[:, 0], v[:, 0], z[:, 0]])}
         done = self._simple.iterations if self._simple is not None and random is None else 0
-        return Mesh(grid, self._with_nodes(values), done)
+        mesh = Mesh(grid, self._with_nodes(values), done)
+        return replace(mesh, size=self._size_of_objective(mesh))
 
     def _first_grid(self) -> IntervalGrid:
         """Return the first mesh: intervals of equal length, some of which end earlier or later, at discontinuities of
@@ -262,7 +273,8 @@ class Transcription:
             columns = {m: self.values_at(mesh, name, shares) for m, shares in within.items()}
             values[name] = np.concatenate([columns[m][:, i] for i, m in enumerate(divided.tolist())], axis=1)
         grid = mesh.grid.divided(divided)
-        return Mesh(grid, self._with_nodes(values), mesh.iterations, slopes=self._refined_slopes(mesh, grid))
+        slopes = self._refined_slopes(mesh, grid)
+        return Mesh(grid, self._with_nodes(values), mesh.iterations, slopes=slopes, size=mesh.size)
 
     def _parts(self, mesh: Mesh) -> np.ndarray:
         """Return the number of parts (N,) into which intervals are divided for the next mesh."""
@@ -285,6 +297,23 @@ class Transcription:
             parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
         return np.asarray(parts @ np.array([weights(points, share) for share in shares]).T)
 
+    def openings(self, mesh: Mesh) -> tuple[np.ndarray, list[str]]:
+        """Return how far cut joints open between the points of each interval (N,), at most, as a share of the largest
+        distance of bodies, and the name of the joint that opens most in each.
+        """
+        labels, count = self.system.constraint_names, len(mesh.grid.phase)
+        if not labels:
+            return np.zeros(count), [""] * count
+        shares = np.linspace(0.0, 1.0, BETWEEN + 2)[1:-1]
+        x = {name: self.values_at(mesh, name, shares).reshape(-1, count * BETWEEN) for name in "qvz"}
+        times = (mesh.values["duration"] @ (mesh.grid.ends[..., None] - mesh.grid.lengths[..., None] * (1.0 - shares)
+                                            ).reshape(len(mesh.values["duration"]), -1))  # fmt: skip
+        given = [x["q"], x["v"], 0.0 * x["v"], np.zeros((len(labels), len(times))), x["z"]]
+        u, p = (np.tile(y[:, None], len(times)) for y in (self.system.u0, mesh.values["p"]))
+        position = np.array(self.system.constraints.map(len(times))(*given, u, p, times[None])[0])
+        largest = abs(position).reshape(len(labels), count, -1).max(axis=2)
+        return largest.max(axis=0) / self._length, [labels[row].rpartition(".")[0] for row in largest.argmax(axis=0)]
+
     def _refined_slopes(self, mesh: Mesh, grid: IntervalGrid) -> dict[str, np.ndarray]:
         """Return `Solution.slopes` on a finer grid.
 
@@ -294,12 +323,11 @@ class Transcription:
         meshes where conditions are active, because the Hessian of the Lagrangian has the wrong inertia.
         """
         assert mesh.solution is not None
-        assert mesh.program is not None
         slopes, duration, s = dict(mesh.solution.slopes), mesh.values["duration"], len(self.c)
         old, new = (np.kron(duration @ x.lengths, self.b) for x in (mesh.grid, grid))
         times = mesh.times
         nearest = np.searchsorted(0.5 * (times[1:] + times[:-1]), duration @ grid.points)
-        for name, points in {**dict.fromkeys(OF_POINTS, np.arange(len(old))), **mesh.program.points}.items():
+        for name, points in {**dict.fromkeys(OF_POINTS, np.arange(len(old))), **mesh.conditions}.items():
             values = np.zeros((slopes[name].size // len(points), len(old)))
             values[:, points] = np.reshape(slopes[name], (-1, len(points)), order="F") / old[points]
             slopes[name] = values[:, nearest] * new
@@ -311,13 +339,21 @@ class Transcription:
         slopes[COLLOCATION] = self.b[:, None] * costates
         return slopes
 
-    def solved(self, guess: Mesh, stop: Stop, most_iterations: int = MOST_ITERATIONS) -> Mesh:
-        """Return the optimum on the grid of a guess."""
+    def solved(
+        self, guess: Mesh, stop: Stop, most_iterations: int, report: Callable[[Mesh], None] = lambda mesh: None
+    ) -> Mesh:
+        """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
         unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)
-        program = NonlinearProgram(unknowns, bounds, conditions, objective, self._sizes(), hessian)
-        solution = program.solve(guess.values, stop, most_iterations, guess.slopes)
-        done = guess.iterations + solution.iterations
-        return replace(guess, values=solution.values, iterations=done, solution=solution, program=program)
+        program = NonlinearProgram(unknowns, bounds, conditions, objective, self._sizes, hessian, guess.size)
+
+        def mesh(solution: Solution) -> Mesh:
+            done = guess.iterations + solution.iterations
+            return replace(guess, values=solution.values, iterations=done, solution=solution, conditions=program.points)
+
+        def reported(solution: Solution) -> None:
+            report(mesh(solution))
+
+        return mesh(program.solve(guess.values, stop, reported, most_iterations, guess.slopes))
 
     def nearest_violations(self, guess: Mesh, stop: Stop) -> Mapping[str, float]:
         """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of
@@ -335,7 +371,8 @@ class Transcription:
             missed = (unknowns["over"] - unknowns["under"])[part.tolist()]
             conditions[k] = conditions[k]._replace(value=ca.vec(conditions[k].value) - missed)
         total = ca.dot(np.repeat(np.divide(weight, sizes), sizes), unknowns["over"] + unknowns["under"])
-        solution = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes()).solve(values, stop)
+        program = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes)
+        solution = program.solve(values, stop, lambda solution: None)
         if not solution.is_optimum:
             return {}
         misses = np.maximum(solution.values["over"], solution.values["under"])
@@ -368,14 +405,14 @@ class Transcription:
         position, velocity, _ = system.constraints(*given)
         jacobian = ca.jacobian(position, system.q)
         is_held = np.array(ca.which_depends(position, system.q, 1)) if m else np.zeros(n, dtype=bool)
-        mass = ca.if_else(ca.DM(is_held), ca.diag(ca.jacobian(system.residual(*given), system.a)), 1.0)
-        weight = ca.vertcat(ca.SX.ones(n), mass, ca.SX.ones(system.z.numel()))
-        shift, jumps = ca.SX.sym("shift", weight.numel()), ca.SX.sym("jumps", 2 * m)
+        start = [np.concatenate([system.q0, system.v0, system.z0]), system.p0, 0.0]
+        mass = np.array(self._at_node(ca.diag(ca.jacobian(system.residual(*given), system.a)))(*start)).ravel()
+        weight = np.concatenate([np.ones(n), np.where(is_held, mass, 1.0), np.ones(system.z.numel())])
+        shift, jumps = ca.SX.sym("shift", len(weight)), ca.SX.sym("jumps", 2 * m)
         pushes = ca.mtimes(jacobian.T, ca.reshape(jumps, m, 2)) if m else ca.SX.zeros(n, 2)
-        moved = weight * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
-        start = np.concatenate([system.q0, system.v0, system.z0]), system.p0, 0.0
+        moved = ca.DM(weight) * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
         projection = self._at_node(moved, ca.vertcat(position, velocity), further=(shift, jumps))
-        return projection, np.array(self._at_node(weight)(*start))
+        return projection, weight[:, None]
 
     def _curvature_function(self, results: Sequence[ca.SX], mu: ca.SX) -> ca.Function:
         """Return the function of a collocation point that is the Hessian of its part of the Lagrangian, by `OF_POINTS`,
@@ -563,29 +600,73 @@ class Transcription:
         n = len(self.system.q0)
         return {"q": slice(n), "v": slice(n, 2 * n), "z": slice(2 * n, None)}
 
+    def states_of_bodies(self, mesh: Mesh, states: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return states (6 B + Z, T) of B bodies, given those of the coordinates (2 n + Z, T)."""
+        q, v, z = (states[rows] for rows in self._rows.values())
+        p, still = np.tile(mesh.values["p"][:, None], len(times)), 0.0 * v
+        placed = self.system.placed.map(len(times))(q, v, still, p, times[None])
+        return np.vstack([*map(np.array, placed[:2]), z])
+
     def nodes(self, mesh: Mesh) -> np.ndarray:
         """Return the states (2 n + Z, N + 1) at the start and at the ends of intervals."""
         s, values = len(self.c), mesh.values
         ends = values["nodes"] if self.has_nodes else np.vstack([values[name][:, s - 1 :: s] for name in "qvz"])
         return np.column_stack([values["start"], ends])
 
+    @cached_property
     def _sizes(self) -> dict[str, np.ndarray]:
-        """Return natural sizes: of controls and parameters the largest bound, of multipliers the weight.
+        """Natural sizes: of controls and parameters the largest bound, of multipliers the weight.
 
-        The optimizer regularizes indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations,
-        not 24.
+        Controls that are forces or torques are at most those that balance the weight. The optimizer regularizes
+        indefinite problems by absolute numbers; without sizes, a squat takes 395 iterations, not 24.
         """
-        sizes = {"lam": np.full(len(self.system.constraint_names), self._weight)}
+        system = self.system
+        sizes = {"lam": np.full(len(system.constraint_names), self._weight)}
         for name in "up":
             largest = abs(self.limits[name][:2]).max(axis=0)
-            sizes[name] = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)
-        return sizes
+            sizes[name] = np.where(np.isfinite(largest) & (largest > 0.0), largest, np.inf)
+        start = [system.q0, system.v0, 0.0 * system.v0, np.zeros(len(system.constraint_names)), system.z0, system.u0]
+        slopes = ca.Function("slopes", [*system.symbols.values()], [ca.jacobian(system.residual.call(
+            [*system.symbols.values()])[0], system.u)])  # fmt: skip
+        effects = abs(np.array(slopes(*start, system.p0, 0.0)).reshape(len(system.q0), -1))
+        weights = self._weight * np.where(system.is_angle, self._length, 1.0)[:, None]
+        with np.errstate(divide="ignore"):
+            balancing = np.where(effects > 0.0, weights / effects, np.inf).min(axis=0, initial=np.inf)
+        of_spec = np.array([name in self.spec.controls for name in system.control_names], dtype=bool)
+        sizes["u"] = np.where(of_spec, np.minimum(sizes["u"], balancing), sizes["u"])
+        present = np.where(system.p0 == 0.0, 1.0, abs(system.p0))
+        return sizes | {
+            "u": np.where(np.isfinite(sizes["u"]), sizes["u"], 1.0),
+            "p": np.where(np.isfinite(sizes["p"]), sizes["p"], present),
+        }
+
+    def _size_of_objective(self, mesh: Mesh) -> float:
+        """Return the natural size of the objective: that of a guess, with controls changed by half their natural sizes;
+        1 unless it is small.
+        """
+        low, high, _ = self.limits["u"]
+        values, count = dict(mesh.values), len(mesh.times)
+        values["u"] = np.clip(values["u"] + 0.5 * self._sizes["u"][:, None], low[:, None], high[:, None])
+        own = [values[name] for name in ("q", "v", "a", "lam", "z", "u")]
+        p, duration = np.tile(values["p"][:, None], count), values["duration"]
+        integrands = np.array(self.stage.map(count)(*own, p, mesh.times[None], values["mu"])[3])
+        integrals = integrands @ np.kron(duration @ mesh.grid.lengths, self.b)
+        finals = self._at_node(self.objective.finals)(self.nodes(mesh)[:, -1], values["p"], duration.sum())
+        size = abs(float(self.objective.value(integrals, finals, duration.sum())))
+        return size if 0.0 < size < SMALL else 1.0
+
+    @property
+    def _length(self) -> float:
+        """Largest distance of bodies in one direction at the start [m], or 1 if there is none."""
+        q = np.array(self.system.placed(self.system.q0, self.system.v0, 0.0 * self.system.v0, self.system.p0, 0.0)[0])
+        return float(np.ptp(q.reshape(-1, 3)[:, :2], axis=0).max(initial=0.0)) or 1.0
 
     @property
     def _weight(self) -> float:
-        """Weight of all bodies [N], or 1 without gravity."""
-        mechanism = self.spec.mechanism()
-        return sum(body.mass for body in mechanism.bodies.values()) * float(np.hypot(*mechanism.gravity)) or 1.0
+        """Weight of all bodies [N], or the force that moves them by their distance, without gravity."""
+        mechanism, duration = self.spec.mechanism(), float(self.limits["duration"][2].sum())
+        mass = sum(body.mass for body in mechanism.bodies.values())
+        return mass * (float(np.hypot(*mechanism.gravity)) or self._length / duration**2) or 1.0
 
     def _with_nodes(self, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         if self.has_nodes:
@@ -635,10 +716,21 @@ class Transcription:
         return solve_pose(program, x0=q, lbg=low, ubg=high)
 
 
+def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Stop) -> list[Mesh]:
+    """Return the optima of problems on the grids of guesses in at most so many iterations, each found in a process of
+    its own; best iterates, or the guesses themselves, if `stop` says to stop.
+    """
+    found = results_of([partial(method.solved, guess, stop, most) for method, guess, most in problems], stop)
+    return [
+        replace(guess, solution=Solution(guess.values, np.nan, {})) if mesh is None else mesh
+        for mesh, (_, guess, _) in zip(found, problems, strict=True)
+    ]
+
+
 def _limits(variables: Iterable[Variable | None], present: Iterable[float]) -> np.ndarray:
     """Return lower bounds, upper bounds, and starts within them (3, K); present values where a number is fixed."""
     rows = [
-        (x, x, x) if own is None else (*own.bounds, x if own.start is None else own.start)
+        (x, x, x) if own is None else (*own.limits, x if own.start is None else own.start)
         for own, x in zip(variables, present, strict=True)
     ]
     low, high, start = np.reshape(rows, (-1, 3)).T

@@ -19,15 +19,18 @@ from mbdkit_predict.transcription import Transcription
 from predict.exact_optima import PUSH, block
 
 
-def problem_of(spec: dict[str, Any], archive: Path) -> Transcription:
-    return transcribed(load_predict_spec(spec | {"guess": str(archive)}))
+def problem_of(spec: dict[str, Any], archive: Path, coordinates: str = "absolute") -> Transcription:
+    return transcribed(load_predict_spec(spec | {"guess": str(archive), "coordinates": coordinates}))
 
 
-def test_a_warm_start_reaches_the_same_optimum_in_fewer_iterations(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("coordinates", "share"), [("absolute", 0.5), ("joint", 0.9)])
+def test_a_warm_start_reaches_the_same_optimum_in_fewer_iterations(
+    tmp_path: Path, coordinates: str, share: float
+) -> None:
     path = tmp_path / "first.h5"
-    cold = mbdkit.predict("cart-pole", tolerance=1e-2, archive=path)
-    warm = mbdkit.predict("cart-pole", tolerance=1e-2, guess=path)
-    assert 2 * warm.stats["newton_iterations"] < cold.stats["newton_iterations"]
+    cold = mbdkit.predict("cart-pole", tolerance=1e-2, coordinates=coordinates, archive=path)
+    warm = mbdkit.predict("cart-pole", tolerance=1e-2, coordinates=coordinates, guess=path)
+    assert warm.stats["newton_iterations"] < share * cold.stats["newton_iterations"]
     assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
 
 
@@ -54,14 +57,15 @@ def test_an_inverse_analysis_is_a_guess(tmp_path: Path) -> None:
     motion = {"data": {"time": t, "hip": 0.5 * np.sin(3 * t)}, "columns": {"hip.angle": "hip"}}
     mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion}, archive=tmp_path / "rod.h5")
     m.torque("hip", rod, value=0.0)
-    problem = problem_of(
-        {
-            "mbdkit_predict": 1, "base": {"model": m.to_spec()}, "duration": {"bounds": [0.5, 9]},
-            "controls": {"forces.hip.value": {"bounds": [-9, 9]}}, "minimize": "integral(forces.hip.value**2)",
-        },
-        tmp_path / "rod.h5",
-    )  # fmt: skip
+    spec: dict[str, Any] = {
+        "mbdkit_predict": 1, "base": {"model": m.to_spec()}, "duration": {"bounds": [0.5, 9]},
+        "controls": {"forces.hip.value": {"bounds": [-9, 9]}}, "minimize": "integral(forces.hip.value**2)",
+    }  # fmt: skip
+    problem = problem_of(spec, tmp_path / "rod.h5")
     guess = problem.guess()
+    of_joint = problem_of(spec, tmp_path / "rod.h5", "joint").guess()
+    for name in "qva":  # the angle of the rod is the coordinate of the joint
+        np.testing.assert_array_equal(of_joint.values[name][0], guess.values[name][2])
     assert guess.values["duration"] == pytest.approx(2.0)
     angle = 0.5 * np.sin(3 * guess.times)
     expected = {

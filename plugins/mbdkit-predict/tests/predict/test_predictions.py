@@ -19,9 +19,10 @@ import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
 from mbdkit.plugin.specs import write_yaml
-from mbdkit_predict.nonlinear_program import Stop, _Watcher
+from mbdkit_predict.nonlinear_program import _Watcher
 from mbdkit_predict.predict_loading import compared_spec, load_predict_spec
 from mbdkit_predict.predicted_run import transcribed
+from mbdkit_predict.processes import Stop
 from mbdkit_predict.transcription import OF_POINTS, Mesh
 from predict.exact_optima import DRAG, EFFORT, EXACT, PUSH, block, of_states, swing_up
 from tests.identified import MASS, STIFFNESS, sliding, write_fit
@@ -404,7 +405,8 @@ def test_the_linear_solver_uses_one_thread_while_it_works(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(_Watcher, "eval", counted)
     before = [library.openblas_get_num_threads() for library in blas]
-    mbdkit.predict("block")
+    problem = transcribed(load_predict_spec("block"))
+    assert problem.solved(problem.guess(), Stop(), 100).solution.is_optimum  # in this process
     assert counts == {1} if blas else not counts
     assert [library.openblas_get_num_threads() for library in blas] == before
 

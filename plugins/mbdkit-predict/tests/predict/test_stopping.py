@@ -1,0 +1,96 @@
+"""Predictions that are stopped by Ctrl-C or by their limit of time."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit import RunError
+from mbdkit_predict.processes import GRACE, Stop, results_of
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="solutions have processes of their own on Linux only")
+
+
+def chain(count: int) -> dict[str, Any]:
+    """Return a problem whose first mesh takes longer than any limit of these tests: rods with torques in all joints."""
+    names = ["ground", *(f"rod{k}" for k in range(count))]
+    pairs = list(pairwise(names))
+    model = {
+        "name": "mechanism",
+        "bodies": {b: {"mass": 1, "inertia": 1 / 12, "position": [0, -k - 0.5]} for k, (_, b) in enumerate(pairs)},
+        "joints": {b: {"type": "revolute", "bodies": [a, b], "at": [0, -k]} for k, (a, b) in enumerate(pairs)},
+        "forces": {
+            b: {"type": "torque", "body": b, "value": 0.0, **({} if a == "ground" else {"reaction_body": a})}
+            for a, b in pairs
+        },
+    }
+    return {
+        "mbdkit_predict": 1, "base": {"model": model}, "duration": 1.0,
+        "controls": {f"forces.{b}.value": {"bounds": [-1e4, 1e4]} for b in names[1:]},
+        "initial": {f"bodies.{b}.{what}": 0 for b in names[1:] for what in ("angle", "angular_velocity")},
+        "final": {f"bodies.{b}.{what}": x for b in names[1:] for what, x in (("angle", 0.3), ("angular_velocity", 0))},
+        "minimize": " + ".join(f"integral(forces.{b}.value**2)" for b in names[1:]),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("count", [3, pytest.param(40, marks=pytest.mark.slow)])
+def test_stopped_predictions_end_in_time_with_the_best_iterate(count: int, tmp_path: Path) -> None:
+    random, spec = np.random.default_rng(73), chain(10)
+    mbdkit.predict(chain(1))  # imports what predictions need
+    for k in range(count):
+        path, limit = tmp_path / f"{k}.h5", float(random.uniform(0.5, 3.0))
+        begin = time.perf_counter()
+        if k % 2:
+            timer = threading.Timer(limit, signal.raise_signal, [signal.SIGINT])
+            timer.start()
+            mbdkit.predict(spec, archive=path)
+        else:
+            mbdkit.predict(spec, archive=path, limits={"wall_time": limit})
+        late = time.perf_counter() - begin - limit
+        assert late < 1.0, (k, limit, late)
+        with mbdkit.load(path) as run:
+            code = run.status_reason.partition(":")[0]
+            assert (code, run.verdict in ("bad", "doubtful")) == ("interrupted" if k % 2 else "wall-time", True)
+            assert np.isfinite(run.objective)
+
+
+def test_processes_return_results_errors_and_what_they_sent_last() -> None:
+    def squared(x: int) -> Any:
+        return lambda report: x * x
+
+    assert results_of([squared(x) for x in range(5)], Stop()) == [0, 1, 4, 9, 16]
+
+    def endless(report: Any) -> int:
+        for k in range(1000):
+            report(k)
+            time.sleep(0.05)
+        return 1000
+
+    begin = time.perf_counter()
+    (last, *rest) = results_of([endless] * 9, Stop(begin + 0.5))
+    assert last is not None
+    assert 0 < last < 20
+    assert None in rest  # of tasks that have not begun
+    assert time.perf_counter() - begin < 0.5 + GRACE + 0.5
+
+    def wrong(report: Any) -> int:
+        raise RunError("this is wrong")
+
+    with pytest.raises(RunError, match="this is wrong"):
+        results_of([wrong], Stop())
+
+    def killed(report: Any) -> int:
+        signal.raise_signal(signal.SIGKILL)
+        return 0
+
+    with pytest.raises(RunError, match="ended without a result"):
+        results_of([killed], Stop())
