@@ -340,7 +340,11 @@ class Transcription:
         return slopes
 
     def solved(
-        self, guess: Mesh, stop: Stop, most_iterations: int, report: Callable[[Mesh], None] = lambda mesh: None
+        self,
+        guess: Mesh,
+        stop: Stop,
+        most_iterations: int = MOST_ITERATIONS,
+        report: Callable[[Mesh], None] = lambda mesh: None,
     ) -> Mesh:
         """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
         unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)

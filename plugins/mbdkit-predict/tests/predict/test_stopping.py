@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 import threading
@@ -12,9 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import mbdkit
 from mbdkit import RunError
+from mbdkit.cli import app
 from mbdkit_predict.processes import GRACE, Stop, results_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="solutions have processes of their own on Linux only")
@@ -61,6 +64,16 @@ def test_stopped_predictions_end_in_time_with_the_best_iterate(count: int, tmp_p
             code = run.status_reason.partition(":")[0]
             assert (code, run.verdict in ("bad", "doubtful")) == ("interrupted" if k % 2 else "wall-time", True)
             assert np.isfinite(run.objective)
+
+
+def test_an_interrupted_command_writes_the_best_motion(tmp_path: Path) -> None:
+    mbdkit.predict(chain(1))
+    spec, path = tmp_path / "chain.json", tmp_path / "chain.h5"
+    spec.write_text(json.dumps(chain(10)))
+    threading.Timer(1.5, signal.raise_signal, [signal.SIGINT]).start()
+    assert CliRunner().invoke(app, ["predict", str(spec), "-o", str(path)]).exit_code == 130
+    with mbdkit.load(path) as run:
+        assert (run.status, run.verdict in ("doubtful", "bad")) == ("interrupted", True)
 
 
 def test_processes_return_results_errors_and_what_they_sent_last() -> None:
