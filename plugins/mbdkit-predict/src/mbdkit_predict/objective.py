@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -15,7 +15,7 @@ from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.symbols import Symbol, column
 
-INTEGRAL, FINAL = "integral", "final"
+INTEGRAL, FINAL, PEAK = "integral", "final", "peak"
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,16 @@ class Objective:
 
     integrands: ca.SX
     finals: ca.SX
-    """Integrands and final values, (K, 1), expressions in the symbols of the system."""
+    peaks: ca.SX
+    """Integrands, final values, and what has peaks, (K, 1) each, expressions in the symbols of the system."""
     value: ca.Function
-    """Function of the integrals, the final values, and the duration."""
+    """Function of the integrals, the final values, the peaks, and the duration."""
 
 
 class _ObjectiveCompiler(MeasureCompiler):
-    """Compiles an objective, whose weights are numbers: it may add effort and time."""
+    """Compiles an objective, whose weights are numbers: it may add effort and time, and contain peaks."""
+
+    own_functions: ClassVar[Mapping[str, int]] = {**MeasureCompiler.own_functions, PEAK: 1}
 
     def common(self, operation: str, values: Sequence[Any], node: ast.expr) -> Unit | None:
         """Return the unit of operands that are added or compared; None if they differ and are added."""
@@ -46,7 +49,7 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
     """Return the objective of a spec; raise SpecError if it is not valid, or a reduction in it is not smooth."""
     compiler = _ObjectiveCompiler(spec.with_states(spec.minimize), spec)
     program, _ = compiler.measure()
-    found: dict[str, list[tuple[Any, Symbol]]] = {INTEGRAL: [], FINAL: []}
+    found: dict[str, list[tuple[Any, Symbol]]] = {INTEGRAL: [], FINAL: [], PEAK: []}
     duration = ca.SX.sym("duration")
 
     def functional(kind: str, x: object) -> Symbol:
@@ -67,17 +70,17 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
         reduction = operation.removeprefix(REDUCE)
         if reduction == operation:
             return OPERATIONS[operation].array(*operands, *(number,) * (operation == "powi"))
-        if reduction in (INTEGRAL, FINAL):
+        if reduction in found:
             return functional(reduction, operands[0])
         if reduction in ("mean", "rms"):
             x = operands[0] if reduction == "mean" else operands[0] ** 2
             mean = functional(INTEGRAL, x) / Symbol(duration)
             return mean if reduction == "mean" else mean**0.5
         raise SpecError(
-            f"'{reduction}' is not smooth, so that it cannot be minimized; use integral, mean, rms or final"
+            f"'{reduction}' is not smooth, so that it cannot be minimized; use integral, mean, rms, final or peak"
         )
 
     value = column([execute(tuple(program), step)])
     given = [column([symbol for _, symbol in functionals]) for functionals in found.values()]
-    integrands, finals = (column([x for x, _ in functionals]) for functionals in found.values())
-    return Objective(integrands, finals, ca.Function("objective", [*given, duration], [value]))
+    integrands, finals, peaks = (column([x for x, _ in functionals]) for functionals in found.values())
+    return Objective(integrands, finals, peaks, ca.Function("objective", [*given, duration], [value]))

@@ -99,6 +99,8 @@ class _PathOfPhase(NamedTuple):
     low: float
     high: float
     phase: int | None
+    peak: int | None = None
+    """Index of the peak that the values do not exceed, which is an unknown."""
 
 
 class Transcription:
@@ -150,6 +152,8 @@ class Transcription:
             self._add_path(phase.subject_to, f"{place}subject_to", k)
         if spec.phases:
             self._add_path(spec.subject_to, "subject_to", None)
+        for k, peak in enumerate(ca.vertsplit(objective.peaks)):
+            self._path.append(_PathOfPhase(f"peak {k} of the objective", peak, -np.inf, 0.0, None, k))
         conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
         self._is_free = np.array(ca.which_depends(ca.vertcat(ca.SX(0, 1), *conditions), system.z, 1), dtype=bool)
         self.stage = self._stage_function()
@@ -236,7 +240,12 @@ class Transcription:
         values = {name: x[:, 1:] for name, x in columns.items()}
         values |= {"duration": durations, "p": p, "start": np.concatenate([q[:, 0], v[:, 0], z[:, 0]])}
         done = self._simple.iterations if self._simple is not None and random is None else 0
+        values["peak"] = np.zeros(self.objective.peaks.numel())
         mesh = Mesh(grid, self._with_nodes(values), done)
+        along = self._along(mesh, values["u"])[-1]
+        for k, path in enumerate(self._path):
+            if path.peak is not None:
+                values["peak"][path.peak] = along[k].max()
         return replace(mesh, size=self._size_of_objective(mesh))
 
     def _first_grid(self) -> IntervalGrid:
@@ -348,7 +357,8 @@ class Transcription:
     ) -> Mesh:
         """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
         unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)
-        program = NonlinearProgram(unknowns, bounds, conditions, objective, self._sizes, hessian, guess.size)
+        sizes = self._sizes | {"peak": np.where(guess.values["peak"] == 0.0, 1.0, abs(guess.values["peak"]))}
+        program = NonlinearProgram(unknowns, bounds, conditions, objective, sizes, hessian, guess.size)
 
         def mesh(solution: Solution) -> Mesh:
             done = guess.iterations + solution.iterations
@@ -497,10 +507,11 @@ class Transcription:
             conditions.append(ProgramCondition(name, change))
         for k, condition in enumerate(self._path):
             points = self._points(grid, condition)
-            conditions.append(ProgramCondition(condition.name, path[k, points.tolist()], *condition[2:4], points))
+            along = path[k, points.tolist()] - (0.0 if condition.peak is None else x["peak"][condition.peak])
+            conditions.append(ProgramCondition(condition.name, along, condition.low, condition.high, points))
         weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
         finals = self._at_node(self.objective.finals)(end, x["p"], duration)
-        objective = self.objective.value(ca.mtimes(integrands, weighted), finals, duration)
+        objective = self.objective.value(ca.mtimes(integrands, weighted), finals, x["peak"], duration)
         slope = self._slope_of_integrals()
         if slope is None or self.has_nodes:  # projections are curved, too
             return x, bounds, conditions, objective, None
@@ -518,7 +529,7 @@ class Transcription:
             )
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
-        rest = self.objective.value(ca.MX.zeros(len(slope)), finals, duration)
+        rest = self.objective.value(ca.MX.zeros(len(slope)), finals, x["peak"], duration)
         return x, bounds, conditions, objective, PointHessian(variables, blocks, names, rest)
 
     def _slope_of_integrals(self) -> np.ndarray | None:
@@ -539,7 +550,11 @@ class Transcription:
         of_motion = slopes[MOTION].reshape(-1, len(mesh.times), order="F") / np.kron(
             mesh.values["duration"] @ mesh.grid.lengths, self.b
         )
-        return np.array(slope(integrals, finals, duration)).ravel(), of_motion, self._costates(mesh)[self._rows["z"]]
+        return (
+            np.array(slope(integrals, finals, mesh.values["peak"], duration)).ravel(),
+            of_motion,
+            self._costates(mesh)[self._rows["z"]],
+        )
 
     def _costates(self, mesh: Mesh) -> np.ndarray:
         """Return the costates (2 n + Z, N s) at the collocation points: derivatives of the objective by the states."""
@@ -575,6 +590,7 @@ class Transcription:
         at = np.concatenate([np.where(self._idle, [*system.q0, *system.v0], 0.0), np.where(is_free, 0.0, system.z0)])
         bounds = {
             **{name: tuple(self.limits[name][:2]) for name in ("duration", "p")},
+            "peak": (np.full(self.objective.peaks.numel(), -np.inf), np.full(self.objective.peaks.numel(), np.inf)),
             "start": (at - start, at + start),
             **{name: (-limit, limit) for name, limit in free.items()},
             "u": tuple(np.repeat(side[:, None], total, axis=1) for side in self.limits["u"][:2]),
@@ -649,15 +665,21 @@ class Transcription:
         1 unless it is small.
         """
         low, high, _ = self.limits["u"]
-        values, count = dict(mesh.values), len(mesh.times)
+        values = dict(mesh.values)
         values["u"] = np.clip(values["u"] + 0.5 * self._sizes["u"][:, None], low[:, None], high[:, None])
-        own = [values[name] for name in ("q", "v", "a", "lam", "z", "u")]
-        p, duration = np.tile(values["p"][:, None], count), values["duration"]
-        integrands = np.array(self.stage.map(count)(*own, p, mesh.times[None], values["mu"])[3])
+        duration, (*_, integrands, _, along) = values["duration"], self._along(mesh, values["u"])
         integrals = integrands @ np.kron(duration @ mesh.grid.lengths, self.b)
         finals = self._at_node(self.objective.finals)(self.nodes(mesh)[:, -1], values["p"], duration.sum())
-        size = abs(float(self.objective.value(integrals, finals, duration.sum())))
+        peaks = [along[k].max() for k, path in enumerate(self._path) if path.peak is not None]
+        size = abs(float(self.objective.value(integrals, finals, peaks, duration.sum())))
         return size if 0.0 < size < SMALL else 1.0
+
+    def _along(self, mesh: Mesh, u: np.ndarray) -> list[np.ndarray]:
+        """Return the results of `stage` at the points of a mesh, with other controls (U, N s)."""
+        values, count = {**mesh.values, "u": u}, len(mesh.times)
+        own = [values[name] for name in ("q", "v", "a", "lam", "z", "u")]
+        p = np.tile(values["p"][:, None], count)
+        return [*map(np.array, self.stage.map(count)(*own, p, mesh.times[None], values["mu"]))]
 
     @property
     def _length(self) -> float:

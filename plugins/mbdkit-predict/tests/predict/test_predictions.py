@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 from typer.testing import CliRunner
 
 import mbdkit
@@ -165,6 +166,35 @@ def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: s
 
 
 @pytest.mark.slow
+def test_peaks_are_minimized() -> None:
+    force = f'controls["{PUSH}"]'
+    run = mbdkit.predict(block(minimize=f"peak(abs({force}))"))  # bang-bang
+    assert abs(run.objective - 4.0) <= run.objective_error < 1e-6
+
+    # a force P for a time 1 - h, and then a linear one: the effort is P^2 (4/(3 h) - 1)
+    def total(h: float) -> float:
+        peak = 1.0 / (0.5 - h / 3.0)
+        return peak**2 * (4.0 / (3.0 * h) - 1.0) + 2.0 * peak
+
+    exact = float(minimize_scalar(total, (0.3, 0.7, 1.0), options={"xtol": 1e-12}).fun)
+    run = mbdkit.predict(block(minimize=f"{EFFORT} + 2*peak({force})"))
+    assert run.verdict == "good"
+    assert abs(run.objective - exact) <= run.objective_error < 1e-5
+    with pytest.raises(SpecError, match=r"'max' is not smooth, .* use integral, mean, rms, final or peak"):
+        mbdkit.predict(block(minimize=f"max({force})"))
+
+
+def test_the_peak_force_of_a_joint_is_less_where_it_is_minimized() -> None:
+    effort = load_predict_spec("assisted-squat").minimize
+    runs = [mbdkit.predict("assisted-squat", compare={}, minimize=f"{effort} + {w}*peak(abs(joints.knee.force))")
+            for w in (0, 1e-4)]  # fmt: skip
+    peaks = [float(np.hypot(*run.joints["knee"].reaction_force.T).max()) for run in runs]
+    assert peaks[1] < 0.8 * peaks[0]
+    found = (runs[1].objective - runs[0].objective) / 1e-4
+    # the effort grows, so that the derivative of the optimum by the weight falls from one peak to the other
+    assert peaks[1] < found < peaks[0]
+
+
 def test_a_first_mesh_above_the_limit_is_refined_once() -> None:
     run = mbdkit.predict(block(collocation={"points": 2, "intervals": 400}))
     assert run.status == "complete"
