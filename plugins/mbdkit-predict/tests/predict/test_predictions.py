@@ -165,7 +165,6 @@ def test_a_wrong_spec_is_one_sentence(changed: dict[str, Any], key: str, text: s
     assert text in caught.value.message
 
 
-@pytest.mark.slow
 def test_peaks_are_minimized() -> None:
     force = f'controls["{PUSH}"]'
     run = mbdkit.predict(block(minimize=f"peak(abs({force}))"))  # bang-bang
@@ -195,6 +194,7 @@ def test_the_peak_force_of_a_joint_is_less_where_it_is_minimized() -> None:
     assert peaks[1] < found < peaks[0]
 
 
+@pytest.mark.slow
 def test_a_first_mesh_above_the_limit_is_refined_once() -> None:
     run = mbdkit.predict(block(collocation={"points": 2, "intervals": 400}))
     assert run.status == "complete"
