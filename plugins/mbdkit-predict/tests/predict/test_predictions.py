@@ -183,6 +183,19 @@ def test_peaks_are_minimized() -> None:
         mbdkit.predict(block(minimize=f"max({force})"))
 
 
+def test_the_rate_of_a_control_is_minimized() -> None:
+    # least jerk from rest to rest: x = 10 t^3 - 15 t^4 + 6 t^5
+    spec = block(
+        controls={"states.force.rate": {"bounds": "none"}}, minimize='integral(controls["states.force.rate"]**2)',
+        final={"block.x": 1, "block.vx": 0, "states.force.value": 0},
+    )  # fmt: skip
+    spec["base"]["model"] |= {"states": {"force": {"initial": 0, "rate": "0", "unit": "N"}}}
+    spec["base"]["model"]["forces"]["push"]["value"] = ["states.force.value", 0]
+    run = mbdkit.predict(spec)
+    assert run.verdict == "good"
+    assert abs(run.objective - 720.0) <= run.objective_error < 1e-4
+
+
 def test_the_peak_force_of_a_joint_is_less_where_it_is_minimized() -> None:
     effort = load_predict_spec("assisted-squat").minimize
     runs = [mbdkit.predict("assisted-squat", compare={}, minimize=f"{effort} + {w}*peak(abs(joints.knee.force))")
