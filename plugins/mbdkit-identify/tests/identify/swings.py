@@ -41,13 +41,16 @@ def together(t: float, y: np.ndarray, p: np.ndarray) -> np.ndarray:
     return swing(t, y.reshape(4, -1), p).ravel()
 
 
-def angles(values: dict[str, float], rtol: float = 1e-8) -> np.ndarray:
-    """Return both angles of all experiments (4, 2, T)."""
+def angles(values: dict[str, float], rtol: float = 1e-8, at_once: bool = True) -> np.ndarray:
+    """Return both angles of all experiments (4, 2, T), integrated at once, or one after another."""
     start = np.concatenate([np.transpose(STARTS), np.zeros((2, len(STARTS)))])
     p = np.array([values[name] for name in TRUE])
-    rate = partial(together, p=p)
-    found = solve_ivp(rate, (0.0, END), start.ravel(), "DOP853", TIME, rtol=rtol, atol=0.01 * rtol)
-    return np.asarray(found.y.reshape(4, len(STARTS), -1)[:2].transpose(1, 0, 2))
+    options = {"method": "DOP853", "t_eval": TIME, "rtol": rtol, "atol": 0.01 * rtol}
+    if not at_once:
+        found = [solve_ivp(partial(swing, p=p), (0.0, END), one, **options).y[:2] for one in start.T]
+        return np.array(found)
+    y = solve_ivp(partial(together, p=p), (0.0, END), start.ravel(), **options).y
+    return np.asarray(y.reshape(4, len(STARTS), -1)[:2].transpose(1, 0, 2))
 
 
 def measured() -> np.ndarray:
@@ -91,8 +94,10 @@ def spec(folder: Path, data: np.ndarray, step: float, integrator: dict[str, Any]
     }
 
 
-def by_lmfit(data: np.ndarray) -> tuple[np.ndarray, float, int]:
-    """Return the estimates (8,) of lmfit, the sum of squares in deviations, and the number of evaluations."""
+def by_lmfit(data: np.ndarray, at_once: bool = True) -> tuple[np.ndarray, float, int]:
+    """Return the estimates (8,) of lmfit, the sum of squares in deviations, and the number of evaluations; see
+    `angles`.
+    """
     import lmfit
 
     given = lmfit.Parameters()
@@ -100,7 +105,7 @@ def by_lmfit(data: np.ndarray) -> tuple[np.ndarray, float, int]:
         given.add(name, value=value, min=0.1 * value, max=5.0 * value)
 
     def residuals(p: lmfit.Parameters) -> np.ndarray:
-        return ((angles(p.valuesdict()) - data) / NOISE).ravel()
+        return ((angles(p.valuesdict(), at_once=at_once) - data) / NOISE).ravel()
 
     found = lmfit.minimize(residuals, given)
     return np.array([found.params[name].value for name in TRUE]), float(found.chisqr), int(found.nfev)
