@@ -144,6 +144,7 @@ def test_a_jump_over_the_pivot_is_refused_by_name() -> None:
             "mbdkit_predict": 1, "base": {"model": model}, "duration": 2.0, "minimize": EFFORT,
             "controls": {PUSH: {"bounds": [-20, 20]}}, "initial": {"cart.x": 0, "bob.x": 0, "bob.y": -0.5, **rest},
             "final": {"cart.x": 1, "bob.x": 1, "bob.y": 0.5, **rest}, "limits": {"wall_time": 30},
+            "collocation": {"intervals": 10},
         }
     )  # fmt: skip
     assert (run.status, run.verdict) == ("failed", "bad")

@@ -45,7 +45,7 @@ def chain(count: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [2, pytest.param(40, marks=pytest.mark.slow)])
 def test_stopped_predictions_end_in_time_with_the_best_iterate(count: int, tmp_path: Path) -> None:
     random, spec = np.random.default_rng(73), chain(10)
     mbdkit.predict(chain(1))  # imports what predictions need
