@@ -340,6 +340,7 @@ STATUSES: Mapping[str, tuple[str, str]] = {
     "Diverging_Iterates": ("unbounded", "unknowns grow without limit; give bounds to what is free"),
     "Invalid_Number_Detected": ("not-solved", "an expression is not defined, or infinite, along the motion"),
     ROUNDED: ("not-solved", "the optimizer makes no progress, although conditions of optimality are violated"),
+    STOPPED: ("not-solved", "the process of the optimizer ended, perhaps because the memory is too small"),
     "Error_In_Step_Computation": ("not-solved", "the linear equations of a step could not be solved"),
 }
 """Code and sentence for each report of the optimizer that is no success."""

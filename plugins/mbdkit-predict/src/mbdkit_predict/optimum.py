@@ -154,7 +154,7 @@ class _MeshSearch:
                 reason = self._branches(mesh, opens, joints)
                 break
             if opens.max() > OPEN:
-                divisions += 1
+                divisions, self.halved = divisions + 1, len(self.meshes)
                 refined = self.transcription.refined(mesh, opens > OPEN)
                 (mesh,) = yield [(self.transcription, refined, MOST_ITERATIONS)]
                 continue

@@ -55,7 +55,8 @@ class Stop:
 class _Child(Generic[T]):
     process: BaseProcess
     connection: Connection
-    results: list[T] = field(default_factory=list)
+    found: list[T] = field(default_factory=list)
+    """The last result, if there is one."""
     is_running: bool = True
 
     def receive(self) -> None:
@@ -67,7 +68,7 @@ class _Child(Generic[T]):
             return
         if isinstance(result, Exception):
             raise result
-        self.results.append(result)
+        self.found = [result]
         self.is_running = kind == "intermediate"
 
     def end(self) -> None:
@@ -105,10 +106,10 @@ def results_of(tasks: Sequence[Task[T]], stop: Stop) -> list[T | None]:
         for child in children.values():
             child.end()
     for child in children.values():
-        if not child.results and not stop.now:
+        if not child.found and not stop.now:
             raise RunError("the process of the optimizer ended without a result: the memory may be too small")
-    found = [children[index].results if index in children else [] for index in range(len(tasks))]
-    return [results[-1] if results else None for results in found]
+    found = [children[index].found if index in children else [] for index in range(len(tasks))]
+    return [last[0] if last else None for last in found]
 
 
 def _started(task: Task[T]) -> _Child[T]:
