@@ -98,9 +98,15 @@ class ChosenNumbers:
             raise SpecError(f"has components, each a control of its own: {key}[0] and {key}[1]", key=f"model.{key}")
         return float(value) if isinstance(value, int | float) else 0.0
 
+    def place(self, key: str) -> str:
+        """Return the key path of a number in specs."""
+        return f"{'model' if len(parse_path(key)) > 1 else 'parameters'}.{key}"
+
     def _number(self, key: str) -> float:
         if key in self._named:
             return self._named[key]
+        if len(parse_path(key)) == 1:
+            raise SpecError(f"there is no parameter '{key}'{did_you_mean(key, self._named)}", key=self.place(key))
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise SpecError("a parameter should be the key of a number of the mechanism", key=f"model.{key}")
@@ -178,8 +184,7 @@ class ChosenNumbers:
                 slopes = [(x[name] - start) / change for change, x in moved if x[name].shape == start.shape]
                 if len(slopes) < 2 or np.any(abs(np.subtract(*slopes)) > LINEAR * np.max(np.abs(slopes), axis=0)):
                     why = "is not a parameter that can be exported: the equations of motion are not linear in it"
-                    name = self.parameters[k]
-                    raise SpecError(why, key=f"{'parameters' if name in self._named else 'model'}.{name}")
+                    raise SpecError(why, key=self.place(self.parameters[k]))
                 changes[name].append(steps[k] * slopes[0])
                 whole = np.rint(slopes[0])
                 slope = np.where(abs(slopes[0] - whole) <= LINEAR, whole, slopes[0])

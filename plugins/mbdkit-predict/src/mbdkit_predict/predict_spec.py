@@ -355,15 +355,14 @@ class PredictSpec(ModelSpec):
         functions = [path_text(("states", f"measured.{name}")) for name in self.measured]
         controls = list(dict.fromkeys([*self.controls, *unknowns, *functions]))
         parameters = [*self.optimized, *fixed]
-        named = {name: value for name, value in self.numbers.items() if name in parameters}
-        self._chosen = chosen = ChosenNumbers(mechanism, controls, parameters, named, self._with_named)
+        self._chosen = chosen = ChosenNumbers(mechanism, controls, parameters, self.numbers, self._with_named)
         for i, (name, variable) in enumerate(self.optimized.items()):
             for bound in filter(math.isfinite, variable.limits):
                 try:
                     chosen.with_parameters([*chosen.parameter_start[:i], bound, *chosen.parameter_start[i + 1 :]])
                 except SpecError as error:
                     why = f"the bound {bound:g} of this parameter is not possible: {error.message}"
-                    raise SpecError(why, key=f"{'parameters' if name in named else 'model'}.{name}") from None
+                    raise SpecError(why, key=chosen.place(name)) from None
         return chosen.mechanism
 
 

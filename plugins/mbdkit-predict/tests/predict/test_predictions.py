@@ -312,6 +312,22 @@ def test_sensitivities_are_differences_of_optima() -> None:
     assert rates["final: block.x"] == pytest.approx(24.0, rel=1e-6)
 
 
+def test_a_named_parameter_is_optimized_wherever_it_occurs() -> None:
+    # 12 m^2: a mass of which half is that of a second block that is welded to the first one
+    spec = block()
+    model = spec["base"]["model"]
+    half = {"mass": "0.5*m", "inertia": 1.0}
+    model["bodies"] = {"block": half, "load": half}
+    model["joints"] |= {"weld": {"type": "weld", "bodies": ["block", "load"], "at": [0.0, 0.0], "angle": 0.0}}
+    spec["base"]["parameters"] = {"m": "2*n", "n": 0.5}
+    run = mbdkit.predict(spec, sensitivities=["m"])
+    assert run.sensitivities["m"] == pytest.approx(24.0, rel=1e-6)
+    run = mbdkit.predict(spec, parameters={"n": {"bounds": [0.25, 2.0]}})
+    assert (run.objective, run.parameters["n"]) == pytest.approx((3.0, 0.25), rel=1e-6)
+    with pytest.raises(SpecError, match=r"parameters\.nn: there is no parameter 'nn'.*'n'"):
+        mbdkit.predict(spec, parameters={"nn": {"bounds": [0.25, 2.0]}})
+
+
 def test_the_gain_of_a_spring_has_an_error() -> None:
     minimize = f"{EFFORT} - 100*final(t)"  # 0 - 100 instead of 12 - 100
     run = mbdkit.predict(
