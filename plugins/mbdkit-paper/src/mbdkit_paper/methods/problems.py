@@ -41,8 +41,10 @@ class Problem(StrictModel):
     """Assignments that change the example, such as ``model.n=40``."""
     end: Positive
     """The time of the results [s]."""
-    step: Positive
-    """A step with which methods of order 4 reach about three digits [s]."""
+    step: Positive | None = None
+    """The largest fixed step of a comparison [s], which most implicit methods of order 4 can take; None if no fixed step
+    is small enough.
+    """
     quantities: dict[str, Quantity]
     """The results by name."""
     formulations: tuple[Literal["index-1", "index-2", "index-3", "ggl", "joint-coordinates"], ...]
@@ -53,18 +55,20 @@ class Problem(StrictModel):
     """Where the references come from."""
 
     def spec(self, step: float | None = None, **sections: Any) -> RunSpec:
-        """Return the spec of the problem, with its results as measures.
+        """Return the spec of the problem, without stabilization, with its results as measures.
 
         Parameters
         ----------
         step
             Step of methods with fixed steps [s].
         sections
-            Sections that replace those of the example, such as `integrator` and `formulation`.
+            Sections that replace those of the example, such as `integrator`, `formulation` and `stabilization`.
         """
         time = {"end": self.end} if step is None else {"end": self.end, "step": step}
         measures = {name: quantity.value for name, quantity in self.quantities.items()}
-        return load_spec(self.example, self.changes, **{"time": time, "measures": measures, **sections})
+        return load_spec(
+            self.example, self.changes, **{"time": time, "measures": measures, "stabilization": "none", **sections}
+        )
 
 
 @cache
