@@ -6,6 +6,7 @@ Each function returns the results of a problem of ``mbdkit_paper/methods/problem
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ def light_cart_pole(end: float) -> dict[str, float]:
         """Return the time from rest to w, at most to the lowest position [s]."""
         near = [lowest - d for d in (0.1, 0.01, 0.002, 5e-4, 1e-4) if lowest - d < w]
         ends = [0.0, *near, w]
-        return sum(quad(slowness, a, b, epsabs=1e-15, epsrel=1e-13)[0] for a, b in zip(ends, ends[1:], strict=False))
+        return sum(quad(slowness, a, b, epsabs=1e-15, epsrel=1e-13)[0] for a, b in pairwise(ends))
 
     quarter = time(lowest)
     swings, left = divmod(end, 2 * quarter)
@@ -108,7 +109,7 @@ def light_cart_pole(end: float) -> dict[str, float]:
 
 
 def floating_slider_crank(end: float) -> dict[str, float]:
-    """Return the x of the sliders at `end` [s], in the crank's angle, and that with the three coordinates of a frame."""
+    """Return the x of both sliders at `end` [s]: in the angle of one crank, and with three coordinates of a frame."""
     on_ground, x, y, phi, crank = coordinates(5)
 
     def poses(origin: tuple[Any, Any], tilt: Any, angle: Any) -> list[tuple[Any, Any, Any]]:

@@ -42,13 +42,13 @@ class Problem(StrictModel):
     end: Positive
     """The time of the results [s]."""
     step: Positive | None = None
-    """The largest fixed step of a comparison [s], which most implicit methods of order 4 can take; None if no fixed step
-    is small enough.
-    """
+    """The largest fixed step of a comparison [s], which most implicit methods can take; None if all would fail."""
     quantities: dict[str, Quantity]
     """The results by name."""
     formulations: tuple[Literal["index-1", "index-2", "index-3", "ggl", "joint-coordinates"], ...]
     """Formulations in which the problem has this solution."""
+    treatments: tuple[Literal["event-driven", "time-stepping"], ...] = ()
+    """Treatments of its rigid contacts."""
     source: str
     """Who published the results."""
     reference_source: str
