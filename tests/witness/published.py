@@ -1,6 +1,6 @@
 """Problems with published results, solved without constraints: in one or a few coordinates, or by quadrature.
 
-Each function returns the results of a problem of ``mbdkit_paper/methods/problems.yaml`` by the names of the table.
+The functions return results by the names of the table ``problems.yaml`` of the part `mbdkit_paper`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,6 @@ import sympy
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.optimize import brentq
-
-from mbdkit_paper.textbook_four_bar import textbook_equations
 
 from . import ode
 from .dyads import Dyad, Link, Linkage
@@ -157,12 +155,6 @@ def spring_slider_crank(end: float) -> dict[str, float]:
     )  # fmt: skip
     q, v = (part[-1] for part in system.solve(np.array([end])))
     return {"phi": q[0, 2], "x": q[3, 0], "phi_rate": v[0, 2]}
-
-
-def particle_four_bar(end: float) -> dict[str, float]:
-    """Return the angle of the first link at `end` [s], by the textbook's equations."""
-    start = textbook_equations.start()
-    return {"angle": ode.dop853(textbook_equations.rates, start, np.array([end]))[-1][0]}
 
 
 def hinged_beam_accelerations(time: float, angle: Array, rate: Array) -> Array:
