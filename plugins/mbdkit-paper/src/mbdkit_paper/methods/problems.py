@@ -12,7 +12,7 @@ from mbdkit.plugin import Positive, StrictModel
 from mbdkit.plugin.specs import load_spec
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import RunSpec
+    from mbdkit.plugin import Run, RunSpec
 
 
 class Quantity(StrictModel):
@@ -66,9 +66,12 @@ class Problem(StrictModel):
         """
         time = {"end": self.end} if step is None else {"end": self.end, "step": step}
         measures = {name: quantity.value for name, quantity in self.quantities.items()}
-        return load_spec(
-            self.example, self.changes, **{"time": time, "measures": measures, "stabilization": "none", **sections}
-        )
+        given = {"time": time, "measures": measures, "stabilization": "none"}
+        return load_spec(self.example, self.changes, **given | sections)
+
+    def errors(self, run: Run) -> dict[str, float]:
+        """Return the absolute errors of the results of a complete run of `spec`, by name."""
+        return {name: abs(run.measures[name] - quantity.reference) for name, quantity in self.quantities.items()}
 
 
 @cache
