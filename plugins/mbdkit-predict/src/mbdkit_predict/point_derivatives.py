@@ -40,7 +40,7 @@ class PointValues:
 
     def jacobian(self, conditions: ca.MX, unknowns: ca.MX, sizes: np.ndarray) -> ca.Function:
         """Return the Jacobian of conditions, for unknowns divided by their sizes, as the optimizer takes it."""
-        (rows, size), count = self._jacobian.size_out(0), self.symbols.shape[1]
+        count = self.symbols.shape[1]
         blocks = self._jacobian.map(count)(self._variables)
         of_points = ca.MX(ca.diagcat(*[self._jacobian.sparsity_out(0)] * count), blocks.nz[:])
         places = ca.sparsify(ca.evalf(ca.jacobian(ca.vec(self._variables), unknowns)))

@@ -471,10 +471,9 @@ class Transcription:
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
-        at_points = PointValues(
-            ca.vertcat(*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"]),
-            self._values, self._slopes,
-        )  # fmt: skip
+        own = [x[name] for name in ("q", "v", "a", "lam", "z", "u")]
+        variables = ca.vertcat(*own, ca.repmat(x["p"], 1, total), times, x["mu"])
+        at_points = PointValues(variables, self._values, self._slopes)
         rows = np.cumsum([0, *(self.stage.size1_out(k) for k in range(self.stage.n_out()))]).tolist()
         closed, position_rates, rates, integrands, balance, path = ca.vertsplit(at_points.symbols, rows)
         states, slopes = ca.vertcat(x["q"], x["v"], x["z"]), ca.vertcat(position_rates, x["a"], rates)

@@ -16,8 +16,8 @@ exceeds the activation, and otherwise the mean of both. The sum of the first thr
 B. R. Umberger, K. G. M. Gerritsen, P. E. Martin, A model of human muscle energy expenditure, Computer Methods in
 Biomechanics and Biomedical Engineering 6:99-111, 2003; B. R. Umberger, Stance and swing phase costs in human walking,
 Journal of the Royal Society Interface 7:1329-1340, 2010, for the factor 0.3 and for no work in lengthening; A. D.
-Koelewijn, E. Dorschky, A. J. van den Bogert, A metabolic energy expenditure model with a continuous first derivative and
-its application to predictive simulations of gait, Computer Methods in Biomechanics and Biomedical Engineering
+Koelewijn, E. Dorschky, A. J. van den Bogert, A metabolic energy expenditure model with a continuous first derivative
+and its application to predictive simulations of gait, Computer Methods in Biomechanics and Biomedical Engineering
 21:521-531, 2018.
 """
 
