@@ -30,8 +30,8 @@ PRECISION = 1e-11
 """Relative tolerance of the integration."""
 ACCURACY = 1e-9
 """Relative error of the optimum of the witness, at most."""
-SMALLEST_STEP = 1e-3
-"""Smallest step of the continuation."""
+SMALLEST_STEP, LONGEST = 1e-3, 10.0
+"""Smallest step of the continuation, and the longest time of a search [s]; stiff contacts may need more."""
 WALL = 30.0
 """Time after which a problem without an answer counts as an error [s]."""
 COUNT = 60
@@ -79,14 +79,15 @@ class Problem:
 
     def optimum(self) -> float:
         """Return an optimum, by continuation from the problem without disturbances; nan if none is found."""
-        share, step, costates = 0.0, 1.0, np.zeros(self.ends.shape[1])
-        first = self._shot(costates, 0.0)
+        share, step, costates, value = 0.0, 1.0, np.zeros(self.ends.shape[1]), np.nan
+        until = time.perf_counter() + LONGEST
+        first = self._shot(costates, 0.0, until)
         if first is None:
             return np.nan
         costates, value = first
         while share < 1.0 and step > SMALLEST_STEP:
             step = min(step, 1.0 - share)
-            found = self._shot(costates, share + step)
+            found = self._shot(costates, share + step, until)
             if found is None:
                 step *= 0.5
             else:
@@ -108,12 +109,13 @@ class Problem:
             lam[:, -1] -= gradient[:, 0]
             return lam.ravel()
 
-        controls = run.controls[PUSH if PUSH in self.spec["controls"] else "forces.motor.value"].value
+        controls = run.controls[next(iter(self.spec["controls"]))].value
         basis, at = np.eye(n, n + 1).ravel(), np.linspace(*run.time[[0, -1]], 200)
         lam = solve_ivp(adjoint, run.time[[0, -1]], basis, t_eval=at, rtol=1e-6, max_step=at[1]).y.reshape(n, n + 1, -1)
         push = np.array([(self._effects(motion(t)[:, None], t, 1.0)[1].T @ lam[..., k])[0] for k, t in enumerate(at)])
         wanted = -2.0 * np.interp(at, run.time, controls) - push[:, -1]
-        found = self._shot(np.linalg.lstsq(push[:, :-1], wanted, rcond=None)[0], 1.0)
+        costates = np.linalg.lstsq(push[:, :-1], wanted, rcond=None)[0]
+        found = self._shot(costates, 1.0, time.perf_counter() + LONGEST)
         return np.nan if found is None else found[1]
 
     def _effects(self, y: np.ndarray, t: float, share: float) -> tuple[np.ndarray, np.ndarray]:
@@ -129,18 +131,20 @@ class Problem:
         penalty = self.penalty(moved, t)
         return slopes.reshape(n, n, count), penalty.imag.reshape(n, count) * 1e30, penalty[:count].real
 
-    def _shot(self, costates: np.ndarray, share: float) -> tuple[np.ndarray, float] | None:
+    def _shot(self, costates: np.ndarray, share: float, until: float) -> tuple[np.ndarray, float] | None:
         """Return the costates at the start of a solution near the given ones, and the objective; None if there is
-        none.
+        none, or if it is not found until a time of `time.perf_counter`.
         """
         (start, end), n = self.ends, len(costates)
         size, before = np.maximum(1.0, abs(end)), np.inf
         step = np.zeros(n)
         for _ in range(40):
+            if time.perf_counter() > until:
+                return None
             change = 1e-6 * np.maximum(1.0, abs(costates).max())
             tried = costates[:, None] + change * np.eye(n, n + 1, 1)
             w = np.vstack([np.repeat(start[:, None], n + 1, axis=1), tried, np.zeros(n + 1)])
-            last = self._integrated(w, share)
+            last = self._integrated(w, share, until)
             missed = np.inf if last is None else float(abs((last[:n, 0] - end) / size).max())
             if last is None or missed > max(2.0 * before, 1e-9):  # a shorter step
                 step *= 0.25
@@ -156,10 +160,12 @@ class Problem:
             costates, before = costates + step, missed
         return None
 
-    def _integrated(self, w: np.ndarray, share: float) -> np.ndarray | None:
+    def _integrated(self, w: np.ndarray, share: float, until: float) -> np.ndarray | None:
         shape, n = w.shape, len(w) // 2
 
         def rates(t: float, flat: np.ndarray) -> np.ndarray:
+            if time.perf_counter() > until:
+                return np.full(flat.shape, np.nan)
             y, lam = flat.reshape(shape)[:n], flat.reshape(shape)[n : 2 * n]
             free, effect = self._effects(y, t, share)
             u = -0.5 * (lam * effect).sum(axis=0)
@@ -430,8 +436,9 @@ def stop(random: np.random.Generator) -> Problem:
     end, mass, radius, at = (random.uniform(*x) for x in ((0.5, 1.5), (0.5, 2.0), (0.05, 0.2), (0.3, 0.8)))
     law, force = _contact_law(random, radius, 20.0 * mass)
     is_thrown = bool(random.integers(2))
-    last = {"block.x": 0.0, "block.vx": -0.5 * at / end} if is_thrown else {"block.x": at + 0.003, "block.vx": 0.0}
-    first = {"block.x": 0.0, "block.vx": 2.0 * at / end if is_thrown else 0.0}
+    there, back = random.uniform(8.0, 15.0) * at / end, -random.uniform(2.0, 8.0) * at / end  # beyond the stop without it
+    last = {"block.x": 0.0, "block.vx": back} if is_thrown else {"block.x": at + 0.003, "block.vx": 0.0}
+    first = {"block.x": 0.0, "block.vx": there if is_thrown else 0.0}
     spec = _problem(random, mass=mass, duration=end, initial=first, final=last)
     shapes = [{"line": {"point": [at + radius, 0], "normal": [-1, 0]}}, {"circle": {"radius": radius}}]
     spec["base"]["model"]["contacts"] = {
@@ -445,19 +452,20 @@ def stop(random: np.random.Generator) -> Problem:
 
 
 def bounce(random: np.random.Generator) -> Problem:
-    """Return a ball that falls on compliant ground, and is at rest at its height, or on the ground, at the end."""
+    """Return a ball that falls on compliant ground, leaves it, or bounces; it is at rest at the start and the end."""
     mass, radius, height = (random.uniform(*x) for x in ((0.5, 2.0), (0.05, 0.2), (0.2, 1.0)))
-    fall = float(np.sqrt(2.0 * height / 9.81))
     law, force = _contact_law(random, radius, 40.0 * mass)
-    up = float(random.choice([0.3, 1.0])) * height
-    end = float(random.uniform(0.8, 1.2)) * (fall + np.sqrt(2.0 * up / 9.81))
+    kind = ("lands", "leaves", "bounces")[random.integers(3)]
+    first, last = (-0.003 if kind == word else height for word in ("leaves", "lands"))
+    fall = (1.0 + (kind == "bounces")) * float(np.sqrt(2.0 * height / 9.81))
     spec = _problem(
-        random, mass=mass, duration=end, initial={"block.y": height + radius, "block.vy": 0.0},
-        final={"block.y": up + radius, "block.vy": 0.0}, controls={"forces.push.value[1]": {"bounds": "none"}},
+        random, mass=mass, duration=fall * float(random.uniform(0.8, 1.2)),
+        initial={"block.y": first + radius, "block.vy": -3.0 * height / fall * (kind == "bounces")},
+        final={"block.y": last + radius, "block.vy": 0.0}, controls={"forces.push.value[1]": {"bounds": "none"}},
     )  # fmt: skip
     model = spec["base"]["model"]
     model["gravity"], model["joints"]["rail"]["axis"] = [0, -9.81], [0, 1]
-    model["bodies"]["block"]["position"] = [0, height + radius]
+    model["bodies"]["block"]["position"] = [0, first + radius]
     shapes = [{"line": {"normal": [0, 1]}}, {"circle": {"radius": radius}}]
     model["contacts"] = {
         "floor": {"bodies": ["ground", "block"], "shapes": shapes, "friction": 0.0, "compliance": law}
@@ -466,7 +474,7 @@ def bounce(random: np.random.Generator) -> Problem:
     def rates(y: np.ndarray, u: np.ndarray, t: float, share: float) -> np.ndarray:
         return np.array([y[1], (u + share * force(radius - y[0], -y[1])) / mass - 9.81])
 
-    return Problem(f"bounce, {law['law']}", spec, rates)
+    return Problem(f"{kind}, {law['law']}", spec, rates)
 
 
 KINDS: list[Callable[[np.random.Generator], Problem]] = [
@@ -516,10 +524,12 @@ def outcome(problem: Problem) -> Outcome:
     distance = abs(run.objective - optimum)
     is_good = (run.status, run.verdict) == ("complete", "good")
     tolerance = run.spec.tolerance * abs(optimum) if hasattr(run.spec, "tolerance") else 1e-6 * abs(optimum)
-    if not np.isfinite(optimum):
-        word = "no witness"
-    elif seconds > WALL + 2.0:
+    if seconds > WALL + 2.0:
         word = "late"
+    elif np.isnan(run.objective_error):
+        word = "told"  # no optimum, or on one mesh only
+    elif not np.isfinite(optimum):
+        word = "no witness"
     elif is_good:
         word = "right" if distance <= run.objective_error + ACCURACY * abs(optimum) else "silent"
     else:
