@@ -29,8 +29,8 @@ OPEN, DIVISIONS = 0.1, 2
 """Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
 intervals in which they do are divided.
 """
-SAFETY = 3.0
-"""Factor of the estimated error of the objective."""
+SAFETY, HIGHER_ORDER = 3.0, 1.5
+"""Factors of the estimated error of the objective, and of its first-order change by what remains between the points."""
 ACCIDENT, ACCIDENT_OF_ACTIVE = 2.0**-10, 2.0**-5
 """Smallest ratio of two changes of the objective in a row that is believed; the second one, where conditions become
 active.
@@ -167,10 +167,10 @@ class _MeshSearch:
             if is_accurate or is_last or not is_resolved:
                 nodes = NODES if is_accurate or is_last else FEW
                 residual = residual_between_points(self.transcription, mesh, nodes)
-                large = residual.is_large(limit, math.sqrt(self.spec.tolerance))
+                large = residual.is_large(limit / HIGHER_ORDER, math.sqrt(self.spec.tolerance))
                 is_resolved = not large.any()
                 if is_accurate or is_last:
-                    error = max(error, float(abs(residual.change).sum()))
+                    error = max(error, HIGHER_ORDER * float(abs(residual.change).sum()))
                     if is_last and (error > limit or not is_resolved):
                         reason = _mesh_limit(error, limit, residual, count)
                     if is_last or is_resolved:

@@ -31,7 +31,7 @@ PRECISION = 1e-11
 ACCURACY = 1e-9
 """Relative error of the optimum of the witness, at most."""
 SMALLEST_STEP, LONGEST = 1e-3, 10.0
-"""Smallest step of the continuation, and the longest time of a search [s]; stiff contacts may need more."""
+"""Smallest step of the continuation, and the longest processor time of a search [s]; stiff contacts may need more."""
 WALL = 30.0
 """Time after which a problem without an answer counts as an error [s]."""
 COUNT = 60
@@ -80,7 +80,7 @@ class Problem:
     def optimum(self) -> float:
         """Return an optimum, by continuation from the problem without disturbances; nan if none is found."""
         share, step, costates, value = 0.0, 1.0, np.zeros(self.ends.shape[1]), np.nan
-        until = time.perf_counter() + LONGEST
+        until = time.process_time() + LONGEST
         first = self._shot(costates, 0.0, until)
         if first is None:
             return np.nan
@@ -115,7 +115,7 @@ class Problem:
         push = np.array([(self._effects(motion(t)[:, None], t, 1.0)[1].T @ lam[..., k])[0] for k, t in enumerate(at)])
         wanted = -2.0 * np.interp(at, run.time, controls) - push[:, -1]
         costates = np.linalg.lstsq(push[:, :-1], wanted, rcond=None)[0]
-        found = self._shot(costates, 1.0, time.perf_counter() + LONGEST)
+        found = self._shot(costates, 1.0, time.process_time() + LONGEST)
         return np.nan if found is None else found[1]
 
     def _effects(self, y: np.ndarray, t: float, share: float) -> tuple[np.ndarray, np.ndarray]:
@@ -133,20 +133,20 @@ class Problem:
 
     def _shot(self, costates: np.ndarray, share: float, until: float) -> tuple[np.ndarray, float] | None:
         """Return the costates at the start of a solution near the given ones, and the objective; None if there is
-        none, or if it is not found until a time of `time.perf_counter`.
+        none, or if it is not found until a time of `time.process_time`.
         """
         (start, end), n = self.ends, len(costates)
         size, before = np.maximum(1.0, abs(end)), np.inf
         step = np.zeros(n)
         for _ in range(40):
-            if time.perf_counter() > until:
+            if time.process_time() > until:
                 return None
             change = 1e-6 * np.maximum(1.0, abs(costates).max())
             tried = costates[:, None] + change * np.eye(n, n + 1, 1)
             w = np.vstack([np.repeat(start[:, None], n + 1, axis=1), tried, np.zeros(n + 1)])
             last = self._integrated(w, share, until)
             missed = np.inf if last is None else float(abs((last[:n, 0] - end) / size).max())
-            if last is None or missed > max(2.0 * before, 1e-9):  # a shorter step
+            if last is None or missed > max(2.0 * before, 1e-7):  # a shorter step
                 step *= 0.25
                 costates = costates - 3.0 * step
                 if abs(step).max() < 1e-6 * abs(costates).max():
@@ -154,9 +154,9 @@ class Problem:
                 continue
             slopes = (last[:n, 1:] - last[:n, :1]) / change
             step = np.linalg.lstsq(slopes, end - last[:n, 0], rcond=None)[0]
-            if missed < 1e-10 or abs(step).max() < 1e-11 * abs(costates).max():
-                # to first order, the objective changes by minus the costates at the end times what is missed there
-                return costates, float(last[-1, 0] - last[n : 2 * n, 0] @ (last[:n, 0] - end))
+            if missed < 1e-7:  # contacts leave noise of 1e-8
+                # the derivatives of the optimum by the end are minus the costates there
+                return costates, float(last[-1, 0] + last[n : 2 * n, 0] @ (last[:n, 0] - end))
             costates, before = costates + step, missed
         return None
 
@@ -164,7 +164,7 @@ class Problem:
         shape, n = w.shape, len(w) // 2
 
         def rates(t: float, flat: np.ndarray) -> np.ndarray:
-            if time.perf_counter() > until:
+            if time.process_time() > until:
                 return np.full(flat.shape, np.nan)
             y, lam = flat.reshape(shape)[:n], flat.reshape(shape)[n : 2 * n]
             free, effect = self._effects(y, t, share)
@@ -267,7 +267,7 @@ def _problem(random: np.random.Generator, **sections: Any) -> dict[str, Any]:
     common: dict[str, Any] = {
         "controls": {PUSH: {"bounds": ["none", [-1e5, 1e5]][random.integers(2)]}},
         "collocation": {"method": method, "points": points, "intervals": int(random.integers(8, 30))},
-        "limits": {"wall_time": WALL},
+        "limits": {"wall_time": WALL - 5.0},
     }
     return block(**common | sections)
 
@@ -524,9 +524,9 @@ def outcome(problem: Problem) -> Outcome:
     distance = abs(run.objective - optimum)
     is_good = (run.status, run.verdict) == ("complete", "good")
     tolerance = run.spec.tolerance * abs(optimum) if hasattr(run.spec, "tolerance") else 1e-6 * abs(optimum)
-    if seconds > WALL + 2.0:
+    if seconds > WALL:
         word = "late"
-    elif np.isnan(run.objective_error):
+    elif not run.objective_error < np.inf:
         word = "told"  # no optimum, or on one mesh only
     elif not np.isfinite(optimum):
         word = "no witness"
