@@ -1,4 +1,4 @@
-"""Chains of rods with torques in all joints, as specs, and as programs of an own transcription in minimal coordinates."""
+"""Chains of rods with torques in all joints, as specs, and as programs of another transcription in absolute angles."""
 
 from __future__ import annotations
 
@@ -65,7 +65,9 @@ def program(count: int, intervals: int, points: int = 3) -> tuple[dict[str, ca.M
     def derivatives(values: ca.MX) -> ca.MX:
         begins = ca.horzcat(ca.MX(ca.DM.zeros(count)), values[:, points - 1 : -1 : points])
         each = ca.DM.eye(intervals)
-        return (ca.mtimes(values, ca.kron(each, ca.DM(slopes[1:]))) + ca.mtimes(begins, ca.kron(each, ca.DM(slopes[:1])))) / h
+        return (
+            ca.mtimes(values, ca.kron(each, ca.DM(slopes[1:]))) + ca.mtimes(begins, ca.kron(each, ca.DM(slopes[:1])))
+        ) / h
 
     residual = equations(count).map(total)(angle, speed, derivatives(speed), torque)
     last = ca.vertcat(angle[:, -1] - ANGLE, speed[:, -1])

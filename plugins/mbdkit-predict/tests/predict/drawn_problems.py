@@ -174,12 +174,12 @@ class Problem:
             return np.vstack([free + effect * u, slopes, u**2 + penalty]).ravel()
 
         for begin, end in pairwise(self.times):
+            inside = 1e-13 * (end - begin)  # values at stops belong to the interval
+            sizes = np.maximum(1.0, abs(w).max(axis=1, keepdims=True) + 0.0 * w).ravel()
             with np.errstate(all="ignore"):
-                # values at stops belong to the interval
-                span, inside = (begin, end), 1e-13 * (end - begin)
                 result = solve_ivp(
-                    lambda t, x, a=begin + inside, b=end - inside: rates(min(max(t, a), b), x), span, w.ravel(), "DOP853",
-                    rtol=PRECISION, atol=PRECISION * np.maximum(1.0, abs(w).max(axis=1, keepdims=True) + 0 * w).ravel(),
+                    lambda t, x, a=begin + inside, b=end - inside: rates(min(max(t, a), b), x), (begin, end), w.ravel(),
+                    "DOP853", rtol=PRECISION, atol=PRECISION * sizes,
                 )  # fmt: skip
             if not result.success or not np.all(np.isfinite(result.y[:, -1])) or abs(result.y[:, -1]).max() > 1e12:
                 return None
@@ -201,8 +201,8 @@ def _states(names: dict[str, Any], run: mbdkit.Run) -> tuple[np.ndarray, np.ndar
     return y, np.vstack([y[half:], np.gradient(y[half:], run.time, axis=1)])
 
 
-# What disturbs the motion: its key in the spec, the function of time, and the times at which it must not be stepped over.
 Disturbance = tuple[Any, Callable[[float], float], list[float]]
+"""A function of time: its text or table in a spec, the function, and times at which the integration stops."""
 
 
 def table(random: np.random.Generator, end: float, size: float) -> Disturbance:
@@ -408,7 +408,10 @@ def _contact_law(random: np.random.Generator, radius: float, force: float) -> tu
 
     `smooth-sphere-half-space` is that of Simbody, with its constants 1e-5 N, 300 1/m and 50 s/m.
     """
-    kind, depth = str(random.choice(["smooth-sphere-half-space", "hunt-crossley", "linear"])), random.uniform(2e-3, 2e-2)
+    kind, depth = (
+        str(random.choice(["smooth-sphere-half-space", "hunt-crossley", "linear"])),
+        random.uniform(2e-3, 2e-2),
+    )
     loss = float(random.uniform(0.1, 1.0))
     if kind == "linear":
         k = force / depth
@@ -436,7 +439,10 @@ def stop(random: np.random.Generator) -> Problem:
     end, mass, radius, at = (random.uniform(*x) for x in ((0.5, 1.5), (0.5, 2.0), (0.05, 0.2), (0.3, 0.8)))
     law, force = _contact_law(random, radius, 20.0 * mass)
     is_thrown = bool(random.integers(2))
-    there, back = random.uniform(8.0, 15.0) * at / end, -random.uniform(2.0, 8.0) * at / end  # beyond the stop without it
+    there, back = (
+        random.uniform(8.0, 15.0) * at / end,
+        -random.uniform(2.0, 8.0) * at / end,
+    )  # beyond the stop without it
     last = {"block.x": 0.0, "block.vx": back} if is_thrown else {"block.x": at + 0.003, "block.vx": 0.0}
     first = {"block.x": 0.0, "block.vx": there if is_thrown else 0.0}
     spec = _problem(random, mass=mass, duration=end, initial=first, final=last)
@@ -467,9 +473,7 @@ def bounce(random: np.random.Generator) -> Problem:
     model["gravity"], model["joints"]["rail"]["axis"] = [0, -9.81], [0, 1]
     model["bodies"]["block"]["position"] = [0, first + radius]
     shapes = [{"line": {"normal": [0, 1]}}, {"circle": {"radius": radius}}]
-    model["contacts"] = {
-        "floor": {"bodies": ["ground", "block"], "shapes": shapes, "friction": 0.0, "compliance": law}
-    }
+    model["contacts"] = {"floor": {"bodies": ["ground", "block"], "shapes": shapes, "friction": 0.0, "compliance": law}}
 
     def rates(y: np.ndarray, u: np.ndarray, t: float, share: float) -> np.ndarray:
         return np.array([y[1], (u + share * force(radius - y[0], -y[1])) / mass - 9.81])
@@ -495,8 +499,8 @@ class Outcome:
     Attributes
     ----------
     word
-        ``right`` (good, and within the bar), ``told`` (wrong, and not good), ``told wrongly`` (within the tolerance, but
-        not good), ``silent`` (good, but wrong), ``late``, or ``no witness``.
+        ``right`` (good, and within the bar), ``told`` (wrong, and not good), ``told wrongly`` (within the tolerance,
+        but not good), ``silent`` (good, but wrong), ``late``, or ``no witness``.
     optimum
         Optimum of the witness; the one near the prediction, if there are several.
     is_lowest
@@ -535,9 +539,7 @@ def outcome(problem: Problem) -> Outcome:
     else:
         word = "told wrongly" if distance <= tolerance else "told"
     reason = "" if is_good else (run.status_reason or run.verdict_reasons[0])[:100]
-    return Outcome(
-        word, run.objective, run.objective_error, optimum, seconds, not first < optimum - tolerance, reason
-    )
+    return Outcome(word, run.objective, run.objective_error, optimum, seconds, not first < optimum - tolerance, reason)
 
 
 def main() -> None:

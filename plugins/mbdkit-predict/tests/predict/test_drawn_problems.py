@@ -19,7 +19,9 @@ def test_the_witness_has_the_closed_form_of_a_disturbed_block(number: int) -> No
     points, weights = np.polynomial.legendre.leggauss(60)
     x, v = 1.0, 0.0
     for begin, stop in pairwise(problem.times):
-        for t, weight in zip(0.5 * (begin + stop + (stop - begin) * points), 0.5 * (stop - begin) * weights, strict=True):
+        for t, weight in zip(
+            0.5 * (begin + stop + (stop - begin) * points), 0.5 * (stop - begin) * weights, strict=True
+        ):
             rate = problem.rates(np.zeros((2, 1)), np.zeros(1), t, 1.0)[1, 0]
             x, v = x - weight * (end - t) * rate, v - weight * rate
     exact = mass**2 * (12.0 * x**2 / end**3 - 12.0 * x * v / end**2 + 4.0 * v**2 / end)
