@@ -404,7 +404,7 @@ def test_second_derivatives_of_points_and_ends_are_those_of_the_whole_program() 
         collocation={"points": 2, "intervals": 2},
     )  # fmt: skip
     problem = transcribed(load_predict_spec({k: x for k, x in spec.items() if k not in ("duration", "final")}))
-    unknowns, _, conditions, objective, hessian = problem._program(problem.guess().grid)
+    unknowns, _, conditions, objective, _, hessian = problem._program(problem.guess().grid)
     x, factor = ca.vertcat(*map(ca.vec, unknowns.values())), ca.MX.sym("factor")
     values = ca.vertcat(*(ca.vec(condition.value) for condition in conditions))
     lam, random = ca.MX.sym("lam", values.numel()), np.random.default_rng(0)
