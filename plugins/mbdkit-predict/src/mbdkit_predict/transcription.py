@@ -475,7 +475,7 @@ class Transcription:
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
         given = [*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"]]
-        values = self.stage.map(total)(*given)
+        values: Any = self.stage.map(total)(*given)
         sizes = np.cumsum([0, *(value.shape[0] for value in values)]).tolist()
         results = ca.MX.sym("results", sizes[-1], total)
         closed, position_rates, rates, _, balance, path = ca.vertsplit(results, sizes)
@@ -523,9 +523,9 @@ class Transcription:
         objective = self.objective.value(ca.mtimes(integrands, weighted), finals, x["peak"], duration)
         variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
         outer = [condition.value for condition in conditions]
-        column = ca.vertcat(*map(ca.vec, outer))
+        column: Any = ca.vertcat(*map(ca.vec, outer))
         jacobian = PointJacobian(variables, results, self._slopes.map(total)(*given), column, ca.vertcat(*values))
-        columns = ca.substitute(outer, [results], [jacobian.values])
+        columns: Any = ca.substitute(outer, [results], [jacobian.values])
         conditions = [condition._replace(value=value) for condition, value in zip(conditions, columns, strict=True)]
         slope = self._slope_of_integrals()
         if slope is None or self.has_nodes:  # projections are curved, too
