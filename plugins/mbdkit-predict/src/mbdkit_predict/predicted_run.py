@@ -29,7 +29,7 @@ from mbdkit_predict.transcription import Transcription
 
 NO_OPTIMUM = "The motion is that of the best iterate: it is no optimum, and may violate conditions."
 INACCURATE = "The objective is less accurate than `tolerance`."
-UNKNOWN = "The motion is the optimum on the first mesh only, so that the error of the objective is not known."
+UNKNOWN = "Too few meshes have an optimum, so that the error of the objective is not known."
 SMALL = "The error of the objective is more than `tolerance`: it is nearly zero, compared with its natural size."
 NO_MINIMUM = "The second-order condition does not hold: motions near it may have the same or a smaller objective."
 ESTIMATED = "The error of the objective is estimated, a forward run confirms the motion, and it is a local minimum."

@@ -41,7 +41,7 @@ from mbdkit_predict.nonlinear_program import (
     solve_pose,
 )
 from mbdkit_predict.objective import Objective
-from mbdkit_predict.point_hessian import PointHessian
+from mbdkit_predict.point_hessian import PointHessian, PointJacobian
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
@@ -356,9 +356,9 @@ class Transcription:
         report: Callable[[Mesh], None] = lambda mesh: None,
     ) -> Mesh:
         """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
-        unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)
+        unknowns, bounds, conditions, objective, jacobian, hessian = self._program(guess.grid)
         sizes = self._sizes | {"peak": np.where(guess.values["peak"] == 0.0, 1.0, abs(guess.values["peak"]))}
-        program = NonlinearProgram(unknowns, bounds, conditions, objective, sizes, hessian, guess.size)
+        program = NonlinearProgram(unknowns, bounds, conditions, objective, sizes, jacobian, hessian, guess.size)
 
         def mesh(solution: Solution) -> Mesh:
             done = guess.iterations + solution.iterations
@@ -405,6 +405,10 @@ class Transcription:
             ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
         ]  # fmt: skip
         self._curvature = self._curvature_function(results, mu)
+        known = {**system.symbols, "mu": mu}
+        variables = ca.vertcat(*(known[name] for name in OF_POINTS), system.p, system.t, ca.SX.sym("h"))
+        self._slopes = ca.Function("slopes", [*given, mu], [ca.cse(ca.jacobian(ca.vertcat(*results), variables))])
+        self._integrands = ca.Function("integrands", [*given, mu], [self.objective.integrands])
         return ca.Function("point", [*given, mu], ca.cse(results))
 
     def _projection_function(self) -> tuple[ca.Function, np.ndarray]:
@@ -460,7 +464,9 @@ class Transcription:
 
     def _program(
         self, grid: IntervalGrid
-    ) -> tuple[dict[str, ca.MX], dict[str, Any], list[ProgramCondition], ca.MX, PointHessian | None]:
+    ) -> tuple[
+        dict[str, ca.MX], dict[str, Any], list[ProgramCondition], ca.MX, PointJacobian, PointHessian | None
+    ]:  # fmt: skip
         system, s = self.system, len(self.c)
         count = len(grid.phase)
         total = count * s
@@ -468,9 +474,12 @@ class Transcription:
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
-        closed, position_rates, rates, integrands, balance, path = self.stage.map(total)(
-            x["q"], x["v"], x["a"], x["lam"], x["z"], x["u"], ca.repmat(x["p"], 1, total), times, x["mu"]
-        )
+        given = [*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"]]
+        values: Any = self.stage.map(total)(*given)
+        sizes = np.cumsum([0, *(value.shape[0] for value in values)]).tolist()
+        results = ca.MX.sym("results", sizes[-1], total)
+        closed, position_rates, rates, _, balance, path = ca.vertsplit(results, sizes)
+        integrands = self._integrands.map(total)(*given)
         states, slopes = ca.vertcat(x["q"], x["v"], x["z"]), ca.vertcat(position_rates, x["a"], rates)
         ends = x["nodes"] if self.has_nodes else states[:, s - 1 :: s]
         begins = ca.horzcat(x["start"], ends[:, :-1])
@@ -512,11 +521,15 @@ class Transcription:
         weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
         finals = self._at_node(self.objective.finals)(end, x["p"], duration)
         objective = self.objective.value(ca.mtimes(integrands, weighted), finals, x["peak"], duration)
+        variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
+        outer = [condition.value for condition in conditions]
+        column: Any = ca.vertcat(*map(ca.vec, outer))
+        jacobian = PointJacobian(variables, results, self._slopes.map(total)(*given), column, ca.vertcat(*values))
+        columns: Any = ca.substitute(outer, [results], [jacobian.values])
+        conditions = [condition._replace(value=value) for condition, value in zip(conditions, columns, strict=True)]
         slope = self._slope_of_integrals()
         if slope is None or self.has_nodes:  # projections are curved, too
-            return x, bounds, conditions, objective, None
-
-        variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
+            return x, bounds, conditions, objective, jacobian, None
 
         def blocks(factor: ca.MX, multipliers: Mapping[str, ca.MX]) -> ca.MX:
             of_path = [
@@ -530,7 +543,7 @@ class Transcription:
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
         rest = self.objective.value(ca.MX.zeros(len(slope)), finals, x["peak"], duration)
-        return x, bounds, conditions, objective, PointHessian(variables, blocks, names, rest)
+        return x, bounds, conditions, objective, jacobian, PointHessian(variables, blocks, names, rest)
 
     def _slope_of_integrals(self) -> np.ndarray | None:
         """Return the derivatives of the objective by its integrals; None if they are not constant."""
