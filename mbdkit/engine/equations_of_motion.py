@@ -12,9 +12,11 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.evaluated_equations import EvaluatedEquations
 from mbdkit.engine.iteration_matrix import (
+    INDEX_1_MATRIX,
     Coefficients,
     IterationMatrices,
     IterationMatrix,
@@ -216,6 +218,34 @@ class EquationsOfMotion(EvaluatedEquations):
         states = self._state_tangents(t, q, v, a, lam, z)
         return IterationMatrixWithStates(self._matrix(t, q, v, a, lam, factors), states, factors, self.m)
 
+    def solve_between(
+        self, t: float, q: np.ndarray, force: np.ndarray, end: float, q_end: np.ndarray, v_end: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the accelerations at one position that lead to consistent velocities at another one.
+
+        ::
+
+            M x + Phi_q(t, q)^T mu = force,      Phi_q(end, q_end) (v_end + h x) + Phi_t(end, q_end) = 0
+
+        These are the equations of a stage of half-explicit methods (Brasey and Hairer 1993). Counts as one
+        factorization.
+
+        - `t`, `q`, `force`: time [s] and position (n,) at which the reactions act, and forces (n,).
+        - `end`, `q_end`: time [s] and position (n,) of the consistent velocity.
+        - `v_end`, `h`: the part of that velocity without `x` (n,), and the factor of `x` [s].
+
+        Returns (n,) accelerations and (m,) multipliers. Raises StepError: see `IterationMatrix.solve`.
+        """
+        at_start = partial(self._evaluate_between, self.t0, self.q0, self.t0, self.q0, self.v0)
+        evaluate = partial(self._evaluate_between, t, q, end, q_end, v_end)
+        try:
+            matrix = self._matrices.factorized(
+                INDEX_1_MATRIX, at_start, evaluate, self._factorized_between, between=True
+            )
+        except SingularSystemError as error:
+            raise self._singular(error) from None
+        return matrix.solve(force, self._calls.rate / -h)
+
     def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
         """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
 
@@ -318,6 +348,26 @@ class EquationsOfMotion(EvaluatedEquations):
 
     def _evaluate_at_start(self) -> None:
         self._evaluate_tangents(self.t0, self.q0, self.v0, *self.accelerations(self.t0, self.q0, self.v0))
+
+    def _evaluate_between(
+        self, t: float, q: np.ndarray, end: float, q_end: np.ndarray, v_end: np.ndarray
+    ) -> None:
+        """Evaluate the terms at two positions, and the rates of the constraints at the second one."""
+        count = len(self.terms_now)
+        put(self._calls.q, q)
+        self._evaluate(self._calls.constraints, t)
+        self._both_terms[:count] = self.terms_now
+        self._at(q_end, v_end)
+        self._evaluate(self._calls.rows, end)
+        self._both_terms[count:] = self.terms_now
+
+    @cached_property
+    def _both_terms(self) -> np.ndarray:
+        return np.zeros(2 * len(self.terms_now))
+
+    def _factorized_between(self, pivots: Pivots, coefficients: np.ndarray) -> IterationMatrix:
+        self.counters.factorizations += 1
+        return IterationMatrix(self._both_terms, pivots, coefficients, Counters())  # no Newton iterations
 
     def _factorized(self, pivots: Pivots, coefficients: np.ndarray) -> IterationMatrix:
         self.counters.factorizations += 1

@@ -114,6 +114,28 @@ def test_a_matrix_stays_valid_while_others_come_and_go(name: str) -> None:
 
 
 @both
+def test_accelerations_between_two_positions_solve_the_equations_of_a_half_explicit_stage(name: str) -> None:
+    # expected: dense linear algebra with the Jacobians and rates of SymPy at both positions
+    p, s = equations_of(name), symbolic(name)
+    (q, v, _, _), (q_end, v_end, _, _), force, h = somewhere(p), somewhere(p), RNG.standard_normal(p.n), 0.03
+    first, last = (s.evaluate(t, at, v)["constraint_jacobian"] for t, at in ((T, q), (T + h, q_end)))
+    rates = p.constraint_rates(T + h, q_end, v_end)
+    dense = np.block([[np.diag(p.mass), first.T], [h * last, np.zeros((p.m, p.m))]])
+    there = np.linalg.solve(dense, np.concatenate([force, -rates]))
+    before = p.counters.factorizations, p.counters.newton_iterations
+    found = p.solve_between(T, q, force, T + h, q_end, v_end, h)
+    np.testing.assert_allclose(np.concatenate(found), there, rtol=1e-9, atol=1e-9 * np.abs(there).max())
+    np.testing.assert_allclose(p.constraint_rates(T + h, q_end, v_end + h * found[0]), 0.0, atol=1e-12)
+    p.solve_between(T, q, force, T + h, q_end, v_end, h)
+    assert p.counters.factorizations >= before[0] + 2
+    assert p.counters.newton_iterations == before[1]
+    again = EquationsOfMotion.of(MECHANISMS[name]())
+    again.restore_pivots(p.stored_pivots())
+    for mine, theirs in zip(again.solve_between(T, q, force, T + h, q_end, v_end, h), found, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+@both
 def test_projected_positions_are_the_nearest_that_meet_the_joints(name: str) -> None:
     # expected: the conditions of least change in the mass metric, M (p - q) = -Phi_q(p)^T mu for some mu
     p = equations_of(name)
@@ -253,6 +275,9 @@ def test_a_redundant_mechanism_is_projected_and_its_matrix_is_regular() -> None:
     upper = p.mass * x + 1e-3 * (tangents.damping @ x) + 1e-6 * (tangents.stiffness @ x)
     np.testing.assert_allclose(upper + p.constraint_forces(T, q, mu), force, atol=1e-10)
     np.testing.assert_allclose(p.constraint_jacobian(T, q) @ x, rows, atol=1e-10)
+    x, mu = p.solve_between(T, p.q0, force, T, q, p.v0, 0.1)
+    np.testing.assert_allclose(p.mass * x + p.constraint_forces(T, p.q0, mu), force, atol=1e-10)
+    np.testing.assert_allclose(p.constraint_rates(T, q, p.v0 + 0.1 * x), 0.0, atol=1e-12)
 
 
 @both
