@@ -16,8 +16,8 @@ differ, and V'_1 is the acceleration at the start of the step.
 At both ends of each step, accelerations and multipliers are those of the index-1 equations, as with the option IACC = 1
 of Murua's code. Two things follow from them, which differ from the codes of the authors:
 
-- *Dense output* is the polynomial of degree 5 in q with the positions, velocities and accelerations of both ends, and
-  its derivative in v.
+- *Dense output* is the polynomial of degree 5 in q with the positions, velocities and accelerations of both ends, its
+  derivative in v, and the cubic polynomial with the values and rates of both ends in z.
 - *The error estimate* is the difference between the step and Simpson's rule, for which one acceleration is evaluated in
   the middle of the dense output, and for positions the corrected trapezoidal rule. Both have order 4.
 """
@@ -36,28 +36,18 @@ if TYPE_CHECKING:
     from mbdkit.plugin import Rates
     from mbdkit.plugin.methods import Dense
 
-INNER = 0.5 + 3**-0.5 / 2
-"""Share of the step at which the rates of first-order states are evaluated for dense output: there the polynomial that
-they determine, theta^2 (1 - theta)^2, has its largest slope."""
-
-
-CUBIC = 3
-"""Order of dense output up to which first-order states need no rates inside the step."""
-
 
 @dataclass(frozen=True)
 class HalfExplicitTableau:
     """Coefficients of a half-explicit method with s stages.
 
     - `order`: order of positions and velocities.
-    - `dense_order`: order of the dense output within a step.
     - `a`: (s, s) coefficients a, strictly lower triangular.
     - `consistent`: (s, s) coefficients a~, lower triangular. If the first row is zero, the first stage has the
       acceleration at the start of the step.
     """
 
     order: int
-    dense_order: int
     a: np.ndarray
     consistent: np.ndarray
 
@@ -95,17 +85,13 @@ class HalfExplicit(mbdkit.StepMethod):
         dq, dv, dz = self._increments(equations, t, state, h)
         made = state.moved(dq, dv, dz)
         a1, lam, rates1 = equations.derivatives(t + h, made.q, made.v, made.z)
-        slopes = (a, a1), (rates, rates1)
-        dense = interpolant(state, h, (dq, dv, dz), *slopes)
+        dense = interpolant(state, h, (dq, dv, dz), (a, a1), (rates, rates1))
         a_half, _, rates_half = equations.derivatives(t + h / 2, *dense(0.5))
         error = (
             dq - h / 2 * (state.v + made.v) - h**2 / 12 * (a - a1),
             dv - h / 6 * (a + 4 * a_half + a1),
             dz - h / 6 * (rates + 4 * rates_half + rates1),
         )
-        if len(state.z) and self.tableau.dense_order > CUBIC:
-            inner = equations.rates(t + INNER * h, *dense(INNER))
-            dense = interpolant(state, h, (dq, dv, dz), *slopes, inner)
         end = replace(made, multipliers=lam, memory=(a1, lam, rates1))
         return mbdkit.Step(end, error=np.concatenate(error), dense=dense)
 
@@ -137,28 +123,23 @@ def interpolant(
     change: tuple[np.ndarray, ...],
     accelerations: tuple[np.ndarray, np.ndarray],
     rates: tuple[np.ndarray, np.ndarray],
-    inner: np.ndarray | None = None,
 ) -> Dense:
     """Return the dense output of a step.
 
     - `state`: the state at its start. `h`: its size [s].
     - `change`: changes of positions (n,), velocities (n,) and first-order states (Z,).
-    - `accelerations`, `rates`: (n,) and (Z,) values at both ends. `inner`: (Z,) rates at the share `INNER` of the step;
-      without them, first-order states are cubic polynomials.
+    - `accelerations`, `rates`: (n,) and (Z,) values at both ends.
     """
     (dq, dv, dz), (a, a1), (r, r1) = change, accelerations, rates
     v = h * state.v
     of_q, of_v, of_a = dq - v - h**2 / 2 * a, h * dv - h**2 * a, h**2 * (a1 - a)
     c3, c4, c5 = 10 * of_q - 4 * of_v + of_a / 2, 7 * of_v - 15 * of_q - of_a, 6 * of_q - 3 * of_v + of_a / 2
-    of_z, of_r, bump = dz - h * r, h * (r1 - r), 0.0 * dz
-    if inner is not None:
-        cubic = h * r + INNER * (2 * (3 * of_z - of_r) + INNER * 3 * (of_r - 2 * of_z))
-        bump = (h * inner - cubic) / (2 * INNER * (1 - INNER) * (1 - 2 * INNER))
+    of_z, of_r = dz - h * r, h * (r1 - r)
 
     def dense(x: float) -> tuple[np.ndarray, ...]:
         q = state.q + x * (v + x * (h**2 / 2 * a + x * (c3 + x * (c4 + x * c5))))
         velocity = state.v + x * (h * a + x / h * (3 * c3 + x * (4 * c4 + x * 5 * c5)))
-        z = state.z + x * (h * r + x * (3 * of_z - of_r + x * (of_r - 2 * of_z)) + x * (1 - x) ** 2 * bump)
+        z = state.z + x * (h * r + x * (3 * of_z - of_r + x * (of_r - 2 * of_z)))
         return q, velocity, z
 
     return dense
