@@ -31,7 +31,6 @@ from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
-from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.engine.state_derivatives import Rates
 from mbdkit.engine.tangents import SparseParts, Tangents
@@ -246,22 +245,6 @@ class EquationsOfMotion(EvaluatedEquations):
             raise self._singular(error) from None
         return matrix.solve(force, self._calls.rate / -h)
 
-    def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
-        """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
-
-        Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to round-off; counts as one projection.
-        """
-        self.counters.projections += 1
-        return nearest_positions(self, t, vector(q, self.n))
-
-    def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the velocities (n,) nearest to `v` in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`.
-
-        The equations are linear; a second solve removes the rounding error of the first. Counts as one projection.
-        """
-        self.counters.projections += 1
-        return nearest_velocities(self, t, vector(q, self.n), vector(v, self.n))
-
     def recorded_multipliers(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the multipliers (rows,) of all rows of ``/constraints``; only independent rows carry a force."""
         rows = self._workspace.mechanism.rows
@@ -349,9 +332,7 @@ class EquationsOfMotion(EvaluatedEquations):
     def _evaluate_at_start(self) -> None:
         self._evaluate_tangents(self.t0, self.q0, self.v0, *self.accelerations(self.t0, self.q0, self.v0))
 
-    def _evaluate_between(
-        self, t: float, q: np.ndarray, end: float, q_end: np.ndarray, v_end: np.ndarray
-    ) -> None:
+    def _evaluate_between(self, t: float, q: np.ndarray, end: float, q_end: np.ndarray, v_end: np.ndarray) -> None:
         """Evaluate the terms at two positions, and the rates of the constraints at the second one."""
         count = len(self.terms_now)
         put(self._calls.q, q)

@@ -159,6 +159,27 @@ def test_projected_velocities_are_the_nearest_under_which_the_joints_stay_closed
     np.testing.assert_allclose(jacobian.T @ mu, p.mass * (found - v), rtol=0, atol=1e-12)
 
 
+@both
+def test_a_projected_state_has_the_projected_positions_and_the_velocities_projected_there(name: str) -> None:
+    # expected: the two projections, which the tests above compare with their definitions
+    p = equations_of(name)
+    q = p.project_positions(p.t0, p.q0) + 0.01 * RNG.standard_normal(p.n)
+    v, before = RNG.standard_normal(p.n), p.counters.projections
+    found_q, found_v = p.project(p.t0, q, v)
+    assert p.counters.projections == before + 1
+    np.testing.assert_array_equal(found_q, p.project_positions(p.t0, q))
+    np.testing.assert_array_equal(found_v, p.project_velocities(p.t0, found_q, v))
+    p.accelerations(p.t0, q, v)  # whose gravity a projection must not feel
+    np.testing.assert_array_equal(p.project(p.t0, q, v)[0], found_q)
+
+
+def test_a_position_that_cannot_be_projected_is_an_error() -> None:
+    p = EquationsOfMotion.of(driven_chain())
+    with pytest.raises(StepError, match="no position that satisfies the joints") as error:
+        p.project(T, p.q0 + 1e3 * np.arange(p.n), p.v0)
+    assert error.value.code == "newton-failed"
+
+
 def test_powers_are_forces_times_velocities() -> None:
     # expected: the driver's multiplier times its rate, the torque 0.5 cos(3 t) times the rate of r3, and c (s')^2
     p = equations_of("driven chain")
@@ -180,7 +201,7 @@ def test_what_is_done_is_counted() -> None:
     p.tangents(T, q, v, a, lam)
     p.project_velocities(T, q, v)
     c = p.counters
-    assert (c.rhs_evaluations, c.jacobian_evaluations, c.projections, c.factorizations) == (3, 1, 1, 3)
+    assert (c.rhs_evaluations, c.jacobian_evaluations, c.projections, c.factorizations) == (3, 1, 1, 2)
     p.iteration_matrix(T, q, v, a, lam)
     before = c.jacobian_evaluations, c.factorizations
     matrix = p.iteration_matrix(T, q, v, a, lam)
