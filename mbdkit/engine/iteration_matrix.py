@@ -123,7 +123,9 @@ class Storage:
         self.solve = RepeatedCall(solve, address, self.force, self.rows, self.x, self.mu)
 
 
-def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray, *, between: bool) -> Pivots:
+def chosen_pivots(
+    workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray, *, between: bool = False
+) -> Pivots:
     """Choose pivots for the tangents of the last evaluation; raise SingularSystemError if the matrix is singular.
 
     If `between`, the terms of the constraint rows come from a second evaluation, whose values follow those of the

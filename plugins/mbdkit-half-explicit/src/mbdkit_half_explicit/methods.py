@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 import mbdkit
+from mbdkit.plugin import Method
 from mbdkit.plugin.methods import ControlledOptions
 from mbdkit.plugin.seams import integrator_claims, integrator_method
 from mbdkit_half_explicit.half_explicit import HalfExplicit, HalfExplicitTableau
@@ -89,7 +90,7 @@ HEM5 = HalfExplicitTableau(5, triangle((), *HEM5_ROWS[:-1]), triangle(*HEM5_ROWS
 PHEM56 = HalfExplicitTableau(5, triangle((), *PHEM56_ROWS), triangle(*PHEM56_CONSISTENT))
 
 
-def _create(tableau: HalfExplicitTableau) -> Callable[[ControlledOptions], mbdkit.StepMethod]:
+def _create(tableau: HalfExplicitTableau) -> Callable[[ControlledOptions], Method]:
     @integrator_method
     def create(options: ControlledOptions) -> HalfExplicit:
         return HalfExplicit(tableau, options.tolerances())
