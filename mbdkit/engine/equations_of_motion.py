@@ -12,11 +12,9 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.evaluated_equations import EvaluatedEquations
 from mbdkit.engine.iteration_matrix import (
-    INDEX_1_MATRIX,
     Coefficients,
     IterationMatrices,
     IterationMatrix,
@@ -29,9 +27,11 @@ from mbdkit.engine.iteration_matrix import (
 )
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels import equations
+from mbdkit.engine.kernels.accelerations import KKT_TOLERANCE
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
 from mbdkit.engine.observed_states import GivenForces, StateObserver
+from mbdkit.engine.solution_between import SolutionBetween
 from mbdkit.engine.state_derivatives import Rates
 from mbdkit.engine.tangents import SparseParts, Tangents
 from mbdkit.engine.workspace import Workspace
@@ -100,6 +100,7 @@ class EquationsOfMotion(EvaluatedEquations):
     def __init__(self, workspace: Workspace, z0: np.ndarray | None = None):
         super().__init__(workspace, z0)
         self._matrices = IterationMatrices(workspace)
+        self._between: SolutionBetween | None = None
         self._derived: dict[Any, Any] = {}
 
     @classmethod
@@ -233,17 +234,28 @@ class EquationsOfMotion(EvaluatedEquations):
         - `end`, `q_end`: time [s] and position (n,) of the consistent velocity.
         - `v_end`, `h`: the part of that velocity without `x` (n,), and the factor of `x` [s].
 
-        Returns (n,) accelerations and (m,) multipliers. Raises StepError: see `IterationMatrix.solve`.
+        Returns (n,) accelerations and (m,) multipliers.
         """
-        at_start = partial(self._evaluate_between, self.t0, self.q0, self.t0, self.q0, self.v0)
-        evaluate = partial(self._evaluate_between, t, q, end, q_end, v_end)
-        try:
-            matrix = self._matrices.factorized(
-                INDEX_1_MATRIX, at_start, evaluate, self._factorized_between, between=True
-            )
-        except SingularSystemError as error:
-            raise self._singular(error) from None
-        return matrix.solve(force, self._calls.rate / -h)
+        if self._matrices.between is None:
+            try:
+                self._choose_between(self.t0, self.q0)  # so that a resumed run has the same pivots
+            except StepError:
+                self._choose_between(t, q)
+        for is_last in (False, True):
+            solution = self._solution_between()
+            given = (solution.q, q), (solution.force, force), (solution.q_end, q_end), (solution.v_end, v_end)
+            for storage, x in given:
+                put(storage, x)
+            self.counters.factorizations += 1
+            worst = solution.solve(float(t), float(end), float(h))
+            if 0.0 <= worst < KKT_TOLERANCE:
+                break
+            if not (np.isfinite(worst) and self._workspace.is_finite(tangents=False)):
+                raise self._not_finite()
+            if is_last:
+                raise StepError("singular", "the system of equations with the Jacobians of two positions is singular")
+            self._choose_between(t, q)
+        return solution.x.copy(), solution.mu.copy()
 
     def recorded_multipliers(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the multipliers (rows,) of all rows of ``/constraints``; only independent rows carry a force."""
@@ -332,23 +344,21 @@ class EquationsOfMotion(EvaluatedEquations):
     def _evaluate_at_start(self) -> None:
         self._evaluate_tangents(self.t0, self.q0, self.v0, *self.accelerations(self.t0, self.q0, self.v0))
 
-    def _evaluate_between(self, t: float, q: np.ndarray, end: float, q_end: np.ndarray, v_end: np.ndarray) -> None:
-        """Evaluate the terms at two positions, and the rates of the constraints at the second one."""
-        count = len(self.terms_now)
+    def _choose_between(self, t: float, q: np.ndarray) -> None:
         put(self._calls.q, q)
         self._evaluate(self._calls.constraints, t)
-        self._both_terms[:count] = self.terms_now
-        self._at(q_end, v_end)
-        self._evaluate(self._calls.rows, end)
-        self._both_terms[count:] = self.terms_now
+        try:
+            self._matrices.choose_between()
+        except SingularSystemError as error:
+            raise self._singular(error) from None
 
-    @cached_property
-    def _both_terms(self) -> np.ndarray:
-        return np.zeros(2 * len(self.terms_now))
-
-    def _factorized_between(self, pivots: Pivots, coefficients: np.ndarray) -> IterationMatrix:
-        self.counters.factorizations += 1
-        return IterationMatrix(self._both_terms, pivots, coefficients, Counters())  # no Newton iterations
+    def _solution_between(self) -> SolutionBetween:
+        pivots = self._matrices.between
+        assert pivots is not None
+        if self._between is None or self._between.pivots is not pivots:
+            upper = np.count_nonzero(self._workspace.terms.chosen(tangents=False).row < self.n)
+            self._between = SolutionBetween(pivots, self.address, int(upper))
+        return self._between
 
     def _factorized(self, pivots: Pivots, coefficients: np.ndarray) -> IterationMatrix:
         self.counters.factorizations += 1

@@ -60,10 +60,6 @@ def coefficients_of(given: Coefficients) -> np.ndarray:
     return np.array([known.pop("mass"), 1.0, *known.values()], dtype=dtype)
 
 
-INDEX_1_MATRIX = coefficients_of({})
-"""Coefficients of the matrix of the index-1 system."""
-
-
 def vector(x: np.ndarray, size: int, dtype: np.dtype = REAL) -> np.ndarray:
     """Return `x` as a contiguous vector of the given dtype; raise ValueError unless its shape is ``(size,)``."""
     if type(x) is np.ndarray and x.dtype is dtype and x.flags.carray and x.shape == (size,):
@@ -123,20 +119,18 @@ class Storage:
         self.solve = RepeatedCall(solve, address, self.force, self.rows, self.x, self.mu)
 
 
-def chosen_pivots(
-    workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray, *, between: bool = False
-) -> Pivots:
-    """Choose pivots for the tangents of the last evaluation; raise SingularSystemError if the matrix is singular.
+INDEX_1_MATRIX = coefficients_of({})
+"""Coefficients of the matrix of the index-1 system."""
 
-    If `between`, the terms of the constraint rows come from a second evaluation, whose values follow those of the
-    first one.
-    """
+
+def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
+    """Choose pivots for the tangents of the last evaluation; raise SingularSystemError if the matrix is singular."""
     used = coefficients[classes] != 0
     terms = workspace.terms.kept(used)
     pattern, position = workspace.pivots_of(terms, coefficients[classes[used]])
+    scatter = np.column_stack([terms.source, position, classes[used]]).astype(np.int64)
     n = 3 * len(workspace.mechanism.bodies)
-    source = terms.source + (terms.row >= n) * (between * len(workspace.scratch.source))
-    scatter = np.column_stack([source, position, classes[used]]).astype(np.int64)
+    scatter = scatter[np.argsort(terms.row >= n, kind="stable")]  # as `SolutionBetween` needs them
     return Pivots((n, workspace.unknowns - n), pattern, scatter, np.zeros(len(pattern.row_of)))
 
 
@@ -240,14 +234,21 @@ class IterationMatrices:
         self._workspace, self.classes = workspace, classes_of(workspace)
         self._pivots: dict[tuple[bool, ...], Pivots] = {}
 
+    @property
+    def between(self) -> Pivots | None:
+        """Pivots of solutions with the Jacobians of two positions, if they have been chosen."""
+        return self._pivots.get(())
+
+    def choose_between(self) -> None:
+        """Choose these pivots for the terms last evaluated; raises SingularSystemError."""
+        self._pivots[()] = chosen_pivots(self._workspace, self.classes, INDEX_1_MATRIX)
+
     def factorized(
         self,
         coefficients: np.ndarray,
         evaluate_at_start: Callable[[], None],
         evaluate: Callable[[], None],
         factorize: Callable[[Pivots, np.ndarray], IterationMatrix],
-        *,
-        between: bool = False,
     ) -> IterationMatrix:
         """Return a factorized matrix.
 
@@ -256,14 +257,14 @@ class IterationMatrices:
 
         `coefficients`: (6,) coefficient of each class of terms, real or complex. `evaluate_at_start`, `evaluate`:
         functions that evaluate the terms at the start, and where the matrix is wanted. `factorize`: function that
-        factorizes the terms last evaluated, for given pivots and coefficients. `between`: see `chosen_pivots`. Raises
-        SingularSystemError if the matrix is singular.
+        factorizes the terms last evaluated, for given pivots and coefficients. Raises SingularSystemError if the matrix
+        is singular.
         """
-        key = (coefficients.dtype == COMPLEX, *(coefficients != 0).tolist(), between)
+        key = (coefficients.dtype == COMPLEX, *(coefficients != 0).tolist())
         if key not in self._pivots:
             try:
                 evaluate_at_start()
-                self._pivots[key] = chosen_pivots(self._workspace, self.classes, coefficients, between=between)
+                self._pivots[key] = chosen_pivots(self._workspace, self.classes, coefficients)
             except (StepError, SingularSystemError):
                 pass
             else:
@@ -273,7 +274,7 @@ class IterationMatrices:
             matrix = factorize(self._pivots[key], coefficients)
             if matrix.failed_at < 0:
                 return matrix
-        self._pivots[key] = chosen_pivots(self._workspace, self.classes, coefficients, between=between)
+        self._pivots[key] = chosen_pivots(self._workspace, self.classes, coefficients)
         matrix = factorize(self._pivots[key], coefficients)
         if matrix.failed_at >= 0:
             raise matrix.lost()
@@ -301,6 +302,6 @@ class IterationMatrices:
             restore(
                 {"scatter": scatter, "reference": reference}, {name: entry[name] for name in ("scatter", "reference")}
             )
-            if np.any(scatter >= [sources * (1 + entry["matrix"][-1]), len(pattern.a_column), len(_DEFAULTS) + 1]):
+            if np.any(scatter >= [sources, len(pattern.a_column), len(_DEFAULTS) + 1]):
                 raise ValueError("a term of a matrix does not exist")
             self._pivots[tuple(map(bool, entry["matrix"]))] = Pivots((n, unknowns - n), pattern, scatter, reference)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbdkit import EquationsOfMotion, StepError
+from mbdkit import EquationsOfMotion, Mechanism, StepError
 from tests.engine.linkages_in_sympy import MECHANISMS, RNG, parallelogram, somewhere, symbolic
 from tests.integrators.running import driven_chain
 from tests.slow_cases import slow
@@ -133,6 +133,21 @@ def test_accelerations_between_two_positions_solve_the_equations_of_a_half_expli
     again.restore_pivots(p.stored_pivots())
     for mine, theirs in zip(again.solve_between(T, q, force, T + h, q_end, v_end, h), found, strict=True):
         np.testing.assert_array_equal(mine, theirs)
+
+
+def test_jacobians_of_two_positions_that_do_not_fit_are_an_error() -> None:
+    # the reaction of a rod of constant length along x cannot change a velocity along y, where the rod points there
+    m = Mechanism()
+    m.body("mass", mass=1.0, inertia=1.0, position=(1.0, 0.0))
+    m.distance("rod", m.ground, "mass", points=((0.0, 0.0), (0.0, 0.0)), length=1.0)
+    p, none = EquationsOfMotion.of(m), np.zeros(3)
+    v_end = np.array([0.0, 1.0, 0.0])
+    for q_end, code in (([0.0, 1.0, 0.0], "singular"), ([np.nan, 1.0, 0.0], "not-finite")):
+        with pytest.raises(StepError) as error:
+            p.solve_between(0.0, p.q0, none, 0.1, np.array(q_end), v_end, 0.1)
+        assert error.value.code == code
+    x, _ = p.solve_between(0.0, p.q0, none, 0.1, np.array([0.6, 0.8, 0.0]), v_end, 0.1)
+    np.testing.assert_allclose(x, [-0.8 / 0.6 / 0.1, 0.0, 0.0], rtol=1e-14)
 
 
 @both
