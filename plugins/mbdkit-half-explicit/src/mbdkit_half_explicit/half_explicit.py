@@ -18,8 +18,9 @@ of Murua's code. Two things follow from them, which differ from the codes of the
 
 - *Dense output* is the polynomial of degree 5 in q with the positions, velocities and accelerations of both ends, its
   derivative in v, and the cubic polynomial with the values and rates of both ends in z.
-- *The error estimate* is the difference between the step and Simpson's rule, for which one acceleration is evaluated in
-  the middle of the dense output, and for positions the corrected trapezoidal rule. Both have order 4.
+- *The error estimate* of controlled steps is the difference between the step and Simpson's rule, for which one
+  acceleration is evaluated in the middle of the dense output, and for positions the corrected trapezoidal rule. Both
+  have order 4.
 """
 
 from __future__ import annotations
@@ -86,13 +87,15 @@ class HalfExplicit(mbdkit.StepMethod):
         made = state.moved(dq, dv, dz)
         a1, lam, rates1 = equations.derivatives(t + h, made.q, made.v, made.z)
         dense = interpolant(state, h, (dq, dv, dz), (a, a1), (rates, rates1))
+        end = replace(made, multipliers=lam, memory=(a1, lam, rates1))
+        if self.tolerances is None:
+            return mbdkit.Step(end, dense=dense)
         a_half, _, rates_half = equations.derivatives(t + h / 2, *dense(0.5))
         error = (
             dq - h / 2 * (state.v + made.v) - h**2 / 12 * (a - a1),
             dv - h / 6 * (a + 4 * a_half + a1),
             dz - h / 6 * (rates + 4 * rates_half + rates1),
         )
-        end = replace(made, multipliers=lam, memory=(a1, lam, rates1))
         return mbdkit.Step(end, error=np.concatenate(error), dense=dense)
 
     def _increments(
