@@ -197,7 +197,7 @@ def andrews() -> mbdkit.Mechanism:
 
 @pytest.mark.parametrize(("name", "close"), [("hem4", 1000), ("hem5", 10), ("phem56", 10)])
 def test_andrews_mechanism_ends_at_the_published_angles(name: str, close: float) -> None:
-    # expected: `ANDREWS`, to this many times the tolerance. This is the error of each of 400 steps of HEM4; the error of
+    # expected: `ANDREWS`, to this many times the tolerance. This is the error of each of 400 steps of HEM4; that of
     # the others, whose order is higher than that of the estimate, is a small part of it.
     found = run(andrews().to_spec(), {"name": name, "adaptive": True, "rtol": 1e-8}, end=0.03)
     k = [float(found[f"k{i}"].angle[-1]) for i in range(1, 8)]
