@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 from pydantic import (
     BaseModel,
@@ -46,7 +46,8 @@ class Choice:
 
     Only the options of the chosen plugin are imported. The JSON schema is the union of the options of all plugins.
 
-    `kind`: ``"model"`` or ``"integrator"``. `installed`: the registry to choose from; None for all installed plugins.
+    `kind`: ``"model"``, ``"integrator"`` or ``"step-control"``. `installed`: the registry to choose from; None for all
+    installed plugins.
     """
 
     kind: Kind
@@ -104,6 +105,17 @@ def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
             return handler(data)
 
     return core_schema.no_info_wrap_validator_function(validate, schema)
+
+
+STEP_CONTROL = (
+    Annotated[BaseModel, Choice("step-control")],
+    Field(
+        default=None,
+        description="Controller of the size of adaptive steps: its name and its options. By default, explicit methods "
+        "have a proportional-integral controller, and implicit ones an elementary one.",
+    ),
+)
+"""Type and field of the key `step_control`, which every integrator has."""
 
 
 def choice_of(root: type[BaseModel], kind: Kind) -> Choice:
