@@ -118,6 +118,9 @@ def page(installed: Registry) -> str:
         "## Integrators",
         "Claims hold for the default options. The page `methods` helps to choose.",
         *(part for item in installed.of_kind("integrator") for part in _item(item)),
+        "### `step_control`",
+        "Adaptive steps of every integrator may have one of these controllers. The page `methods` helps to choose.",
+        *(part for item in installed.of_kind("step-control") for part in _item(item, "####")),
         "## Stabilizations",
         *(
             part
