@@ -97,7 +97,7 @@ STEP_CONTROLS = (
         references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=10,
     ),
     StepControl(
-        name="pi", summary="Proportional-integral controller, by default PI.3.4: for explicit methods of stiff mechanisms.",
+        name="pi", summary="Proportional-integral controller, PI.3.4 by default: for steps that stability limits.",
         options=Target("mbdkit.methods.step_controls:PIOptions"), create=Target("mbdkit.methods.step_controls:pi"),
         references=Target("mbdkit.methods.step_controls:OF_PI"), order=20,
     ),

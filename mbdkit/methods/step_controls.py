@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated, ClassVar, cast
 
@@ -172,7 +173,7 @@ def controlled(method: Method, options: BaseModel, name: str) -> Method:
         remedy = "; add `adaptive: true`" if "adaptive" in type(options).model_fields else ""
         raise SpecError(f"'{name}' takes fixed steps, which no controller chooses{remedy}", key=KEY)
     item = item_of(chosen)
-    create = cast(StepControl, item.plugin).create
+    create = cast("Callable[[BaseModel], StepFilter]", cast(StepControl, item.plugin).create)
     try:
         control = use(item, lambda: create(chosen), StepFilter)
     except SpecError as error:

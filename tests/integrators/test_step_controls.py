@@ -189,7 +189,7 @@ def test_methods_in_python_take_a_controller_without_knowing_it() -> None:
     runs = []
     for control in ({}, {"step_control": {"name": "h211b"}}, {"step_control": {"name": "h211b", "b": 8}}):
         kind = spec_type(offering(method, adaptive=True, order=None, states=True))
-        spec = kind(mbdkit=1, model=DOUBLE, integrator={"name": "mine", **control}, time={"end": 8.0})
+        spec = kind(mbdkit=1, model=DOUBLE, integrator={"name": "mine", **control}, time={"end": 4.0})
         runs.append(simulate(spec).check())
     rough, smooth, smoother = (float(np.sum(changes(run))) for run in runs)
     assert smoother < smooth < rough

@@ -105,7 +105,8 @@ class HostControl:
         error = self.norm(made.error, begin.state, end)
         if not error <= 1.0:
             raise RejectedError(h * float(factor_after_rejection(data, math.isfinite(error), error)))
-        past = _Past(*((x,) for x in begin.history), (retrying,))
+        last_error, earlier_error, last_size, earlier_size = begin.history
+        past = _Past((last_error,), (earlier_error,), (last_size,), (earlier_size,), (retrying,))
         factor = float(factor_after_acceptance(data, h, max(error, 1e-10), past))
         return self._limited(h * factor), max(error, MIN_LAST_ERROR)
 
