@@ -47,11 +47,12 @@ class Choice:
     Only the options of the chosen plugin are imported. The JSON schema is the union of the options of all plugins.
 
     `kind`: ``"model"``, ``"integrator"`` or ``"step-control"``. `installed`: the registry to choose from; None for all
-    installed plugins.
+    installed plugins. `optional`: whether the value may be None.
     """
 
     kind: Kind
     installed: Registry | None = None
+    optional: bool = False
 
     @property
     def registry(self) -> Registry:
@@ -63,9 +64,12 @@ class Choice:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         items = self.registry.of_kind(self.kind)
-        return handler(_union(items)) if items else {}
+        union = _union(items)
+        return handler(core_schema.nullable_schema(union) if self.optional else union) if items else {}
 
     def _validated(self, data: object, info: core_schema.ValidationInfo) -> object:
+        if data is None and self.optional:
+            return None
         validator = _validator(self.registry.get(self.kind, self._name(data)))
         if info.mode == "json":  # strict mode accepts a list for a tuple, or a text for a path, only in JSON
             return validator.validate_json(json.dumps(data), context=info.context)
@@ -108,7 +112,7 @@ def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
 
 
 STEP_CONTROL = (
-    Annotated[BaseModel, Choice("step-control")],
+    Annotated[BaseModel | None, Choice("step-control", optional=True)],
     Field(
         default=None,
         description="Controller of the size of adaptive steps: its name and its options. By default, explicit methods "
