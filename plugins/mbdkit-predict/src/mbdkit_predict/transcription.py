@@ -680,14 +680,17 @@ class Transcription:
         1 unless it is small.
         """
         low, high, _ = self.limits["u"]
-        values = dict(mesh.values)
-        values["u"] = np.clip(values["u"] + 0.5 * self._sizes["u"][:, None], low[:, None], high[:, None])
-        duration, (*_, integrands, _, along) = values["duration"], self._along(mesh, values["u"])
+        u = np.clip(mesh.values["u"] + 0.5 * self._sizes["u"][:, None], low[:, None], high[:, None])
+        size = abs(self.objective_at(mesh, u))
+        return size if 0.0 < size < SMALL else 1.0
+
+    def objective_at(self, mesh: Mesh, u: np.ndarray) -> float:
+        """Return the objective of a motion, with controls (U, N s)."""
+        values, duration, (*_, integrands, _, along) = mesh.values, mesh.values["duration"], self._along(mesh, u)
         integrals = integrands @ np.kron(duration @ mesh.grid.lengths, self.b)
         finals = self._at_node(self.objective.finals)(self.nodes(mesh)[:, -1], values["p"], duration.sum())
         peaks = [along[k].max() for k, path in enumerate(self._path) if path.peak is not None]
-        size = abs(float(self.objective.value(integrals, finals, peaks, duration.sum())))
-        return size if 0.0 < size < SMALL else 1.0
+        return float(self.objective.value(integrals, finals, peaks, duration.sum()))
 
     def _along(self, mesh: Mesh, u: np.ndarray) -> list[np.ndarray]:
         """Return the results of `stage` at the points of a mesh, with other controls (U, N s)."""
@@ -763,8 +766,10 @@ def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Sto
     """
     found = results_of([partial(method.solved, guess, stop, most) for method, guess, most in problems], stop)
     return [
-        replace(guess, solution=Solution(guess.values, np.nan, {})) if mesh is None else mesh
-        for mesh, (_, guess, _) in zip(found, problems, strict=True)
+        replace(guess, solution=Solution(guess.values, method.objective_at(guess, guess.values["u"]), {}))
+        if mesh is None
+        else mesh
+        for mesh, (method, guess, _) in zip(found, problems, strict=True)
     ]
 
 
