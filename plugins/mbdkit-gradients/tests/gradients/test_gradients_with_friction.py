@@ -246,6 +246,7 @@ def test_radial_forces_of_gears_have_derivatives() -> None:
     assert_passed(found)
 
 
+@pytest.mark.slow
 def test_the_pins_of_a_knee_have_derivatives() -> None:
     measures = ["final(energy.dissipated)", "max(abs(joints.A.force))", "integral(energy.kinetic)"]
     names = ["model.pin_friction.coefficient", "model.pin_friction.radius", "model.springs.support.stiffness"]

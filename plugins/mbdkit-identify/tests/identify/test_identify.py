@@ -270,6 +270,7 @@ def test_windows_have_states_of_their_own(tmp_path: Path) -> None:
     assert found["k"].deviation > whole["k"].deviation
 
 
+@pytest.mark.slow
 def test_noise_of_measured_inputs_is_told(tmp_path: Path) -> None:
     dice = np.random.default_rng(4)
     t = np.arange(0.0, 4.0, 0.02)

@@ -94,7 +94,7 @@ def check(m: Mechanism, t0: float = 0.0, spread: float = 0.05) -> CasadiSystem:
     return system
 
 
-@pytest.mark.parametrize("count", [20, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.slow)])
 def test_random_mechanisms_are_those_of_the_machine_code(count: int) -> None:
     @settings(max_examples=count, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
     @given(mechanisms())

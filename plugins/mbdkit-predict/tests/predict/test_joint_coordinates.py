@@ -77,7 +77,7 @@ def check(m: Mechanism, t: float = 0.0) -> None:
     close(found, whole.quantities(q, v, a, lam, wanted.z0, [], [], t))
 
 
-@pytest.mark.parametrize("count", [20, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [6, pytest.param(200, marks=pytest.mark.slow)])
 def test_random_mechanisms_are_those_of_the_machine_code(count: int) -> None:
     @settings(max_examples=count, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
     @given(mechanisms())
@@ -112,6 +112,7 @@ def test_both_coordinates_have_the_optimum_of_another_transcription(coordinates:
     assert abs(run.objective - swing_up(5, 80)) <= run.objective_error
 
 
+@pytest.mark.slow
 def test_reactions_of_both_coordinates_are_equal() -> None:
     runs = [mbdkit.predict("assisted-squat", coordinates=x, compare={}) for x in ("joint", "absolute")]
     assert abs(runs[0].objective - runs[1].objective) <= sum(run.objective_error for run in runs)

@@ -196,6 +196,7 @@ def test_the_rate_of_a_control_is_minimized() -> None:
     assert abs(run.objective - 720.0) <= run.objective_error < 1e-4
 
 
+@pytest.mark.slow
 def test_the_peak_force_of_a_joint_is_less_where_it_is_minimized() -> None:
     effort = load_predict_spec("assisted-squat").minimize
     runs = [mbdkit.predict("assisted-squat", compare={}, minimize=f"{effort} + {w}*peak(abs(joints.knee.force))")
