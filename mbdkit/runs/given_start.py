@@ -101,6 +101,31 @@ class GivenStart:
 
         If the values and the joints determine the positions, these are found from the positions `near` (n,), if given.
         """
+        held, moving = self._given(values)
+        q, v = self.start.q0[: self.n].copy(), self.start.v0[: self.n].copy()
+        if held:
+            q = self._positions(q, held, near)
+        return q, self._velocities(q, v, moving)
+
+    def equations(
+        self, values: Mapping[str, float | str], q: np.ndarray, v: np.ndarray
+    ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """Return residuals (R,) and matrix (R, n) of the equations of positions, and those of velocities.
+
+        At the `state`, the residuals of joints and given `values` are zero, and each matrix has the derivatives of the
+        residuals with respect to q (n,) or v (n,).
+        """
+        held, moving = ([*given.values()] for given in self._given(values))
+        rows, phi, _ = self._rows(q, [one for one, _ in held])
+        lack = self._values([one for one, _ in held], q) - np.array([value for _, value in held])
+        rate_rows, _, phi_t = self._rows(q, [one for one, _ in moving])
+        aim = np.concatenate([-phi_t, [value for _, value in moving]])
+        return (np.concatenate([phi, lack]), rows), (product(rate_rows, v) - aim, rate_rows)
+
+    def _given(
+        self, values: Mapping[str, float | str]
+    ) -> tuple[dict[str, tuple[Quantity, float]], dict[str, tuple[Quantity, float]]]:
+        """Return the positional quantities that have values, and those whose rates have."""
         held: dict[str, tuple[Quantity, float]] = {}
         moving: dict[str, tuple[Quantity, float]] = {}
         for name, given in values.items():
@@ -114,10 +139,7 @@ class GivenStart:
             if not math.isfinite(value):
                 raise SpecError(f"the value of '{name}' should be a finite number, not {value!r}", key="initial")
             kind[name] = quantity, value
-        q, v = self.start.q0[: self.n].copy(), self.start.v0[: self.n].copy()
-        if held:
-            q = self._positions(q, held, near)
-        return q, self._velocities(q, v, moving)
+        return held, moving
 
     def independent(self, names: Iterable[str]) -> list[str]:
         """Return those names of positional quantities, in order, that are independent of each other and of the joints.

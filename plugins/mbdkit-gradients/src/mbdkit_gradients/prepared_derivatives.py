@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -22,8 +22,21 @@ from mbdkit.plugin.runs import GivenStart, build, knots_of
 from mbdkit.plugin.specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
 from mbdkit_gradients.gradient_parameters import Parameter
-from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, Preparation, PreparedDerivatives
+from mbdkit_gradients.parameter_differences import (
+    CENTRAL,
+    Arrays,
+    KnownDerivatives,
+    Preparation,
+    PreparedDerivatives,
+    weights,
+)
 
+POSITION, VELOCITY = "position equations", "velocity equations"
+"""Names of the residuals of the equations of a start with given values."""
+NUDGE = 0.001
+"""Largest change of a coordinate [m, rad] by which derivatives of matrices are differences of order 8."""
+RANK = 1e-9
+"""Smallest singular value, relative to the largest, of matrices that count as regular."""
 FURTHER = 0.01
 """Smallest change of parameters, relative to their sizes, with which it is tested whether arrays are linear."""
 
@@ -84,6 +97,73 @@ class PreparedSpec:
         return with_ground(q), with_ground(v)
 
 
+@dataclass(frozen=True)
+class StartEquations:
+    """The equations that determine a start with given values, differentiated as implicit functions.
+
+    Their residuals at a fixed state are mostly linear in the parameters.
+
+    Parameters
+    ----------
+    given
+        Finds states of the mechanism.
+    initial
+        The given values, by name.
+    q, v
+        Positions and velocities (n,) that satisfy the equations.
+    """
+
+    given: GivenStart
+    initial: Mapping[str, float]
+    q: np.ndarray
+    v: np.ndarray
+
+    @cached_property
+    def _matrices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives (R, n) of the residuals with respect to positions, and to velocities."""
+        (_, of_positions), (_, of_velocities) = self.given.equations(self.initial, self.q, self.v)
+        return of_positions, of_velocities
+
+    @property
+    def determine_the_start(self) -> bool:
+        """Whether the equations have a single solution, which does not depend on where the search for it begins."""
+        is_free = len(self.given.search.free) == self.given.n
+        return is_free and all(np.linalg.matrix_rank(x * self.given.light, RANK) == len(self.q) for x in self._matrices)
+
+    def residuals(self, given: GivenStart, initial: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Return the residuals for another mechanism and other values at the same state, plus a constant of the size of
+        their terms, to which rounding errors are relative.
+        """
+        (position, _), (velocity, _) = given.equations(initial, self.q, self.v)
+        length = self.given.length
+        return {POSITION: position + length, VELOCITY: velocity + max(length, float(np.max(np.abs(self.v))))}
+
+    def completed(self, found: PreparedDerivatives) -> PreparedDerivatives:
+        """Return derivatives with those of ``q`` and ``v`` in place of those of the residuals."""
+        slopes, count = dict(found.seeds.arrays), len(found.error)
+        (rows, _), (rate_rows, _) = self.given.equations(self.initial, self.q, self.v)
+        position = slopes.pop(POSITION, np.zeros((len(rows), count)))
+        velocity = slopes.pop(VELOCITY, np.zeros((len(rate_rows), count)))
+        both = [self._slopes(position[:, k], velocity[:, k]) for k in range(count)]
+        slopes |= {name: np.stack([with_ground(one[i]) for one in both], axis=-1) for i, name in enumerate("qv")}
+        return replace(found, seeds=replace(found.seeds, arrays=slopes))
+
+    def _slopes(self, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives (n,) of q and v with respect to a parameter, given those of the residuals."""
+        light, (of_positions, of_velocities) = self.given.light, self._matrices
+        dq = np.zeros(len(self.q))
+        if np.any(position):
+            dq = -light * np.linalg.lstsq(of_positions * light, position, RANK)[0]
+            unit = NUDGE / float(np.max(np.abs(dq)))
+            now = self._velocity_residual(0.0 * dq)
+            for place, weight in zip(CENTRAL, weights(CENTRAL), strict=True):
+                velocity = velocity + weight * (self._velocity_residual(place * unit * dq) - now) / unit
+        return dq, -light * np.linalg.lstsq(of_velocities * light, velocity, RANK)[0]
+
+    def _velocity_residual(self, change: np.ndarray) -> np.ndarray:
+        return self.given.equations(self.initial, self.q + change, self.v)[1][0]
+
+
 class RunPreparation(Preparation):
     """Prepares runs of a spec with other values of a parameter.
 
@@ -101,9 +181,11 @@ class RunPreparation(Preparation):
     prepared
         Specs that have been prepared, by the values that made them from the base; preparations that differ in nothing
         but `initial` share them.
+    equations
+        Equations of the start, whose residuals take the place of the start in the arrays.
     """
 
-    ROUNDED = ("q", "v")
+    ROUNDED = ("q", "v", POSITION, VELOCITY)
 
     def __init__(
         self,
@@ -113,11 +195,12 @@ class RunPreparation(Preparation):
         specs: VariedSpecs | None = None,
         values: Mapping[Path, float] = MappingProxyType({}),
         prepared: dict[tuple[tuple[Path, float], ...], PreparedSpec] | None = None,
+        equations: StartEquations | None = None,
     ):
         self.initial, self.values, self._numbers = initial, values, numbers
         self._specs = VariedSpecs(spec.canonical_json()) if specs is None else specs
         self._starts = Starts()
-        self._prepared = {} if prepared is None else prepared
+        self._prepared, self._equations = {} if prepared is None else prepared, equations
         self._base = spec
         self._own = self._with_values(values)
         self.spec, self.mechanism = self._own.spec, self._own.start.mechanism
@@ -138,6 +221,9 @@ class RunPreparation(Preparation):
     def _arrays(
         self, prepared: PreparedSpec, initial: Mapping[str, float], near: np.ndarray | None = None
     ) -> dict[str, np.ndarray]:
+        if self._equations is not None and prepared.given is not None:
+            residuals = self._equations.residuals(prepared.given, initial)
+            return {**self.mechanism_arrays(prepared.start.mechanism), **residuals, **prepared.numbers}
         q, v = prepared.state(initial, near)
         return {**self.mechanism_arrays(prepared.start.mechanism), "q": q, "v": v, **prepared.numbers}
 
@@ -145,8 +231,16 @@ class RunPreparation(Preparation):
         """See `Preparation.derivatives`.
 
         One point for each parameter is enough if all arrays are linear in the parameters together, as another point
-        shows in which all parameters differ, by unequal shares of their sizes.
+        shows in which all parameters differ, by unequal shares of their sizes. If equations determine the start, it is
+        differentiated as an implicit function, because their residuals are mostly linear.
         """
+        given = self._own.given
+        if given is not None and self._equations is None:
+            equations = StartEquations(given, self.initial, self.base["q"][: given.n], self.base["v"][: given.n])
+            if equations.determine_the_start:
+                shared = self._specs, self.values, self._prepared
+                other = RunPreparation(self._base, self._numbers, self.initial, *shared, equations)
+                return equations.completed(other.derivatives(parameters))
         with suppress(SpecError):
             if len(parameters) > 1:
                 found = self.lines(parameters)
@@ -158,7 +252,8 @@ class RunPreparation(Preparation):
                 values = {one.path: one.value for one in changed if one.path[0] != "initial"}
                 initial = {str(one.path[1]): one.value for one in changed if one.path[0] == "initial"}
                 start, both = {**self.initial, **initial}, {**self.values, **values}
-                other = RunPreparation(self._base, self._numbers, start, self._specs, both, self._prepared)
+                shared = self._prepared, self._equations
+                other = RunPreparation(self._base, self._numbers, start, self._specs, both, *shared)
                 known = np.array([one.value for one in parameters])
                 if other.repeated(KnownDerivatives(known, self.mechanism, self.base, found), changed) is not None:
                     return found
@@ -167,7 +262,7 @@ class RunPreparation(Preparation):
     def at(self, parameter: Parameter, value: float) -> Arrays:
         """Return the arrays for another value of a parameter; see `Preparation.at`."""
         if parameter.path[0] == "initial":
-            return self._arrays(self._own, {**self.initial, str(parameter.path[1]): value}, self.base["q"])
+            return self._arrays(self._own, {**self.initial, str(parameter.path[1]): value}, self.base.get("q"))
         changed = self._with_values({**self.values, parameter.path: value})
         if changed.knots != self._own.knots:
             raise SpecError(
@@ -177,4 +272,4 @@ class RunPreparation(Preparation):
             )
         self.require_same_form(changed.numbers, parameter)
         self.require_same_structure(changed.start.mechanism, parameter, value)
-        return self._arrays(changed, self.initial, self.base["q"])
+        return self._arrays(changed, self.initial, self.base.get("q"))
