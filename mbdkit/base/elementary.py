@@ -55,6 +55,8 @@ class ElementaryFunction:
         arrays = [np.asarray(operand) for operand in operands]
         if len(arrays) != 1 + (self.name in _OF_TWO) or any(x.dtype.kind == "c" for x in arrays):
             raise TypeError(f"{self.name} takes {1 + (self.name in _OF_TWO)} real operands, not {operands}")
+        if any(x.dtype == object and x.ndim for x in arrays):
+            return np.frompyfunc(self, len(arrays), 1)(*arrays)
         arrays = [x.astype(np.float64, copy=False) for x in arrays]
         if all(x.ndim == 0 for x in arrays):
             return np.float64(self._of_numbers(*map(float, arrays)))

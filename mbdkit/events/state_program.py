@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -57,12 +57,12 @@ def state_values(program: Program, quantities: Sequence[tuple[str, str, str]], s
     names = archive_names(states.mechanism)
     columns = [states.time.tolist(), *(Quantity(*quantity).taker(names)(states).tolist() for quantity in quantities)]
 
-    def value(time: float, *values: float) -> float:
+    def value(time: float, *values: float) -> Any:
         def leaf(operation: str, number: float) -> float:
             if operation == "get":
                 return values[int(number)]
             return time if operation == "t" else number
 
-        return float(value_of(program, leaf))
+        return value_of(program, leaf)
 
     return np.array([value(*row) for row in zip(*columns, strict=True)])

@@ -52,7 +52,8 @@ def test_packaged_example_runs_to_its_end_in_balance_and_asks_little(name):
     assert all(np.max(joint.misalignment) < 1e-5 for joint in run.joints.values())
     assert all(np.isfinite(joint.reaction_force).all() for joint in run.joints.values())
     assert run.stats["rhs_evaluations"] < 100_000  # a fraction of a second
-    warnings = [one for one in run.warnings if not (run.beams and one.startswith("the elements of beam"))]
+    known = ("the elements of beam", "an infinite sequence of impacts was cut off", "impacts of contacts ")
+    warnings = [text for text in run.warnings if not text.startswith(known)]
     assert (run.verdict, run.verdict_reasons, warnings) == ("unknown", [], [])  # the best verdict without a check
 
 

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.rigid.scenes import FLOOR, outline, run
+from tests.rigid.scenes import FLOOR, run
 
+import mbdkit
 from mbdkit.spec import load_spec
+from mbdkit_paper.methods.problems import problems
 from tests.models.example_runs import of_all_bodies, ran
 
 
@@ -80,42 +82,33 @@ def test_a_slider_crank_with_clearance_moves_as_in_siconos(treatment: str, step:
     """SliderCrank/SliderCrankMoreauJeanCombinedProjectionOSI.ref, steps of 1e-4 s, in which the crank turns by up to
     0.9 degrees (P. Flores, R. Leine and C. Glocker, Multibody System Dynamics 23:165-190, 2010, figure 11).
     """
-    crank, rod, a, b, clearance, speeds = 0.153, 0.306, 0.05, 0.025, 0.001, (150.0, -75.0)
-    tip = crank * speeds[0]
-
-    def guide(y: float, side: float) -> dict[str, Any]:
-        shapes = [{"line": {"point": [0.0, y], "normal": [0.0, side]}}, outline(a, b)]
-        return {"bodies": ["ground", "slider"], "shapes": shapes, "restitution": 0.4, "friction": 0.01}
-
-    model = {
-        "bodies": {
-            "crank": {
-                "mass": 0.038, "inertia": 7.4e-5, "position": [crank / 2, 0.0], "velocity": [0.0, tip / 2],
-                "angular_velocity": speeds[0],
-            },
-            "rod": {
-                "mass": 0.038, "inertia": 5.9e-4, "position": [crank + rod / 2, 0.0],
-                "velocity": [0.0, tip + rod / 2 * speeds[1]], "angular_velocity": speeds[1],
-            },
-            "slider": {"mass": 0.076, "inertia": 2.7e-6, "position": [crank + rod, 0.0]},
-        },
-        "joints": {
-            "A": {"type": "revolute", "bodies": ["ground", "crank"], "at": [0.0, 0.0]},
-            "B": {"type": "revolute", "bodies": ["crank", "rod"], "at": [crank, 0.0]},
-            "C": {"type": "revolute", "bodies": ["rod", "slider"], "at": [crank + rod, 0.0]},
-        },
-        "contacts": {"top": guide(b + clearance, -1.0), "bottom": guide(-b - clearance, 1.0)},
-    }  # fmt: skip
-    found = run(model, 0.02, step, treatment)
+    integrator = {"name": "moreau-jean" if treatment == "time-stepping" else "dop853"}
+    time = {"end": 0.02, "step": step}
+    found = mbdkit.run("slider-crank-guide", contact={"treatment": treatment}, integrator=integrator, time=time)
     reference = {0.01: (0.151617, 1.0000), 0.015: (0.204258, 1.0000), 0.02: (0.258909, 0.8454)}
     for t, (turns, height) in reference.items():  # of the crank; of the slider over its clearance
         row = int(np.argmin(np.abs(found.time - t)))
         assert found["crank"].angle[row] / (2 * np.pi) == pytest.approx(
             turns, abs=2.5e-3 if treatment == "event-driven" else 4e-3
         )
-        assert found["slider"].position[row, 1] / clearance == pytest.approx(height, abs=0.03)
+        assert found["slider"].position[row, 1] / 1e-3 == pytest.approx(height, abs=0.03)
     assert np.max(np.abs(found["slider"].angle)) < 1e-9  # both corners of the slider strike together
     assert np.min(found.contacts["top.2"].gap) > -1e-12
+
+
+def test_time_stepping_of_the_slider_crank_converges_to_its_impacts_as_events() -> None:
+    # expected: order 1; dop853 and gauss, which take other steps between the impacts, agree
+    problem = problems()["slider-crank-guide"]
+
+    def errors(treatment: str, integrator: dict[str, Any], step: float) -> list[float]:
+        spec = problem.spec(step=step, contact={"treatment": treatment}, integrator=integrator)
+        return list(problem.errors(mbdkit.run(spec)).values())
+
+    for integrator in ({"name": "dop853"}, {"name": "gauss", "stages": 3}):
+        assert max(errors("event-driven", integrator, 1e-4)) < 1e-11
+    coarse, fine, finer = (errors("time-stepping", {"name": "moreau-jean"}, step) for step in (4e-5, 2e-5, 1e-5))
+    assert np.divide(coarse, fine) == pytest.approx(2.0, abs=0.3)
+    assert np.divide(fine, finer) == pytest.approx(2.0, abs=0.3)
 
 
 @pytest.mark.parametrize(("treatment", "step"), [("event-driven", 0.01), ("time-stepping", 1e-4)])

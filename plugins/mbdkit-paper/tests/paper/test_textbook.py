@@ -42,17 +42,10 @@ def test_textbooks_equations_keep_energy_and_loop_when_integrated_tightly() -> N
 def test_absolute_coordinates_move_as_the_textbooks_three_angles() -> None:
     # expected: the textbook's equations by DOP853 at 1e-12; two formulations with nothing in common but the mechanism
     found = solve_ivp(rates, (0, 5), start(), rtol=1e-12, atol=1e-12, method="DOP853").y[:3, -1]
-    run = mbdkit.run(model(), integrator={"name": "gauss", "stages": 5}, time={"end": 5.0, "step": 0.01})
+    run = mbdkit.run("particle-four-bar", integrator={"name": "gauss", "stages": 5}, time={"end": 5.0, "step": 0.01})
     ends = np.cumsum(LENGTHS * np.exp(1j * np.cumsum(found)))
     for name, end in (("P2", ends[0]), ("P3", ends[1])):
         np.testing.assert_allclose(run[name].position[-1], [end.real, end.imag], atol=1e-8)
-
-
-def model() -> dict[str, object]:
-    """Return the base spec of the packaged study."""
-    base = load_study_spec("textbook-four-bar").base
-    assert isinstance(base, dict)
-    return base
 
 
 def test_standard_solver_opens_the_loop_as_published() -> None:
@@ -63,7 +56,7 @@ def test_standard_solver_opens_the_loop_as_published() -> None:
 
 def test_residual_is_the_gap_of_links_of_their_own_lengths() -> None:
     # expected: sum of length errors along the links' directions, exactly; at most the sum of the misalignments
-    run = mbdkit.run(model(), integrator={"name": "rk4"}, time={"end": 2.0, "step": 0.02})
+    run = mbdkit.run("particle-four-bar", integrator={"name": "rk4"}, time={"end": 2.0, "step": 0.02})
     residual = np.linalg.norm(loop_residual(run), axis=1)
     total = sum(joint.misalignment for joint in run.joints.values())
     assert residual.max() > 1e-6

@@ -11,8 +11,9 @@ in them must be a linear function of the parameters, as the stiffness of a sprin
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,9 @@ NOT_READ = "weight", "length", "row_units"
 class ChosenNumbers:
     """Controls and parameters of a mechanism, by key paths such as ``forces.motor.value`` and ``bodies.rod.mass``.
 
-    Raises SpecError if a key does not exist, its value is no number, or a control cannot change with time.
+    Named parameters may be among the parameters: `named` are their present values by name, and `rebuilt` returns the
+    mechanism with other values. Raises SpecError if a key does not exist, its value is no number, or a control cannot
+    change with time.
 
     Attributes
     ----------
@@ -50,8 +53,16 @@ class ChosenNumbers:
         Present values; 0 for controls that are not numbers.
     """
 
-    def __init__(self, mechanism: Mechanism, controls: Sequence[str], parameters: Sequence[str]):
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        controls: Sequence[str],
+        parameters: Sequence[str],
+        named: Mapping[str, float] = MappingProxyType({}),
+        rebuilt: Callable[[Mapping[str, float]], Mechanism] | None = None,
+    ):
         self.controls, self.parameters = tuple(controls), tuple(parameters)
+        self._named, self._rebuilt = named, rebuilt
         self._spec = mechanism.to_spec()
         self._original = mechanism
         self.equilibria = chosen_equilibria(mechanism, controls)
@@ -61,7 +72,7 @@ class ChosenNumbers:
             raise SpecError("is a control, so that it is no parameter", key=f"model.{min(both)}")
         self.parameter_start = [self._number(key) for key in parameters]
         self.control_states = [
-            key if key in unknowns else self._add_control(key, start)
+            key if key in unknowns else self._add_control(self._spec, key, start)
             for key, start in zip(controls, self.control_start, strict=True)
         ]
         try:
@@ -71,14 +82,14 @@ class ChosenNumbers:
                 raise
             raise SpecError("is no control, because it cannot change with time", key=error.key) from None
 
-    def _add_control(self, key: str, start: float) -> str:
+    def _add_control(self, spec: dict[str, Any], key: str, start: float) -> str:
         kind, *path = parse_path(key)
-        if kind == "states" and len(path) == 1:  # the state itself is the control
-            self._spec["states"][path[0]] |= {"initial": start, "rate": "0"}
-            return str(path[0])
-        self._set(self._spec, key, f"states[{json.dumps(key)}]")
-        self._spec.setdefault("states", {})[key] = {"initial": start, "rate": "0"}
-        return key
+        is_own = kind == "states" and len(path) == 1  # the state itself is the control
+        state = str(path[0]) if is_own else key
+        if not is_own:
+            self._set(spec, key, f"states[{json.dumps(key)}]")
+        spec.setdefault("states", {}).setdefault(state, {}).update({"initial": start, "rate": "0"})
+        return state
 
     def _start(self, key: str) -> float:
         value = self._value(key)
@@ -87,7 +98,15 @@ class ChosenNumbers:
             raise SpecError(f"has components, each a control of its own: {key}[0] and {key}[1]", key=f"model.{key}")
         return float(value) if isinstance(value, int | float) else 0.0
 
+    def place(self, key: str) -> str:
+        """Return the key path of a number in specs."""
+        return f"{'model' if len(parse_path(key)) > 1 else 'parameters'}.{key}"
+
     def _number(self, key: str) -> float:
+        if key in self._named:
+            return self._named[key]
+        if len(parse_path(key)) == 1:
+            raise SpecError(f"there is no parameter '{key}'{did_you_mean(key, self._named)}", key=self.place(key))
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise SpecError("a parameter should be the key of a number of the mechanism", key=f"model.{key}")
@@ -136,9 +155,16 @@ class ChosenNumbers:
         """Return the mechanism with other values of the parameters."""
         if not self.parameters:
             return self.mechanism
-        spec = copied(self._spec)
-        for key, value in zip(self.parameters, values, strict=True):
-            self._set(spec, key, float(value))
+        given = dict(zip(self.parameters, map(float, values), strict=True))
+        spec, renamed = copied(self._spec), {name: given.pop(name) for name in self._named if name in given}
+        if renamed:
+            assert self._rebuilt is not None
+            spec = self._rebuilt(renamed).to_spec()
+            for key, state, start in zip(self.controls, self.control_states, self.control_start, strict=True):
+                if state in self._spec["states"]:  # else the unknown of an equilibrium
+                    self._add_control(spec, key, start)
+        for key, value in given.items():
+            self._set(spec, key, value)
         return self._mechanism(spec)
 
     def topology(self, known: Topology, p: Sequence[Any]) -> Topology:
@@ -158,7 +184,7 @@ class ChosenNumbers:
                 slopes = [(x[name] - start) / change for change, x in moved if x[name].shape == start.shape]
                 if len(slopes) < 2 or np.any(abs(np.subtract(*slopes)) > LINEAR * np.max(np.abs(slopes), axis=0)):
                     why = "is not a parameter that can be exported: the equations of motion are not linear in it"
-                    raise SpecError(why, key=f"model.{self.parameters[k]}")
+                    raise SpecError(why, key=self.place(self.parameters[k]))
                 changes[name].append(steps[k] * slopes[0])
                 whole = np.rint(slopes[0])
                 slope = np.where(abs(slopes[0] - whole) <= LINEAR, whole, slopes[0])

@@ -97,6 +97,10 @@ def solved_motion(
     start = dict(zip("qvz", np.split(values["start"], [n, 2 * n]), strict=True))
     known = {x: np.column_stack([start.get(x, values[x][:, 0]), values[x]]) for x in ("q", "v", "a", "lam", "z", "u")}
     time, known["p"] = np.append(0.0, time), np.repeat(values["p"][:, None], len(time) + 1, axis=1)
+    if len(solved.q0) != len(system.q0):  # other coordinates
+        placed = solved.placed.map(len(time))(*(known[x] for x in "qvap"), time[None])
+        known |= zip("qva", system.coordinates_of(*map(np.array, placed), time=time), strict=True)
+        known["lam"] = _chosen(system.constraint_names, list(solved.constraint_names), known["lam"].T)
     for name, names in (("z", "state_names"), ("u", "control_names"), ("p", "parameter_names")):
         known[name] = _chosen(getattr(system, names), list(getattr(solved, names)), known[name].T)
     return GuessedMotion(time, known, values["duration"].tolist())
@@ -104,7 +108,8 @@ def solved_motion(
 
 def _chosen(wanted: Sequence[str], names: list[str], histories: np.ndarray) -> np.ndarray:
     """Return rows (W ..., T) of histories (T, N, ...) with the wanted names; nan for those without one."""
-    padded = np.concatenate([histories, np.full_like(histories[:, :1], np.nan)], axis=1)
+    unknown = np.full((len(histories), 1, *histories.shape[2:]), np.nan)
+    padded = np.concatenate([histories, unknown], axis=1)
     places = [names.index(name) if name in names else len(names) for name in wanted]
     return padded[:, places].reshape(len(padded), -1).T
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbdkit_predict.point_hessian import PointHessian
+from mbdkit_predict.point_derivatives import PointHessian, PointValues
 from mbdkit_predict.processes import Stop
 
 MOST_ITERATIONS = 2000
@@ -126,6 +126,8 @@ class NonlinearProgram:
         What is minimized.
     sizes
         Natural size of each row of unknowns, by which they are divided for the optimizer; 1 if it is not given.
+    points
+        Values of functions at collocation points, for which conditions and the objective contain symbols.
     hessian
         The second derivatives; those of CasADi by default.
     size
@@ -144,6 +146,7 @@ class NonlinearProgram:
         conditions: Sequence[ProgramCondition],
         objective: ca.MX,
         sizes: Mapping[str, np.ndarray],
+        points: PointValues,
         hessian: PointHessian | None = None,
         size: float = 1.0,
     ):
@@ -164,10 +167,12 @@ class NonlinearProgram:
         given = ca.vertcat(*(ca.vec(x) for x in unknowns.values()))
         values = [objective, ca.vertcat(*(ca.vec(condition.value) for condition in conditions))]
         x = ca.MX.sym("x", *given.shape)
-        self._program = ca.Function("program", [given], values)
+        self._program = ca.Function("program", [given], points.put_into(*values))
         self._functions: Any = dict(zip("xfg", [x, *self._program(ca.DM(self._sizes) * x)], strict=True))
-        by_name = {condition.name: condition.value for condition in conditions}
-        self._hessian = {} if hessian is None else {"hess_lag": hessian.whole(by_name, given, self._sizes)}
+        self._derivatives = {"jac_g": points.jacobian(values[1], given, self._sizes)}
+        if hessian is not None:
+            by_name = {condition.name: condition.value for condition in conditions}
+            self._derivatives["hess_lag"] = hessian.whole(by_name, given, self._sizes)
 
     def solve(
         self,
@@ -187,7 +192,7 @@ class NonlinearProgram:
         watcher.note(first / self._sizes, *self._program(first)[::-1])
         options: dict[str, Any] = {
             "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": self._scale,
-            **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _WARM), **self._hessian,
+            **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _WARM), **self._derivatives,
         }  # fmt: skip
         start = {"x0": first / self._sizes}
         if slopes is not None:

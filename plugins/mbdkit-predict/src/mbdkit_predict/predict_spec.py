@@ -7,16 +7,30 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
-from mbdkit.plugin import FormatVersion, Number, Positive, SpecError, Table, did_you_mean, listed, path_text, quoted
+from mbdkit.plugin import (
+    FormatVersion,
+    Mechanism,
+    Number,
+    Positive,
+    SpecError,
+    Table,
+    copied,
+    did_you_mean,
+    listed,
+    loaded,
+    path_text,
+    quoted,
+)
 from mbdkit.plugin.mechanisms import curve_of
 from mbdkit.plugin.specs import (
     Choice,
     Count,
     DefinedMeasure,
+    Document,
     ModelSpec,
     Registered,
     Registry,
@@ -28,9 +42,6 @@ from mbdkit.plugin.specs import (
 from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import equilibria, unknown_keys
 from mbdkit_predict.measured_functions import MeasuredFunction
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism
 
 STAGES = {"radau": (2, 3, 5), "gauss": (1, 2, 3, 4, 5, 6)}
 """Numbers of collocation points of each method."""
@@ -161,8 +172,8 @@ class PredictSpec(ModelSpec):
     """Functions of time that are optimized, by the key path of the value in the model that they replace, such as
     `forces.motor.value` and `muscles.soleus.excitation`."""
     optimized: dict[str, Variable] = Field(default_factory=dict)
-    """Numbers that are optimized, by their key path in the model, such as `forces.spring.stiffness`. In specs with a
-    `base`, they are called `parameters`."""
+    """Numbers that are optimized, by their key path in the model, such as `forces.spring.stiffness`, or named
+    parameters, by name. In specs with a `base`, they are called `parameters`."""
     duration: Positive | Duration | None = None
     """Duration of the motion [s], or its bounds; needed without `phases`."""
     phases: list[Phase] = Field(default_factory=list)
@@ -190,7 +201,8 @@ class PredictSpec(ModelSpec):
     """Largest change of the objective by halving all intervals, relative to its size. Intervals are halved until the
     change is smaller."""
     sensitivities: list[str] = Field(default_factory=list)
-    """Key paths of numbers in the model: the derivative of the optimum by each is computed from the multipliers."""
+    """Key paths of numbers in the model, or named parameters: the derivative of the optimum by each is computed from
+    the multipliers."""
     compare: dict[str, Any] = Field(default_factory=dict)
     """Values in the model or its named parameters, by key path, such as `model.forces.spring.stiffness: 0`. The motion
     is optimized with them too, and the gain is the difference of both optima. Numbers in `parameters` that are given
@@ -322,22 +334,35 @@ class PredictSpec(ModelSpec):
                     raise error.located(prefix=key) from None
                 check_tables([(key, self._tables[name])], 0.0, sum(lengths))
 
-    def _built(self) -> Mechanism:
-        mechanism = super()._built()
-        unknowns = [key for (kind, name), own in equilibria(mechanism).items() for key in unknown_keys(kind, name, own)]
-        fixed = [key for key in self.sensitivities if key not in self.optimized]
+    def _with_named(self, values: Mapping[str, float]) -> Mechanism:
+        """Return the mechanism of the model with other values of named parameters."""
+        data = copied(json.loads(self.canonical_json()))
+        for key in ("optimized", "sensitivities", "compare", "guess", "measured"):
+            data.pop(key, None)
+        data["parameters"] = data["parameters"] | values
+        other = loaded("predict", PredictSpec, Document(data, folder=self.folder), (), {})
+        return self._with_functions(ModelSpec._built(other))
+
+    def _with_functions(self, mechanism: Mechanism) -> Mechanism:
         for name in self.measured:
             mechanism.state(f"measured.{name}", rate="0")
+        return mechanism
+
+    def _built(self) -> Mechanism:
+        mechanism = self._with_functions(super()._built())
+        unknowns = [key for (kind, name), own in equilibria(mechanism).items() for key in unknown_keys(kind, name, own)]
+        fixed = [key for key in self.sensitivities if key not in self.optimized]
         functions = [path_text(("states", f"measured.{name}")) for name in self.measured]
         controls = list(dict.fromkeys([*self.controls, *unknowns, *functions]))
-        self._chosen = chosen = ChosenNumbers(mechanism, controls, [*self.optimized, *fixed])
+        parameters = [*self.optimized, *fixed]
+        self._chosen = chosen = ChosenNumbers(mechanism, controls, parameters, self.numbers, self._with_named)
         for i, (name, variable) in enumerate(self.optimized.items()):
             for bound in filter(math.isfinite, variable.limits):
                 try:
                     chosen.with_parameters([*chosen.parameter_start[:i], bound, *chosen.parameter_start[i + 1 :]])
                 except SpecError as error:
                     why = f"the bound {bound:g} of this parameter is not possible: {error.message}"
-                    raise SpecError(why, key=f"model.{name}") from None
+                    raise SpecError(why, key=chosen.place(name)) from None
         return chosen.mechanism
 
 

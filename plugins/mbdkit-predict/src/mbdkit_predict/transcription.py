@@ -41,7 +41,7 @@ from mbdkit_predict.nonlinear_program import (
     solve_pose,
 )
 from mbdkit_predict.objective import Objective
-from mbdkit_predict.point_hessian import PointHessian
+from mbdkit_predict.point_derivatives import PointHessian, PointValues
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
@@ -356,9 +356,9 @@ class Transcription:
         report: Callable[[Mesh], None] = lambda mesh: None,
     ) -> Mesh:
         """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
-        unknowns, bounds, conditions, objective, hessian = self._program(guess.grid)
+        *program_of, points, hessian = self._program(guess.grid)
         sizes = self._sizes | {"peak": np.where(guess.values["peak"] == 0.0, 1.0, abs(guess.values["peak"]))}
-        program = NonlinearProgram(unknowns, bounds, conditions, objective, sizes, hessian, guess.size)
+        program = NonlinearProgram(*program_of, sizes, points, hessian, guess.size)
 
         def mesh(solution: Solution) -> Mesh:
             done = guess.iterations + solution.iterations
@@ -373,7 +373,7 @@ class Transcription:
         """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of
         violations; empty if it is not found.
         """
-        unknowns, bounds, conditions, *_ = self._program(guess.grid)
+        unknowns, bounds, conditions, _, points, _ = self._program(guess.grid)
         asked = [k for k, row in enumerate(conditions) if ": " in row.name]
         sizes = [conditions[k].value.numel() for k in asked]
         weight = [WEIGHT_OF_START if conditions[k].name.startswith("initial") else 1.0 for k in asked]
@@ -385,7 +385,7 @@ class Transcription:
             missed = (unknowns["over"] - unknowns["under"])[part.tolist()]
             conditions[k] = conditions[k]._replace(value=ca.vec(conditions[k].value) - missed)
         total = ca.dot(np.repeat(np.divide(weight, sizes), sizes), unknowns["over"] + unknowns["under"])
-        program = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes)
+        program = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes, points)
         solution = program.solve(values, stop, lambda solution: None)
         if not solution.is_optimum:
             return {}
@@ -405,6 +405,9 @@ class Transcription:
             ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
         ]  # fmt: skip
         self._curvature = self._curvature_function(results, mu)
+        variables, values = ca.vertcat(*given, mu), ca.vertcat(*results)
+        self._values = ca.Function("values", [variables], [ca.cse(values)])
+        self._slopes = ca.Function("slopes", [variables], [ca.cse(ca.jacobian(values, variables))])
         return ca.Function("point", [*given, mu], ca.cse(results))
 
     def _projection_function(self) -> tuple[ca.Function, np.ndarray]:
@@ -460,7 +463,7 @@ class Transcription:
 
     def _program(
         self, grid: IntervalGrid
-    ) -> tuple[dict[str, ca.MX], dict[str, Any], list[ProgramCondition], ca.MX, PointHessian | None]:
+    ) -> tuple[dict[str, ca.MX], dict[str, Any], list[ProgramCondition], ca.MX, PointValues, PointHessian | None]:
         system, s = self.system, len(self.c)
         count = len(grid.phase)
         total = count * s
@@ -468,9 +471,11 @@ class Transcription:
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
-        closed, position_rates, rates, integrands, balance, path = self.stage.map(total)(
-            x["q"], x["v"], x["a"], x["lam"], x["z"], x["u"], ca.repmat(x["p"], 1, total), times, x["mu"]
-        )
+        own = [x[name] for name in ("q", "v", "a", "lam", "z", "u")]
+        variables = ca.vertcat(*own, ca.repmat(x["p"], 1, total), times, x["mu"])
+        at_points = PointValues(variables, self._values, self._slopes)
+        rows = np.cumsum([0, *(self.stage.size1_out(k) for k in range(self.stage.n_out()))]).tolist()
+        closed, position_rates, rates, integrands, balance, path = ca.vertsplit(at_points.symbols, rows)
         states, slopes = ca.vertcat(x["q"], x["v"], x["z"]), ca.vertcat(position_rates, x["a"], rates)
         ends = x["nodes"] if self.has_nodes else states[:, s - 1 :: s]
         begins = ca.horzcat(x["start"], ends[:, :-1])
@@ -514,7 +519,7 @@ class Transcription:
         objective = self.objective.value(ca.mtimes(integrands, weighted), finals, x["peak"], duration)
         slope = self._slope_of_integrals()
         if slope is None or self.has_nodes:  # projections are curved, too
-            return x, bounds, conditions, objective, None
+            return x, bounds, conditions, objective, at_points, None
 
         variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
 
@@ -530,11 +535,13 @@ class Transcription:
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
         rest = self.objective.value(ca.MX.zeros(len(slope)), finals, x["peak"], duration)
-        return x, bounds, conditions, objective, PointHessian(variables, blocks, names, rest)
+        return x, bounds, conditions, objective, at_points, PointHessian(variables, blocks, names, rest)
 
     def _slope_of_integrals(self) -> np.ndarray | None:
         """Return the derivatives of the objective by its integrals; None if they are not constant."""
-        given = self.objective.value.sx_in()
+        given, (low, high, _) = self.objective.value.sx_in(), self.limits["duration"]
+        if np.all(low == high):
+            given[3] = ca.SX(float(low.sum()))
         slope = ca.densify(ca.jacobian(self.objective.value(*given), given[0]))
         return np.array(ca.DM(slope)).ravel() if slope.is_constant() else None
 

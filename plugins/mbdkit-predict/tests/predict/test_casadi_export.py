@@ -262,6 +262,28 @@ def test_quantities_have_the_names_and_values_of_runs(name: str) -> None:
     assert all("cannot be exported: " in sentence for sentence in system.refused.values())
 
 
+@pytest.mark.parametrize("tendon", ["rigid", "elastic"])
+def test_muscles_consume_the_power_that_runs_record(tendon: str) -> None:
+    m = arm(tendon=tendon, metabolics={"smoothing": 0.02}, pennation=0.3)
+    m.muscles["around"] = m.muscles["around"].model_copy(update={"excitation": 0.2})  # tables of time are not exported
+    texts = [
+        f"muscles.{name}.{key}"
+        for name in ("long", "beside")
+        for key in ("fiber_length", "fiber_rate", "excitation", "fiber_power", "metabolic_power")
+    ]
+    system, wanted = m.to_casadi(controls=["muscles.long.excitation"]), EquationsOfMotion.of(acting(m))
+    q, v, z, t, u = wanted.q0, wanted.v0 + 0.1, wanted.z0 + 0.01, 0.05, 0.3 + 0.1 * np.sin(3 * 0.05)
+    a, lam, _ = wanted.derivatives(t, q, v, z)
+    values = ca.vertcat(*map(system.expression, texts))
+    found = np.array(system.function("values", {"values": values})(q, v, a, lam, z, u, [], t)).ravel()
+    evaluator = QuantityEvaluator(
+        wanted.workspace, [RunExpression.parse(text, m, crosses=False).quantities[0] for text in texts]
+    )
+    q, v = (np.concatenate([x, np.zeros(3)])[None] for x in (q, v))
+    _, *columns = evaluator.columns(np.array([t]), q, v, z[None])
+    np.testing.assert_allclose(found, np.ravel(columns), rtol=1e-9)
+
+
 def test_controls_take_the_place_of_loads_and_excitations() -> None:
     m = arm()
     m.torque("motor", "lower", value=0.5, reaction_body="upper")

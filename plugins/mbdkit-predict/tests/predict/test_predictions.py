@@ -312,6 +312,22 @@ def test_sensitivities_are_differences_of_optima() -> None:
     assert rates["final: block.x"] == pytest.approx(24.0, rel=1e-6)
 
 
+def test_a_named_parameter_is_optimized_wherever_it_occurs() -> None:
+    # 12 m^2: a mass of which half is that of a second block that is welded to the first one
+    spec = block()
+    model = spec["base"]["model"]
+    half = {"mass": "0.5*m", "inertia": 1.0}
+    model["bodies"] = {"block": half, "load": half}
+    model["joints"] |= {"weld": {"type": "weld", "bodies": ["block", "load"], "at": [0.0, 0.0], "angle": 0.0}}
+    spec["base"]["parameters"] = {"m": "2*n", "n": 0.5}
+    run = mbdkit.predict(spec, sensitivities=["m"])
+    assert run.sensitivities["m"] == pytest.approx(24.0, rel=1e-6)
+    run = mbdkit.predict(spec, parameters={"n": {"bounds": [0.25, 2.0]}})
+    assert (run.objective, run.parameters["n"]) == pytest.approx((3.0, 0.25), rel=1e-6)
+    with pytest.raises(SpecError, match=r"parameters\.nn: there is no parameter 'nn'.*'n'"):
+        mbdkit.predict(spec, parameters={"nn": {"bounds": [0.25, 2.0]}})
+
+
 def test_the_gain_of_a_spring_has_an_error() -> None:
     minimize = f"{EFFORT} - 100*final(t)"  # 0 - 100 instead of 12 - 100
     run = mbdkit.predict(
@@ -393,7 +409,7 @@ def test_finer_meshes_of_a_squat_with_active_limits_confirm_its_spring() -> None
     assert abs(run.sensitivities["final: knee.angle"]) < 1.0
 
 
-def test_second_derivatives_of_points_and_ends_are_those_of_the_whole_program() -> None:
+def test_derivatives_of_points_and_ends_are_those_of_the_whole_program() -> None:
     phases = [
         {"duration": {"bounds": [0.1, 1.0]}, "subject_to": {"slow": {"value": "block.vx**2", "max": 3}}},
         {"duration": {"bounds": [0.2, 1.0]}, "intervals": 3, "final": {"block.x**3": 1}},
@@ -404,9 +420,10 @@ def test_second_derivatives_of_points_and_ends_are_those_of_the_whole_program() 
         collocation={"points": 2, "intervals": 2},
     )  # fmt: skip
     problem = transcribed(load_predict_spec({k: x for k, x in spec.items() if k not in ("duration", "final")}))
-    unknowns, _, conditions, objective, hessian = problem._program(problem.guess().grid)
+    unknowns, _, conditions, objective, points, hessian = problem._program(problem.guess().grid)
     x, factor = ca.vertcat(*map(ca.vec, unknowns.values())), ca.MX.sym("factor")
-    values = ca.vertcat(*(ca.vec(condition.value) for condition in conditions))
+    symbolic = ca.vertcat(*(ca.vec(condition.value) for condition in conditions))
+    values, objective = points.put_into(symbolic, objective)
     lam, random = ca.MX.sym("lam", values.numel()), np.random.default_rng(0)
     whole = ca.Function(
         "whole", [x, factor, lam], [ca.triu(ca.hessian(factor * objective + ca.dot(lam, values), x)[0])]
@@ -414,6 +431,10 @@ def test_second_derivatives_of_points_and_ends_are_those_of_the_whole_program() 
     sizes = random.uniform(0.5, 2.0, x.numel())
     parts = hessian.whole({condition.name: condition.value for condition in conditions}, x, sizes)
     at, multipliers = random.standard_normal(x.numel()), random.standard_normal(values.numel())
+    slopes = ca.Function("slopes", [x], [values, ca.jacobian(values, x)])(sizes * at)
+    found = points.jacobian(symbolic, x, sizes)(at, [])
+    np.testing.assert_array_equal(np.array(found[0]), np.array(slopes[0]))
+    np.testing.assert_allclose(np.array(ca.DM(found[1])), np.array(ca.DM(slopes[1])) * sizes, rtol=1e-13, atol=1e-13)
     expected = np.diag(sizes) @ np.array(ca.DM(whole(sizes * at, 1.7, multipliers))) @ np.diag(sizes)
     np.testing.assert_allclose(
         np.array(ca.DM(parts(at, [], 1.7, multipliers))), expected, atol=1e-13 * abs(expected).max()

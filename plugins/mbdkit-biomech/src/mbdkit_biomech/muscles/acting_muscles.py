@@ -105,7 +105,7 @@ class MuscleForce:
         Values are computed one by one, because rounding errors of NumPy's functions depend on the length of the array.
         """
         form, numbers = self._excitation
-        return np.array([float(excitation_of(form, t, numbers)) for t in time.tolist()])
+        return np.array([excitation_of(form, t, numbers) for t in time.tolist()])
 
     def excitation_outside(self, start: float, end: float) -> tuple[float, float] | None:
         """Return a time between start and end at which the excitation is far outside the range 0 to 1, and the value of

@@ -10,11 +10,15 @@ The model adds the following powers per mass of the muscle:
 Here S is the factor for aerobic conditions, slow and fast are the shares of slow and fast fibres, l is the length of
 the fibres in optimal lengths, f their isometric force at this length relative to `max_force`, v their speed, v_max the
 largest speed of the muscle, F the active force of the fibres, and m the mass of the muscle. A is the excitation if it
-exceeds the activation, and otherwise the mean of both. The sum of the first three powers is at least 1 W/kg.
+exceeds the activation, and otherwise the mean of both. The sum of the first three powers is at least 1 W/kg. With
+`smoothing`, each max(x, 0) in these is (x + sqrt(x^2 + smoothing^2)) / 2, as in Koelewijn et al. (2018).
 
 B. R. Umberger, K. G. M. Gerritsen, P. E. Martin, A model of human muscle energy expenditure, Computer Methods in
 Biomechanics and Biomedical Engineering 6:99-111, 2003; B. R. Umberger, Stance and swing phase costs in human walking,
-Journal of the Royal Society Interface 7:1329-1340, 2010, for the factor 0.3 and for no work in lengthening.
+Journal of the Royal Society Interface 7:1329-1340, 2010, for the factor 0.3 and for no work in lengthening; A. D.
+Koelewijn, E. Dorschky, A. J. van den Bogert, A metabolic energy expenditure model with a continuous first derivative
+and its application to predictive simulations of gait, Computer Methods in Biomechanics and Biomedical Engineering
+21:521-531, 2018.
 """
 
 from __future__ import annotations
@@ -54,6 +58,11 @@ def fiber_power(muscle: Muscle, tension: np.ndarray, length: np.ndarray, rate: n
     return np.asarray(-tension * length / np.where(along > 0, along, np.nan) * rate)
 
 
+def _positive(x: np.ndarray, width: float) -> np.ndarray:
+    """Return the larger of x (...) and 0; with a width, rounded: x = 0 gives half the width."""
+    return np.maximum(x, 0.0) if width == 0.0 else 0.5 * (x + elementary.hypot(x, width))
+
+
 def metabolic_power(
     muscle: Muscle, activation: np.ndarray, excitation: np.ndarray, length: np.ndarray, rate: np.ndarray
 ) -> np.ndarray:
@@ -69,15 +78,17 @@ def metabolic_power(
     own, curves = muscle.metabolics, CURVES[muscle.curves]
     if own is None:
         return np.full_like(activation, np.nan)
-    slow, fast = own.slow_fibers, 1.0 - own.slow_fibers
+    slow, fast, width = own.slow_fibers, 1.0 - own.slow_fibers, own.smoothing
     normal, speed = length / muscle.optimal_length, rate / (muscle.max_velocity * muscle.optimal_length)
-    shortens, is_long = rate <= 0, normal > 1
-    isometric = np.maximum(curves.active(normal)[0], 0.0)
-    scale = np.where(excitation > activation, excitation, 0.5 * (excitation + activation))
-    maintained = elementary.pow(scale, 0.6) * (128.0 * fast + 25.0) * np.where(is_long, 0.4 + 0.6 * isometric, 1.0)
-    of_slow = LARGEST_SLOW_HEAT * FAST_OVER_SLOW * np.abs(speed)
-    shortening = slow * np.minimum(of_slow, LARGEST_SLOW_HEAT) + fast * FAST_HEAT * np.abs(speed)
-    moved = np.where(shortens, scale**2 * shortening, scale * LENGTHENING * of_slow) * np.where(is_long, isometric, 1.0)
-    heat = np.maximum(own.aerobic_factor * (maintained + moved), LEAST_HEAT)
-    active = muscle.max_force * activation * isometric * np.maximum(curves.velocity(speed)[0], 0.0)
-    return np.asarray(muscle.mass * heat + np.where(shortens, -active * rate, 0.0))
+    isometric = _positive(curves.active(normal)[0], width)
+    when_long = _positive(curves.active(1.0 + _positive(normal - 1.0, width))[0], width)
+    scale = 0.5 * (excitation + activation + _positive(excitation - activation, width))
+    maintained = elementary.pow(scale, 0.6) * (128.0 * fast + 25.0) * (0.4 + 0.6 * when_long)
+    of_slow = [LARGEST_SLOW_HEAT * FAST_OVER_SLOW * _positive(side, width) for side in (-speed, speed)]
+    largest = of_slow[0] - _positive(of_slow[0] - LARGEST_SLOW_HEAT, LARGEST_SLOW_HEAT * width)
+    shortening = slow * largest + fast * FAST_HEAT * _positive(-speed, width)
+    moved = (scale**2 * shortening + scale * LENGTHENING * of_slow[1]) * when_long
+    heat = LEAST_HEAT + _positive(own.aerobic_factor * (maintained + moved) - LEAST_HEAT, width)
+    active = muscle.max_force * activation * isometric * _positive(curves.velocity(speed)[0], width)
+    work = active * muscle.max_velocity * muscle.optimal_length * _positive(-speed, width)
+    return np.asarray(muscle.mass * heat + work)

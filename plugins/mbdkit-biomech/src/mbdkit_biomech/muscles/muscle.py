@@ -147,7 +147,7 @@ class Activation(StrictModel):
 class Metabolics(StrictModel):
     """How the energy that a muscle consumes is estimated."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("mass",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("mass", "smoothing")
 
     model: Literal["umberger"] = "umberger"
     """`umberger`: B. R. Umberger et al. (2003), with the changes of Umberger (2010)."""
@@ -161,6 +161,9 @@ class Metabolics(StrictModel):
     """Density of the muscle [kg/m^3]."""
     mass: Positive | None = None
     """Mass of the muscle [kg]; by default, max_force / specific_tension * density * optimal_length."""
+    smoothing: NotNegative = 0.0
+    """Width of the transitions from shortening to lengthening, and of others with a corner, relative to the largest
+    velocity, the optimal length and full activation. Predictions that minimize metabolic power need about 0.01."""
 
 
 def _as_metabolics(value: object) -> object:

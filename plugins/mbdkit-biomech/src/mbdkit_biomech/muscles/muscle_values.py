@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,13 @@ def _by_muscle(muscles: Sequence[Muscle], *arrays: np.ndarray) -> Iterator[tuple
     """Yield each muscle with its columns (T,) of arrays (T, M)."""
     for index, muscle in enumerate(muscles):
         yield muscle, tuple(x[:, index] for x in arrays)
+
+
+def _of_each(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
+    """Return a function of arrays (T,); for arrays of objects, such as symbols, that of each of their elements."""
+    if all(x.dtype != object for x in arrays):
+        return function(*arrays)
+    return np.array([np.asarray(function(*row)).item() for row in zip(*arrays, strict=True)], dtype=object)
 
 
 @dataclass(frozen=True)
@@ -96,12 +104,13 @@ class MuscleValues:
         muscles = tuple(one.force.muscle for one in self.acting) if own is None else own.muscles
         length, rate = self.array("fiber_length"), self.array("fiber_rate")
         if name == "fiber_power":
-            columns = [fiber_power(one, *x) for one, x in _by_muscle(muscles, self.array("force"), length, rate)]
+            every = _by_muscle(muscles, self.array("force"), length, rate)
+            columns = [_of_each(partial(fiber_power, one), *x) for one, x in every]
         else:
             activation = self.array("activation")
             excitation = self.array("excitation") if own is None else activation
             every = _by_muscle(muscles, activation, excitation, length, rate)
-            columns = [metabolic_power(one, *x) for one, x in every]
+            columns = [_of_each(partial(metabolic_power, one), *x) for one, x in every]
         return np.stack(columns, axis=1)
 
     def _of_acting_muscle(self, number: int, one: ActingMuscle, name: str) -> np.ndarray:

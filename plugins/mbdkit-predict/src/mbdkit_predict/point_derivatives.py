@@ -1,7 +1,7 @@
-"""The Hessian of the Lagrangian of a transcription, assembled from those of its collocation points.
+"""Derivatives of a transcription, assembled from those of its collocation points.
 
 CasADi finds the nonzeros of a whole Hessian, and the colors of its columns, in a time that grows with the square of the
-number of points.
+number of points, and evaluates a Jacobian once for each color.
 """
 
 from __future__ import annotations
@@ -11,6 +11,46 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+
+
+class PointValues:
+    """Values of a function at K points, for which a program contains symbols.
+
+    Parameters
+    ----------
+    variables
+        The arguments of each point, linear functions of the unknowns, as columns (V, K).
+    function, jacobian
+        The function of V variables with R values, and its Jacobian (R, V).
+
+    Attributes
+    ----------
+    symbols
+        Symbols (R, K) of the values.
+    """
+
+    def __init__(self, variables: ca.MX, function: ca.Function, jacobian: ca.Function):
+        self._variables, self._jacobian, count = variables, jacobian, variables.shape[1]
+        self.symbols = ca.MX.sym("at_points", function.size1_out(0), count)
+        self._values = function.map(count)(variables)
+
+    def put_into(self, *expressions: ca.MX) -> list[ca.MX]:
+        """Return expressions with the values in place of their symbols."""
+        return list(ca.graph_substitute(expressions, [self.symbols], [self._values]))
+
+    def jacobian(self, conditions: ca.MX, unknowns: ca.MX, sizes: np.ndarray) -> ca.Function:
+        """Return the Jacobian of conditions, for unknowns divided by their sizes, as the optimizer takes it."""
+        count = self.symbols.shape[1]
+        blocks = self._jacobian.map(count)(self._variables)
+        of_points = ca.MX(ca.diagcat(*[self._jacobian.sparsity_out(0)] * count), blocks.nz[:])
+        places = ca.sparsify(ca.evalf(ca.jacobian(ca.vec(self._variables), unknowns)))
+        by_values = ca.jacobian(conditions, ca.vec(self.symbols))
+        whole = ca.jacobian(conditions, unknowns) + ca.mtimes([by_values, of_points, places])
+        whole = ca.mtimes(whole, ca.diag(ca.DM(sizes)))
+        function = ca.Function("slopes", [unknowns], self.put_into(conditions, whole))
+        x = ca.MX.sym("x", *unknowns.shape)
+        arguments = [x, ca.MX.sym("p", 0)]
+        return ca.Function("jac_g", arguments, function(ca.DM(sizes) * x), ["x", "p"], ["g", "jac_g_x"])
 
 
 @dataclass(frozen=True)
