@@ -1,8 +1,9 @@
-"""Adams-Bashforth-Moulton methods of order 1 to 12 for mbdkit, with variable steps: predict, evaluate, correct, evaluate.
+"""Adams-Bashforth-Moulton methods of order 1 to 12 for mbdkit, in variable steps: predict, evaluate, correct, evaluate.
 
-With y = (q, v, z), they integrate y' = f(t, y), the index-1 equations. The predictor of order k integrates the polynomial
-through the last k derivatives, the corrector of order k + 1 that through these and the derivative at the predicted end
-(local extrapolation). The difference between the correctors of orders k and k + 1 estimates the error of order k.
+With y = (q, v, z), they integrate y' = f(t, y), the index-1 equations. The predictor of order k integrates the
+polynomial through the last k derivatives, the corrector of order k + 1 that through these and the derivative at the
+predicted end (local extrapolation). The difference of the correctors of orders k and k + 1 estimates the error of the
+former.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class Adams(mbdkit.StepMethod):
     error_order = 1.0
 
     def __init__(self, options: AdamsOptions):
-        self.tolerances = options.tolerances()
+        self.tolerances: mbdkit.Tolerances = options.tolerances()
         self.max_order = options.max_order
 
     def begin(self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, why: str) -> Any:

@@ -13,7 +13,7 @@ estimates the error (Brayton, Gustavson and Hachtel 1972).
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -35,7 +35,8 @@ REFERENCES = (
   author = {Brayton, R. K. and Gustavson, F. G. and Hachtel, G. D.},
   title = {A new efficient algorithm for solving differential-algebraic systems using implicit backward
     differentiation formulas},
-  journal = {Proceedings of the IEEE}, volume = {60}, pages = {98--108}, year = {1972}, doi = {10.1109/PROC.1972.8562}}""",
+  journal = {Proceedings of the IEEE}, volume = {60}, pages = {98--108}, year = {1972},
+  doi = {10.1109/PROC.1972.8562}}""",
     """@book{brenan1996,
   author = {Brenan, K. E. and Campbell, S. L. and Petzold, L. R.},
   title = {Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations},
@@ -53,8 +54,8 @@ ACCURACY, IDLE, MOST_ITERATIONS = 0.01, 1.0, 10
 not converge any more has reached rounding, and number of iterations; chosen.
 """
 TANGENTS = {"index-1": (-1.0, 1.0, 0), "index-2": (-0.5, 0.0, 1), "ggl": (-0.5, 0.0, 1)}
-"""Of each formulation, `gamma_v` over b and `residual_q` over b^2 in `EquationsOfMotion.iteration_matrix`, and the power
-of b by which changes of accelerations change the constraints.
+"""Of each formulation, `gamma_v` over b and `residual_q` over b^2 in `EquationsOfMotion.iteration_matrix`, and the
+power of b by which changes of accelerations change the constraints.
 """
 
 
@@ -70,15 +71,15 @@ class BdfOptions(MultistepOptions):
 class Bdf(mbdkit.StepMethod):
     """The formulas.
 
-    Their memory is (order of the next step, steps until the order may change, times, (q, v, z, lam) at these times), the
-    present ones first.
+    Their memory is (order of the next step, steps until the order may change, times, (q, v, z, lam) at these times),
+    the present ones first.
     """
 
     carries_multipliers = True
     error_order = 1.0
 
     def __init__(self, options: BdfOptions):
-        self.tolerances = options.tolerances()
+        self.tolerances: mbdkit.Tolerances = options.tolerances()
         self.max_order = options.max_order
 
     def step(self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float) -> mbdkit.Step:

@@ -29,12 +29,12 @@ HAIRER_NORSETT_WANNER = """@book{hairer1993,
 
 BIAS, BIAS_ABOVE = 20.0, 30.0
 """Factors of the estimated errors of the present and the lower order, and of the higher one, in the choice of the next
-step, so that errors of a run are a few tolerances. CVODE has 6 and 10, with which they were up to ten times as large in
-steps that were longer by an eighth (pendulum, car axis, Andrews' mechanism).
+step. CVODE has 6 and 10, with which errors at the end of runs were two to twenty times as large, in steps that were
+longer by a tenth to a fifth (pendulum, car axis, Andrews' mechanism).
 """
 LARGEST, SMALLEST = 2.0, 0.1
-"""Bounds of the size of a step over that of the last one. The upper one is that of DASSL: formulas of high order are not
-stable in steps that go on growing faster.
+"""Bounds of the size of a step over that of the last one. The upper one is that of DASSL: formulas of high order are
+not stable in steps that go on growing faster.
 """
 
 
@@ -43,6 +43,12 @@ class MultistepOptions(ControlledOptions):
 
     adaptive: Literal[True] = True
     """Steps and orders are chosen by error estimates; `time.step` is the first step and may be omitted."""
+
+    def tolerances(self) -> mbdkit.Tolerances:
+        """Return the tolerances."""
+        found = super().tolerances()
+        assert found is not None  # because steps are adaptive
+        return found
 
 
 class Choice(NamedTuple):
@@ -55,9 +61,7 @@ class Choice(NamedTuple):
 
 
 def choice(errors: Mapping[int, float], order: int, wait: int, h: float) -> Choice:
-    """Return the choice after a step of size `h`, from the errors over the tolerance of `order` and of those next to it,
-    as far as they are known.
-    """
+    """Return the choice after a step of size `h`, from the errors over the tolerance of some orders."""
     error = errors[order]
     if not error <= 1.0:
         shrink = 0.9 * error ** (-1 / (order + 1)) if math.isfinite(error) else 0.25
