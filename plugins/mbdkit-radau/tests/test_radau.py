@@ -119,7 +119,9 @@ def test_andrews_mechanism_ends_at_the_digits_of_the_test_set(formulation: str, 
         assert np.max(np.abs(rates - END_RATES)) < factor * rtol * np.max(np.abs(END_RATES))
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(
+    "formulation", ["index-3", "ggl", *(pytest.param(x, marks=pytest.mark.slow) for x in ("index-1", "index-2"))]
+)
 def test_car_axis_ends_at_the_digits_of_the_test_set(formulation: str) -> None:
     # expected: the refined digits
     mine = run("car-axis", 3.0, radau(rtol=1e-7, atol=1e-7), formulation=formulation)

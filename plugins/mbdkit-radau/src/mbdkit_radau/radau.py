@@ -229,7 +229,8 @@ class Radau(mbdkit.StepMethod):
         self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float, found: Stages
     ) -> np.ndarray | None:
         """Return the estimate of the local error of (q, v, z), scaled so that the tolerance applies to the error of the
-        step, and multiplied by h for velocities with index 3; None with fixed steps.
+        step; None with fixed steps. With index 3, that of velocities normal to the joints is multiplied by h: they are
+        the variables of index 2, while those along the joints are of index 1.
         """
         if self.tolerances is None or state.multipliers is None:
             return None
@@ -243,14 +244,14 @@ class Radau(mbdkit.StepMethod):
         of_v = r * x
         if equations.formulation == "index-3":
             along, _ = equations.solve(t, state.q, equations.mass * of_v, np.zeros(equations.m))
-            of_v = along + min(1.0, h) * (of_v - along)
+            of_v = along + velocity_weight(equations.formulation, h) * (of_v - along)
         error = np.concatenate([r**2 * x + gap, of_v, r * x_z])
         scaled: np.ndarray = self.rtol ** ((s - 1) / (2 * s)) / SHARE * error
         return scaled
 
 
 def velocity_weight(formulation: str, h: float) -> float:
-    """Return the weight of errors of velocities, which are variables of index 2 with index-3: h, as in RADAU5."""
+    """Return the weight of errors of velocities of index 2: h, as in RADAU5, with index-3."""
     return min(1.0, h) if formulation == "index-3" else 1.0
 
 
