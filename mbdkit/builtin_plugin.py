@@ -72,5 +72,7 @@ COMMANDS = (
 
 @hookimpl
 def mbdkit_items() -> list[Item]:
-    """Return the commands and features that mbdkit ships."""
-    return [*COMMANDS, *builtin_features()]
+    """Return the commands, controllers of steps and features that mbdkit ships."""
+    from mbdkit.methods import STEP_CONTROLS
+
+    return [*COMMANDS, *STEP_CONTROLS, *builtin_features()]

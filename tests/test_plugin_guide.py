@@ -34,6 +34,11 @@ PLUGINS = {
         PENDULUM,
         {"name": "bs23", "rtol": 1e-8, "atol": 1e-9},
     ),
+    "A controller of adaptive steps": (
+        9,
+        PENDULUM,
+        {"name": "dopri5", "adaptive": True, "step_control": {"name": "h211pi"}},
+    ),
     "A model in twenty lines": (20, {"name": "swing"}, RK4),
     "A force law in eleven lines": (11, BALL, RK4),
     "A measure in ten lines": (10, PENDULUM, RK4),

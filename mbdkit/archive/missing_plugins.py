@@ -48,6 +48,7 @@ def _needed(provenance: Mapping[str, object]) -> Iterator[Needed]:
     kinds: tuple[tuple[Kind, str], ...] = (
         ("model", "model"),
         ("integrator", "integrator"),
+        ("step-control", "step_control"),
         ("force-law", "force_laws"),
         ("spec-kind", "spec_kind"),
         ("quantity", "quantities"),

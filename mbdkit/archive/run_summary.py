@@ -163,7 +163,14 @@ def _method(spec: Mapping[str, Any]) -> str:
 
 
 def _options(chosen: Mapping[str, object]) -> list[str]:
-    return [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
+    """Return the options of an item as text; those of an item that it names are in parentheses."""
+    given = {key: value for key, value in chosen.items() if key != "name" and value is not None}
+    return [f"{key} {_nested(value) if isinstance(value, Mapping) else value}" for key, value in given.items()]
+
+
+def _nested(chosen: Mapping[str, object]) -> str:
+    options = ", ".join(_options(chosen))
+    return f"{chosen.get('name')} ({options})" if options else f"{chosen.get('name')}"
 
 
 def _stabilization(run: Run) -> str:

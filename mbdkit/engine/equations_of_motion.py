@@ -27,10 +27,11 @@ from mbdkit.engine.iteration_matrix import (
 )
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels import equations
+from mbdkit.engine.kernels.accelerations import KKT_TOLERANCE
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
-from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
+from mbdkit.engine.solution_between import SolutionBetween
 from mbdkit.engine.state_derivatives import Rates
 from mbdkit.engine.tangents import SparseParts, Tangents
 from mbdkit.engine.workspace import Workspace
@@ -99,6 +100,7 @@ class EquationsOfMotion(EvaluatedEquations):
     def __init__(self, workspace: Workspace, z0: np.ndarray | None = None):
         super().__init__(workspace, z0)
         self._matrices = IterationMatrices(workspace)
+        self._between: SolutionBetween | None = None
         self._derived: dict[Any, Any] = {}
 
     @classmethod
@@ -216,21 +218,44 @@ class EquationsOfMotion(EvaluatedEquations):
         states = self._state_tangents(t, q, v, a, lam, z)
         return IterationMatrixWithStates(self._matrix(t, q, v, a, lam, factors), states, factors, self.m)
 
-    def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
-        """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
+    def solve_between(
+        self, t: float, q: np.ndarray, force: np.ndarray, end: float, q_end: np.ndarray, v_end: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the accelerations at one position that lead to consistent velocities at another one.
 
-        Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to round-off; counts as one projection.
+        ::
+
+            M x + Phi_q(t, q)^T mu = force,      Phi_q(end, q_end) (v_end + h x) + Phi_t(end, q_end) = 0
+
+        These are the equations of a stage of half-explicit methods (Brasey and Hairer 1993). Counts as one
+        factorization.
+
+        - `t`, `q`, `force`: time [s] and position (n,) at which the reactions act, and forces (n,).
+        - `end`, `q_end`: time [s] and position (n,) of the consistent velocity.
+        - `v_end`, `h`: the part of that velocity without `x` (n,), and the factor of `x` [s].
+
+        Returns (n,) accelerations and (m,) multipliers.
         """
-        self.counters.projections += 1
-        return nearest_positions(self, t, vector(q, self.n))
-
-    def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the velocities (n,) nearest to `v` in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`.
-
-        The equations are linear; a second solve removes the rounding error of the first. Counts as one projection.
-        """
-        self.counters.projections += 1
-        return nearest_velocities(self, t, vector(q, self.n), vector(v, self.n))
+        if self._matrices.between is None:
+            try:
+                self._choose_between(self.t0, self.q0)  # so that a resumed run has the same pivots
+            except StepError:
+                self._choose_between(t, q)
+        for is_last in (False, True):
+            solution = self._solution_between()
+            given = (solution.q, q), (solution.force, force), (solution.q_end, q_end), (solution.v_end, v_end)
+            for storage, x in given:
+                put(storage, x)
+            self.counters.factorizations += 1
+            worst = solution.solve(float(t), float(end), float(h))
+            if 0.0 <= worst < KKT_TOLERANCE:
+                break
+            if not (np.isfinite(worst) and self._workspace.is_finite(tangents=False)):
+                raise self._not_finite()
+            if is_last:
+                raise StepError("singular", "the system of equations with the Jacobians of two positions is singular")
+            self._choose_between(t, q)
+        return solution.x.copy(), solution.mu.copy()
 
     def recorded_multipliers(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the multipliers (rows,) of all rows of ``/constraints``; only independent rows carry a force."""
@@ -318,6 +343,22 @@ class EquationsOfMotion(EvaluatedEquations):
 
     def _evaluate_at_start(self) -> None:
         self._evaluate_tangents(self.t0, self.q0, self.v0, *self.accelerations(self.t0, self.q0, self.v0))
+
+    def _choose_between(self, t: float, q: np.ndarray) -> None:
+        put(self._calls.q, q)
+        self._evaluate(self._calls.constraints, t)
+        try:
+            self._matrices.choose_between()
+        except SingularSystemError as error:
+            raise self._singular(error) from None
+
+    def _solution_between(self) -> SolutionBetween:
+        pivots = self._matrices.between
+        assert pivots is not None
+        if self._between is None or self._between.pivots is not pivots:
+            upper = np.count_nonzero(self._workspace.terms.chosen(tangents=False).row < self.n)
+            self._between = SolutionBetween(pivots, self.address, int(upper))
+        return self._between
 
     def _factorized(self, pivots: Pivots, coefficients: np.ndarray) -> IterationMatrix:
         self.counters.factorizations += 1

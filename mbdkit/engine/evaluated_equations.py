@@ -15,7 +15,9 @@ from mbdkit.engine.iteration_matrix import put, vector
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.applied_forces import potential_energy
 from mbdkit.engine.kernels.observe import baumgarte_at
-from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.kernels.projected_state import nearest_state
+from mbdkit.engine.kernels.projection import MOST_ITERATIONS
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.state_derivatives import Rates, StateDerivatives
@@ -121,6 +123,27 @@ class EvaluatedEquations:
         put(calls.right, rows)
         return self._solved(calls.solution, t)
 
+    def project(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the consistent positions and velocities (n,) at time `t` nearest to `q` and `v` in the mass metric.
+
+        See `project_positions` and `project_velocities`. One call of compiled code, which counts as one projection.
+        """
+        return self._projected(self._calls.projected, t, q, v)
+
+    def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
+        """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
+
+        Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to round-off; counts as one projection.
+        """
+        return self._projected(self._calls.projected_positions, t, q, self._no_force)[0]
+
+    def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the velocities (n,) nearest to `v` in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`.
+
+        The equations are linear; a second solve removes the rounding error of the first. Counts as one projection.
+        """
+        return self._projected(self._calls.projected_velocities, t, q, v)[1]
+
     def forces(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the generalized applied forces Q (n,), gravity and friction in joints included.
 
@@ -196,6 +219,14 @@ class EvaluatedEquations:
             raise self._not_finite()
         return rates
 
+    def _projected(
+        self, project: Callable[[float], int], t: float, q: np.ndarray, v: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        self.counters.projections += 1
+        self._at(q, v)
+        self.solved_by(project, t)
+        return self._calls.near_q.copy(), self._calls.near_v.copy()
+
     def _solved(self, solve: Callable[[float], int], t: float) -> tuple[np.ndarray, np.ndarray]:
         self.solved_by(solve, t)
         return self._calls.x.copy(), self._calls.mu.copy()
@@ -218,6 +249,10 @@ class EvaluatedEquations:
             raise self._singular(error) from None
         if status == OK:
             return
+        if status == DIVERGED and workspace.is_finite(tangents=False):
+            raise StepError(
+                "newton-failed", f"no position that satisfies the joints was found in {MOST_ITERATIONS} iterations"
+            )
         if status == NOT_FINITE or not workspace.is_finite(tangents=False):
             raise self._not_finite()
         raise self._singular(SingularSystemError(workspace.failed_unknown))
@@ -260,8 +295,10 @@ class EquationCalls:
     - `q`, `v`, `a`, `force`, `lam`, `right`: (n,) arguments, and (m,) multipliers and right-hand side of the constraint
       rows.
     - `x`, `mu`, `phi`, `rate`, `gamma`: (n,) and (m,) results.
-    - `accelerations`, `solution`, `residual`, `constraint_forces`, `rows`, `constraints`, `tangents`: the kernels; each
-      takes the time and returns a status. Velocities are zero in `solution`, `constraint_forces` and `constraints`.
+    - `near_q`, `near_v`: (n,) projected positions and velocities.
+    - `accelerations`, `solution`, `residual`, `constraint_forces`, `rows`, `constraints`, `tangents`, `projected`,
+      `projected_positions`, `projected_velocities`: the kernels; each takes the time and returns a status. Velocities
+      are zero in `solution`, `constraint_forces` and `constraints`.
     - `arrive`: kernel that takes the time, q, v, and the maxima (P,) of squared misalignments.
     """
 
@@ -271,7 +308,7 @@ class EquationCalls:
         self._workspace = workspace
         self._pinned = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
         address = self.address = self._pinned.address
-        self.q, self.v, self.a, self.force, self.x, rest = (np.zeros(n) for _ in range(6))
+        self.q, self.v, self.a, self.force, self.x, self.near_q, self.near_v, rest = np.zeros((8, n))
         self.lam, self.right, self.mu, self.phi, self.rate, self.gamma = np.zeros((6, workspace.unknowns - n))
         moving, at_rest = (address, None, self.q, self.v), (address, None, self.q, rest)
         solved, rows = (self.force, self.right, self.x, self.mu), (self.phi, self.rate, self.gamma)
@@ -282,6 +319,10 @@ class EquationCalls:
         self.rows = RepeatedCall(equations.rows_of, *moving, *rows)
         self.constraints = RepeatedCall(equations.rows_of, *at_rest, *rows)
         self.tangents = RepeatedCall(equations.tangents_of, *moving, self.a, self.lam)
+        both, near = (address, None, self.q, self.v, *np.zeros((2, n + 3))), (self.near_q, self.near_v)
+        self.projected = RepeatedCall(nearest_state, *both, True, True, *near)
+        self.projected_positions = RepeatedCall(nearest_state, *both, True, False, *near)
+        self.projected_velocities = RepeatedCall(nearest_state, *both, False, True, *near)
         self.arrive = RepeatedCall(equations.arrive_at, address, None, None, None, None)
 
     def use_pivots(self) -> None:

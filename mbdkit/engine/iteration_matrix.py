@@ -119,6 +119,10 @@ class Storage:
         self.solve = RepeatedCall(solve, address, self.force, self.rows, self.x, self.mu)
 
 
+INDEX_1_MATRIX = coefficients_of({})
+"""Coefficients of the matrix of the index-1 system."""
+
+
 def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
     """Choose pivots for the tangents of the last evaluation; raise SingularSystemError if the matrix is singular."""
     used = coefficients[classes] != 0
@@ -126,6 +130,7 @@ def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.nd
     pattern, position = workspace.pivots_of(terms, coefficients[classes[used]])
     scatter = np.column_stack([terms.source, position, classes[used]]).astype(np.int64)
     n = 3 * len(workspace.mechanism.bodies)
+    scatter = scatter[np.argsort(terms.row >= n, kind="stable")]  # as `SolutionBetween` needs them
     return Pivots((n, workspace.unknowns - n), pattern, scatter, np.zeros(len(pattern.row_of)))
 
 
@@ -228,6 +233,15 @@ class IterationMatrices:
     def __init__(self, workspace: Workspace):
         self._workspace, self.classes = workspace, classes_of(workspace)
         self._pivots: dict[tuple[bool, ...], Pivots] = {}
+
+    @property
+    def between(self) -> Pivots | None:
+        """Pivots of solutions with the Jacobians of two positions, if they have been chosen."""
+        return self._pivots.get(())
+
+    def choose_between(self) -> None:
+        """Choose these pivots for the terms last evaluated; raises SingularSystemError."""
+        self._pivots[()] = chosen_pivots(self._workspace, self.classes, INDEX_1_MATRIX)
 
     def factorized(
         self,

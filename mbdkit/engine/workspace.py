@@ -28,7 +28,7 @@ from mbdkit.engine.kernels.engine_bundles import Engine, Reacting, Scatter, Scra
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.pose_functions import ROWS
-from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.kernels.table_rows import (
     BODIES,
     FUNCTION,
@@ -304,11 +304,12 @@ class Workspace:
         """Call `solve`; if it fails because of unsuitable pivots, choose new ones and call it again.
 
         `solve`: solves a system with ``engine`` or ``stepping_engine``, read anew in each call, and returns a status of
-        `mbdkit.engine.kernels.system`. Returns the last status. If the index-1 system is not finite, new pivots cannot
-        help, and `solve` is called once. Raises SingularSystemError if no pivots can be found.
+        `mbdkit.engine.kernels.system`. Returns the last status. If the index-1 system is not finite, or an iteration
+        has diverged, new pivots cannot help, and `solve` is called once. Raises SingularSystemError if no pivots can be
+        found.
         """
         status = solve()
-        if status in (OK, NOT_FINITE) or not self.is_finite(tangents=False):
+        if status in (OK, NOT_FINITE, DIVERGED) or not self.is_finite(tangents=False):
             return status
         self.use_pivots()
         return solve()

@@ -33,6 +33,7 @@ def step_control(traits: Traits, mechanism: CompiledMechanism) -> Control | None
         memory=local_error.memory,
         max_step=math.inf if tolerances.max_step is None else tolerances.max_step,
         length=unit_of_length(tolerances.by_size, mechanism),
+        filter=tolerances.control,
     )
 
 

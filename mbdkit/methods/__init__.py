@@ -1,12 +1,13 @@
-"""Integration methods as data: coefficients, options, claims and references, one method in a file.
+"""Integration methods and controllers of their steps as data: coefficients, options, claims and references.
 
 The algorithms are in `mbdkit.integrators`. The hash of kernel sources excludes this folder, so that an edit does not
-cause recompilation. A new method is a file of this folder and an entry of `INTEGRATORS`.
+cause recompilation. A new method is a file of this folder and an entry of `INTEGRATORS`; a new controller is a function
+of `step_controls` and an entry of `STEP_CONTROLS`.
 """
 
 from __future__ import annotations
 
-from mbdkit.registry.items import IntegratorPlugin
+from mbdkit.registry.items import IntegratorPlugin, StepControl
 from mbdkit.registry.target import Target
 
 # fmt: off
@@ -85,7 +86,50 @@ INTEGRATORS = (
         references=Target("mbdkit.methods.scipy_methods:REFERENCES_OF_LSODA"), dense_output=True, order=120,
     ),
 )
-# fmt: on
 """The built-in integrators: explicit methods, collocation, partitioned methods and SciPy's solvers;
 within a family by order of convergence, then by name.
 """
+STEP_CONTROLS = (
+    StepControl(
+        name="deadbeat", summary="Elementary controller: the error of the last step alone chooses the next.",
+        options=Target("mbdkit.methods.step_controls:StepControlOptions"),
+        create=Target("mbdkit.methods.step_controls:deadbeat"),
+        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=10,
+    ),
+    StepControl(
+        name="pi", summary="Proportional-integral controller, PI.3.4 by default: for steps that stability limits.",
+        options=Target("mbdkit.methods.step_controls:PIOptions"), create=Target("mbdkit.methods.step_controls:pi"),
+        references=Target("mbdkit.methods.step_controls:OF_PI"), order=20,
+    ),
+    StepControl(
+        name="pid", summary="Proportional-integral-derivative controller, by default H312PID.",
+        options=Target("mbdkit.methods.step_controls:PIDOptions"), create=Target("mbdkit.methods.step_controls:pid"),
+        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=30,
+    ),
+    StepControl(
+        name="predictive", summary="Predictive controller of RADAU5, for implicit methods.",
+        options=Target("mbdkit.methods.step_controls:StepControlOptions"),
+        create=Target("mbdkit.methods.step_controls:predictive"),
+        references=Target("mbdkit.methods.step_controls:OF_PREDICTIVE"), order=40,
+    ),
+    StepControl(
+        name="h211b", summary="Low-pass filter of order 1: smooth step sizes where accuracy limits them.",
+        options=Target("mbdkit.methods.step_controls:H211bOptions"),
+        create=Target("mbdkit.methods.step_controls:h211b"),
+        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=50,
+    ),
+    StepControl(
+        name="h312b", summary="Low-pass filter of order 2: very smooth step sizes where accuracy limits them.",
+        options=Target("mbdkit.methods.step_controls:H312bOptions"),
+        create=Target("mbdkit.methods.step_controls:h312b"),
+        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=60,
+    ),
+    StepControl(
+        name="h321", summary="Low-pass filter of order 1 that extrapolates trends of the step size.",
+        options=Target("mbdkit.methods.step_controls:StepControlOptions"),
+        create=Target("mbdkit.methods.step_controls:h321"),
+        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=70,
+    ),
+)
+# fmt: on
+"""The built-in controllers of adaptive steps."""

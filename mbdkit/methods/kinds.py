@@ -19,6 +19,7 @@ from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.methods.step_filter import StepFilter
     from mbdkit.methods.tableau import EmbeddedPair
 
 
@@ -35,12 +36,15 @@ class Tolerances:
     by_size
         Whether `atol` has its default value. For lengths and velocities, the default is multiplied by the mechanism's
         characteristic length if that is below 1 m; see `mbdkit.integrators.run.step_control.unit_of_length`.
+    control
+        Coefficients of the controller that `integrator.step_control` of the spec chooses; None for the default one.
     """
 
     rtol: float
     atol: float
     max_step: float | None = None
     by_size: bool = False
+    control: StepFilter | None = None
 
 
 @dataclass(frozen=True)

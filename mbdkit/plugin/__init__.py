@@ -73,6 +73,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.methods.method_options import ImplicitOptions as ImplicitOptions, Options as Options
     from mbdkit.methods.scipy_solver import SciPySolver as SciPySolver
+    from mbdkit.methods.step_filter import StepFilter as StepFilter
     from mbdkit.methods.step_methods import (
         ExternalMethod as ExternalMethod, Step as Step, StepEvent as StepEvent, StepMethod as StepMethod,
         StepState as StepState, Why as Why,
@@ -98,7 +99,8 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.registry.item import Item as Item
     from mbdkit.registry.items import (
         Claims as Claims, Command as Command, ForceLawPlugin as ForceLawPlugin, IntegratorPlugin as IntegratorPlugin,
-        MeasurePlugin as MeasurePlugin, ModelPlugin as ModelPlugin, Orders as Orders, StudyPlugin as StudyPlugin,
+        MeasurePlugin as MeasurePlugin, ModelPlugin as ModelPlugin, Orders as Orders, StepControl as StepControl,
+        StudyPlugin as StudyPlugin,
     )
     from mbdkit.registry.target import Target as Target
     from mbdkit.registry.use import use as use

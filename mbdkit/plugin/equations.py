@@ -30,9 +30,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.engine.linear_systems import (
         SparseFactors as SparseFactors, factors_of as factors_of, inverse_of as inverse_of, product as product,
     )
-    from mbdkit.engine.nearest_state import (
-        nearest_positions as nearest_positions, nearest_velocities as nearest_velocities,
-    )
     from mbdkit.engine.observed_states import GivenForces as GivenForces, StateObserver as StateObserver
     from mbdkit.engine.spanning_tree import is_tree_of_pins as is_tree_of_pins, spanning_tree as spanning_tree
     from mbdkit.engine.stabilization import NONE as NONE, Stabilization as Stabilization

@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         model_builder as model_builder, run_check as run_check,
     )
     from mbdkit.methods.kinds import integrator_method as integrator_method
+    from mbdkit.methods.step_filter import step_filter as step_filter
     from mbdkit.registry.items import integrator_claims as integrator_claims
     from mbdkit.registry.seam import OwnSeam as OwnSeam, Seam as Seam
     from mbdkit.runs.run_seams import (

@@ -163,6 +163,8 @@ class Plugin(Item):
     name_key: ClassVar[str] = "name"
     """Key in a spec that gives the name of the item; the options of the item are further keys beside it."""
     is_reserved: ClassVar[bool] = False
+    added: ClassVar[Mapping[str, Target]] = {}
+    """Keys that mbdkit itself adds to the options of every item of the kind: type and field of each, for pydantic."""
 
     if TYPE_CHECKING:
 

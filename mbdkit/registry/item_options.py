@@ -39,17 +39,18 @@ def named_options(item: Registered) -> type[BaseModel]:
 
 @functools.cache
 def _named(item: Registered) -> type[BaseModel]:
+    base = item.plugin.options
+    added = {name: target() for name, target in item.plugin.added.items() if name not in base.model_fields}
+    namespace = {"__module__": __name__, "model_config": ConfigDict(**STRICT, title=item.name)}
     options: type[BaseModel] = create_model(
         class_name(f"{item.name} {item.kind}"),
-        __base__=type(
-            "Options",
-            (item.plugin.options,),
-            {"__module__": __name__, "model_config": ConfigDict(**STRICT, title=item.name)},
-        ),
+        __base__=type("Options", (base,), namespace),
         __doc__=item.plugin.summary,
-        **{item.plugin.name_key: (name_type(item), Field(description=item.plugin.summary))},  # type: ignore[call-overload]
+        **{item.plugin.name_key: (name_type(item), Field(description=item.plugin.summary)), **added},  # type: ignore[call-overload]
     )
     options.__mbdkit_item__ = item  # type: ignore[attr-defined]
+    if added:
+        options.ABSENT_BY_DEFAULT = (*getattr(base, "ABSENT_BY_DEFAULT", ()), *added)  # type: ignore[attr-defined]
     return options
 
 

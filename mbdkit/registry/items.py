@@ -227,6 +227,7 @@ class IntegratorPlugin(Plugin):
     """
 
     kind: ClassVar[str] = "integrator"
+    added: ClassVar[Mapping[str, Target]] = {"step_control": Target("mbdkit.spec.choices:STEP_CONTROL")}
     hook: ClassVar[str] = "mbdkit_integrators"
     key: ClassVar[str] = "integrator.name"
     seams: ClassVar[Mapping[str, str]] = {"create": "integrator_method", "claims": "integrator_claims"}
@@ -275,6 +276,38 @@ class IntegratorPlugin(Plugin):
             return {}
         values = {name: getattr(claims, name) for name in Claims.__dataclass_fields__}
         return values | {"orders": {name: Orders(*orders)._asdict() for name, orders in claims.orders.items()}}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StepControl(Plugin):
+    """A controller of adaptive steps, which a spec chooses by ``integrator.step_control``.
+
+    Parameters
+    ----------
+    name
+        Short name, such as ``h211b``, for ``name`` in ``integrator.step_control``.
+    summary
+        One line that describes the controller.
+    options
+        Pydantic model of the options, without ``name``.
+    create
+        Function that takes an instance of `options` and returns the coefficients, a `StepFilter`; decorated with
+        `step_filter` if it is named by a target.
+    references
+        BibTeX entries of the sources.
+    """
+
+    kind: ClassVar[str] = "step-control"
+    key: ClassVar[str] = "integrator.step_control.name"
+    seams: ClassVar[Mapping[str, str]] = {"create": "step_filter"}
+    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"create": ("options",)}
+
+    name: str
+    summary: str
+    options: Given[type[BaseModel]] = Given()
+    create: Given[Callable[..., object]] = Given()
+    references: Given[tuple[str, ...]] = Given(())
+    order: int = 500
 
 
 class _Law(Protocol):
@@ -507,6 +540,7 @@ class Command(Item):
 ITEM_CLASSES: tuple[type[Item], ...] = (
     ModelPlugin,
     IntegratorPlugin,
+    StepControl,
     ForceLawPlugin,
     StudyPlugin,
     MeasurePlugin,

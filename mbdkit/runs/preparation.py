@@ -25,6 +25,7 @@ from mbdkit.integrators.interface import Failure, Guards, Timetable
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.kinds import Method
+from mbdkit.methods.step_controls import controlled
 from mbdkit.methods.step_methods import ExternalMethod
 from mbdkit.methods.tableau import TableauError
 from mbdkit.quantities.array import Array
@@ -157,6 +158,10 @@ def make_method(spec: RunSpec) -> Method:
             "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver, or an instance of a subclass of "
             "StepMethod or ExternalMethod"
         )
+    try:
+        method = controlled(method, spec.integrator, spec.integrator_item.name)
+    except SpecError as error:
+        raise spec.placed(error) from None
     if (chosen := spec.reacting) is not None and (require := chosen.item.require) is not None:
         try:
             treatment_condition.of(require)(spec, method)

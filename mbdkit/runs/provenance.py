@@ -92,6 +92,7 @@ def plugins_of(spec: RunSpec) -> dict[str, str]:
     """Return the plugins of a run and their versions; the kind of the spec only if a plugin defines it."""
     kinds = registry().of_kind("spec-kind") if type(spec) is not RunSpec else ()
     own = [("spec_kind", kind) for kind in kinds if kind.origin.distribution != MBDKIT and _is_of(spec, kind)]
+    own += [] if spec.step_control_item is None else [("step_control", spec.step_control_item)]
     items = {"model": spec.model_item, "integrator": spec.integrator_item, **dict(own)}
     return _plugins(items, spec) | _quantities(spec) | _joints(spec)
 

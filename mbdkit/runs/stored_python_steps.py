@@ -16,7 +16,8 @@ from mbdkit.integrators.run.reached import IntervalSoFar, Reached
 from mbdkit.methods.step_methods import ExternalMethod, StepState
 
 _REACHED = (
-    "done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low", "why", "size", "error", "order",
+    "done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low", "why", "size", "history",
+    "order",
 )  # fmt: skip
 _INTERVAL = ("steps", "size", "iterations", "most_iterations", "correction", "rejected")
 
@@ -86,6 +87,8 @@ def restore_stepper(stepper: StepHost, state: StoredState) -> None:
     begin = StepState(q, v, multipliers, memory, work, dissipated, low, z)
     for name in ("energy", "energy_low"):
         reached[name] = _array(reached[name], (2,))
+    error, earlier_error, last_size, earlier_size = reached["history"]
+    reached["history"] = float(error), float(earlier_error), float(last_size), float(earlier_size)
     interval["correction"] = _array(interval["correction"], (4,))
     stepper.impacts[:] = impulses_of(state, len(stepper.workspace.mechanism.joints))
     stepper.sampler.restore(state["sampler"])

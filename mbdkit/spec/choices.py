@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 from pydantic import (
     BaseModel,
@@ -46,11 +46,13 @@ class Choice:
 
     Only the options of the chosen plugin are imported. The JSON schema is the union of the options of all plugins.
 
-    `kind`: ``"model"`` or ``"integrator"``. `installed`: the registry to choose from; None for all installed plugins.
+    `kind`: ``"model"``, ``"integrator"`` or ``"step-control"``. `installed`: the registry to choose from; None for all
+    installed plugins. `optional`: whether the value may be None.
     """
 
     kind: Kind
     installed: Registry | None = None
+    optional: bool = False
 
     @property
     def registry(self) -> Registry:
@@ -62,9 +64,12 @@ class Choice:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         items = self.registry.of_kind(self.kind)
-        return handler(_union(items)) if items else {}
+        union = _union(items)
+        return handler(core_schema.nullable_schema(union) if self.optional else union) if items else {}
 
     def _validated(self, data: object, info: core_schema.ValidationInfo) -> object:
+        if data is None and self.optional:
+            return None
         validator = _validator(self.registry.get(self.kind, self._name(data)))
         if info.mode == "json":  # strict mode accepts a list for a tuple, or a text for a path, only in JSON
             return validator.validate_json(json.dumps(data), context=info.context)
@@ -104,6 +109,17 @@ def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
             return handler(data)
 
     return core_schema.no_info_wrap_validator_function(validate, schema)
+
+
+STEP_CONTROL = (
+    Annotated[BaseModel | None, Choice("step-control", optional=True)],
+    Field(
+        default=None,
+        description="Controller of the size of adaptive steps: its name and its options. By default, explicit methods "
+        "have a proportional-integral controller, and implicit ones an elementary one.",
+    ),
+)
+"""Type and field of the key `step_control`, which every integrator has."""
 
 
 def choice_of(root: type[BaseModel], kind: Kind) -> Choice:

@@ -35,7 +35,7 @@ from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.element_items import ElementKind
-from mbdkit.registry.item_options import item_of
+from mbdkit.registry.item_options import is_of_item, item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, NAMES, FormulationChoice, formulation_of, name_of
@@ -396,6 +396,12 @@ class RunSpec(ModelSpec):
         return item_of(self.integrator)
 
     @property
+    def step_control_item(self) -> Registered | None:
+        """The registry entry of the controller of adaptive steps; None for the default one."""
+        chosen = getattr(self.integrator, "step_control", None)
+        return item_of(chosen) if isinstance(chosen, BaseModel) and is_of_item(type(chosen)) else None
+
+    @property
     def integrator_plugin(self) -> IntegratorPlugin:
         """The integrator plugin."""
         plugin = self.integrator_item.plugin
@@ -469,8 +475,9 @@ class RunSpec(ModelSpec):
 
     @property
     def items(self) -> list[Registered]:
-        """The registry entries of the model, the integrator and the force laws."""
-        return [self.model_item, self.integrator_item, *self.force_law_items]
+        """The registry entries of the model, the integrator, the controller of its steps and the force laws."""
+        control = self.step_control_item
+        return [self.model_item, self.integrator_item, *([control] if control else []), *self.force_law_items]
 
     def _accept(self, mechanism: Mechanism) -> None:
         mechanism.is_of_run = True

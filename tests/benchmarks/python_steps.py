@@ -84,6 +84,8 @@ def python_steps(console: Console) -> None:
         "gamma": lambda: p.gamma(0.0, q, v),
         "project_positions": lambda: p.project_positions(0.0, q),
         "project_velocities": lambda: p.project_velocities(0.0, q, v),
+        "project": lambda: p.project(0.0, q, v),
+        "solve_between": lambda: p.solve_between(0.0, q, a, 0.01, q, v, 0.01),
         "potential": lambda: p.potential(0.0, q),
         "constraint_jacobian": lambda: p.constraint_jacobian(0.0, q),
         "tangents": lambda: p.tangents(0.0, q, v, a, lam),

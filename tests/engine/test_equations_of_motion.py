@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbdkit import EquationsOfMotion, StepError
+from mbdkit import EquationsOfMotion, Mechanism, StepError
 from tests.engine.linkages_in_sympy import MECHANISMS, RNG, parallelogram, somewhere, symbolic
 from tests.integrators.running import driven_chain
 from tests.slow_cases import slow
@@ -114,6 +114,43 @@ def test_a_matrix_stays_valid_while_others_come_and_go(name: str) -> None:
 
 
 @both
+def test_accelerations_between_two_positions_solve_the_equations_of_a_half_explicit_stage(name: str) -> None:
+    # expected: dense linear algebra with the Jacobians and rates of SymPy at both positions
+    p, s = equations_of(name), symbolic(name)
+    (q, v, _, _), (q_end, v_end, _, _), force, h = somewhere(p), somewhere(p), RNG.standard_normal(p.n), 0.03
+    first, last = (s.evaluate(t, at, v)["constraint_jacobian"] for t, at in ((T, q), (T + h, q_end)))
+    rates = p.constraint_rates(T + h, q_end, v_end)
+    dense = np.block([[np.diag(p.mass), first.T], [h * last, np.zeros((p.m, p.m))]])
+    there = np.linalg.solve(dense, np.concatenate([force, -rates]))
+    before = p.counters.factorizations, p.counters.newton_iterations
+    found = p.solve_between(T, q, force, T + h, q_end, v_end, h)
+    np.testing.assert_allclose(np.concatenate(found), there, rtol=1e-9, atol=1e-9 * np.abs(there).max())
+    np.testing.assert_allclose(p.constraint_rates(T + h, q_end, v_end + h * found[0]), 0.0, atol=1e-12)
+    p.solve_between(T, q, force, T + h, q_end, v_end, h)
+    assert p.counters.factorizations >= before[0] + 2
+    assert p.counters.newton_iterations == before[1]
+    again = EquationsOfMotion.of(MECHANISMS[name]())
+    again.restore_pivots(p.stored_pivots())
+    for mine, theirs in zip(again.solve_between(T, q, force, T + h, q_end, v_end, h), found, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+def test_jacobians_of_two_positions_that_do_not_fit_are_an_error() -> None:
+    # the reaction of a rod of constant length along x cannot change a velocity along y, where the rod points there
+    m = Mechanism()
+    m.body("mass", mass=1.0, inertia=1.0, position=(1.0, 0.0))
+    m.distance("rod", m.ground, "mass", points=((0.0, 0.0), (0.0, 0.0)), length=1.0)
+    p, none = EquationsOfMotion.of(m), np.zeros(3)
+    v_end = np.array([0.0, 1.0, 0.0])
+    for q_end, code in (([0.0, 1.0, 0.0], "singular"), ([np.nan, 1.0, 0.0], "not-finite")):
+        with pytest.raises(StepError) as error:
+            p.solve_between(0.0, p.q0, none, 0.1, np.array(q_end), v_end, 0.1)
+        assert error.value.code == code
+    x, _ = p.solve_between(0.0, p.q0, none, 0.1, np.array([0.6, 0.8, 0.0]), v_end, 0.1)
+    np.testing.assert_allclose(x, [-0.8 / 0.6 / 0.1, 0.0, 0.0], rtol=1e-14)
+
+
+@both
 def test_projected_positions_are_the_nearest_that_meet_the_joints(name: str) -> None:
     # expected: the conditions of least change in the mass metric, M (p - q) = -Phi_q(p)^T mu for some mu
     p = equations_of(name)
@@ -137,6 +174,27 @@ def test_projected_velocities_are_the_nearest_under_which_the_joints_stay_closed
     np.testing.assert_allclose(jacobian.T @ mu, p.mass * (found - v), rtol=0, atol=1e-12)
 
 
+@both
+def test_a_projected_state_has_the_projected_positions_and_the_velocities_projected_there(name: str) -> None:
+    # expected: the two projections, which the tests above compare with their definitions
+    p = equations_of(name)
+    q = p.project_positions(p.t0, p.q0) + 0.01 * RNG.standard_normal(p.n)
+    v, before = RNG.standard_normal(p.n), p.counters.projections
+    found_q, found_v = p.project(p.t0, q, v)
+    assert p.counters.projections == before + 1
+    np.testing.assert_array_equal(found_q, p.project_positions(p.t0, q))
+    np.testing.assert_array_equal(found_v, p.project_velocities(p.t0, found_q, v))
+    p.accelerations(p.t0, q, v)  # whose gravity a projection must not feel
+    np.testing.assert_array_equal(p.project(p.t0, q, v)[0], found_q)
+
+
+def test_a_position_that_cannot_be_projected_is_an_error() -> None:
+    p = EquationsOfMotion.of(driven_chain())
+    with pytest.raises(StepError, match="no position that satisfies the joints") as error:
+        p.project(T, p.q0 + 1e3 * np.arange(p.n), p.v0)
+    assert error.value.code == "newton-failed"
+
+
 def test_powers_are_forces_times_velocities() -> None:
     # expected: the driver's multiplier times its rate, the torque 0.5 cos(3 t) times the rate of r3, and c (s')^2
     p = equations_of("driven chain")
@@ -158,7 +216,7 @@ def test_what_is_done_is_counted() -> None:
     p.tangents(T, q, v, a, lam)
     p.project_velocities(T, q, v)
     c = p.counters
-    assert (c.rhs_evaluations, c.jacobian_evaluations, c.projections, c.factorizations) == (3, 1, 1, 3)
+    assert (c.rhs_evaluations, c.jacobian_evaluations, c.projections, c.factorizations) == (3, 1, 1, 2)
     p.iteration_matrix(T, q, v, a, lam)
     before = c.jacobian_evaluations, c.factorizations
     matrix = p.iteration_matrix(T, q, v, a, lam)
@@ -253,6 +311,9 @@ def test_a_redundant_mechanism_is_projected_and_its_matrix_is_regular() -> None:
     upper = p.mass * x + 1e-3 * (tangents.damping @ x) + 1e-6 * (tangents.stiffness @ x)
     np.testing.assert_allclose(upper + p.constraint_forces(T, q, mu), force, atol=1e-10)
     np.testing.assert_allclose(p.constraint_jacobian(T, q) @ x, rows, atol=1e-10)
+    x, mu = p.solve_between(T, p.q0, force, T, q, p.v0, 0.1)
+    np.testing.assert_allclose(p.mass * x + p.constraint_forces(T, p.q0, mu), force, atol=1e-10)
+    np.testing.assert_allclose(p.constraint_rates(T, q, p.v0 + 0.1 * x), 0.0, atol=1e-12)
 
 
 @both

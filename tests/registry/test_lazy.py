@@ -140,7 +140,7 @@ def test_items_of_every_kind_may_come_from_the_one_hook_and_fields_may_be_target
     loaded = load_registry([entry_point(lambda: offering(method, greet()))])
     assert [(item.kind, item.id) for item in loaded.items] == [("integrator", "acme:mine"), ("command", "acme:greet")]
     item = loaded.get("integrator", "mine")
-    assert set(named_options(item).model_fields) == {"name"}
+    assert set(named_options(item).model_fields) == {"name", "step_control"}
     assert item.plugin.claims(item.plugin.options()).order == 4
     assert type(item.plugin.create(item.plugin.options())).__name__ == "ExplicitRungeKutta"
 

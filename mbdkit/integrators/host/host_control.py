@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.integrators.run.reached import Reached, RejectedError
 from mbdkit.integrators.run.step_control import (
     MIN_LAST_ERROR,
@@ -27,6 +28,16 @@ if TYPE_CHECKING:
 
 MEMORY = 0.2
 """Influence of the previous error on the size of the next step; see `Control.memory`."""
+
+
+class _Past(NamedTuple):
+    """The steps before, as `factor_after_acceptance` reads them; each tuple has one number."""
+
+    last_error: tuple[float]
+    earlier_error: tuple[float]
+    last_size: tuple[float]
+    earlier_size: tuple[float]
+    retrying: tuple[bool]
 
 
 class HostControl:
@@ -56,7 +67,8 @@ class HostControl:
 
     def _of_order(self, order: float) -> Control:
         k = order + 1.0
-        return Control(self._given.rtol, self._given.atol, order=k, estimate_order=k, memory=MEMORY)
+        given = self._given
+        return Control(given.rtol, given.atol, order=k, estimate_order=k, memory=MEMORY, filter=given.control)
 
     def norm(self, error: np.ndarray, begin: StepState, end: StepState) -> float:
         """Return the root mean square of an error (2 n + Z,) over ``atol + rtol |y|``, y the larger of both ends."""
@@ -74,8 +86,13 @@ class HostControl:
     def judge(self, made: Step, end: StepState, h: float, begin: Reached, *, retrying: bool) -> tuple[float, float]:
         """Return the size of the next step [s], and the error of this one, which ends in `end`, over its tolerance.
 
-        Raises RejectedError if the step is not accepted.
+        Raises RejectedError if the step is not accepted, and SpecError if a method with a controller chooses its steps.
         """
+        if made.next_step is not None and made.accepted and self._given.control is not None:
+            raise SpecError(
+                "the method chooses its steps itself, so that no other controller can be used",
+                key="integrator.step_control",
+            )
         if made.next_step is not None or not made.accepted or made.error is None:
             if not made.accepted:
                 raise RejectedError(self._limited(0.5 * h if made.next_step is None else made.next_step))
@@ -88,7 +105,9 @@ class HostControl:
         error = self.norm(made.error, begin.state, end)
         if not error <= 1.0:
             raise RejectedError(h * float(factor_after_rejection(data, math.isfinite(error), error)))
-        factor = float(factor_after_acceptance(data, max(error, 1e-10), begin.error, int(retrying)))
+        last_error, earlier_error, last_size, earlier_size = begin.history
+        past = _Past((last_error,), (earlier_error,), (last_size,), (earlier_size,), (retrying,))
+        factor = float(factor_after_acceptance(data, h, max(error, 1e-10), past))
         return self._limited(h * factor), max(error, MIN_LAST_ERROR)
 
     def _limited(self, size: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.kernels.projection import STAGNANT
-from mbdkit.engine.nearest_state import ROUND_OFF, nearest_positions, nearest_velocities
+from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.integrators.loop.projected_step import MAX_TRIALS, improve
 from mbdkit.integrators.run.reached import NO_CORRECTION
 from mbdkit.integrators.run.run_plan import CHANGES
@@ -87,8 +87,7 @@ class StabilizedSteps:
         """Return step `number` from `state` to `made` at the time `end`, projected if the stabilization wants this."""
         p = self.equations
         if self.wanted.kind == "projection" and number % self.wanted.every == 0 and self._is_off(end, made):
-            q = nearest_positions(p, end, made.q)
-            v = nearest_velocities(p, end, q, made.v)
+            q, v = p.project(end, made.q, made.v)
             return self._corrected(end, state, made, q - made.q, v - made.v)
         return Taken(state, made, made, NO_CORRECTION, end)
 
@@ -121,6 +120,7 @@ class StabilizedSteps:
             now = max(p.relative_change(at, step_q), p.relative_change(v, step_v))
             idle = idle + 1 if now >= 0.5 * before else 0
             if now <= ROUND_OFF or (idle >= 2 and now < STAGNANT):
+                p.counters.projections += 1
                 return self._corrected(end, begin, made, dq + step_q, dv + step_v, pushed_q, pushed_v)
             change = changes[count, :, :, 0]
             change[:] = 0.25 * h * for_v - 0.5 * for_q, -0.5 * for_v
@@ -146,7 +146,6 @@ class StabilizedSteps:
         before_q: Vector = 0.0,
         before_v: Vector = 0.0,
     ) -> Taken:
-        self.equations.counters.projections += 1
         reached = made.moved(
             dq, dv, multipliers=made.multipliers, memory=made.memory, work=made.work, dissipated=made.dissipated
         )

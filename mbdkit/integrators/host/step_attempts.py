@@ -199,7 +199,8 @@ class StepAttempts:
         there = Reached(
             done=done, whole=whole, passed=passed, restart=restart, time=end, state=new, energy=energy, energy_low=low,
             interval=begin.interval.after(h, iterations, rejected, taken.correction), is_event=is_part, why=why,
-            size=size, error=error, order=self._made.next_order, event=self._made.event,
+            size=size, history=(error, begin.history[0], h, begin.history[2]), order=self._made.next_order,
+            event=self._made.event,
         )  # fmt: skip
         return Attempt(there, taken, self._made, inside)
 

@@ -37,7 +37,7 @@ from mbdkit.integrators.interface import (
 )
 from mbdkit.integrators.loop.step_watch import StepWatch
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
-from mbdkit.integrators.run.reached import IntervalSoFar, Reached, RecordedRow
+from mbdkit.integrators.run.reached import NO_HISTORY, IntervalSoFar, Reached, RecordedRow
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.run.splitting import Change, margin_of_stops
 from mbdkit.integrators.run.step_guards import GuardState
@@ -217,7 +217,7 @@ class StepHost:
         if why == "projection" and math.isfinite(now.size):
             self.equations.first_step = now.size
         state = self._attempts.begun(t, state, why)
-        self.now = now._replace(state=state, energy=energy, why="", error=0.0)
+        self.now = now._replace(state=state, energy=energy, why="", history=NO_HISTORY)
         self._open(t, state)
 
     def _open(self, t: float, state: StepState) -> None:

@@ -69,7 +69,7 @@ class LaneControl(NamedTuple):
 
     run: LaneRun
     control: ControlData
-    """Its fields `exponent` and `beta` hold numbers, the other floating-point fields lanes."""
+    """Its fields with tolerances and sizes hold lanes, the others numbers: the controller is the same in all lanes."""
     progress: Progress
     """All its fields hold lanes; the attempted size is 0 in lanes that are not running."""
     running: np.ndarray
@@ -203,11 +203,14 @@ def _check_energy(s, at, accepted):
 @subkernel
 def _choose_sizes(s, t, h, error, unsolved, accepted, rejected):
     control, progress = s.control, s.progress
-    after = factor_after_acceptance(control, error, progress.last_error[0], progress.retrying[0]) * h
+    after = factor_after_acceptance(control, h, error, progress) * h
     goes_on = accepted & (t + h < s.run.times.end[0])
     size = where(goes_on, after, progress.next_size[0])
     progress.next_size[0] = where(rejected, factor_after_rejection(control, not unsolved, error) * h, size)
+    progress.earlier_error[0] = where(accepted, progress.last_error[0], progress.earlier_error[0])
     progress.last_error[0] = where(accepted, max(error, MIN_LAST_ERROR), progress.last_error[0])
+    progress.earlier_size[0] = where(accepted, progress.last_size[0], progress.earlier_size[0])
+    progress.last_size[0] = where(accepted, h, progress.last_size[0])
     progress.retrying[0] = where(rejected, 1.0, where(accepted, 0.0, progress.retrying[0]))
     progress.rejected[0] += where(rejected, 1.0, 0.0)
     progress.accepted[0] += where(accepted, 1.0, 0.0)

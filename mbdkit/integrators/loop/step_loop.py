@@ -178,18 +178,22 @@ def _reject(c, plan, h, solved, error):
 def _accept(c, plan, t, h, error, at_stop):
     """Accept a step of size `h` from `t`, and choose the size of the next.
 
-    Size and error of a step that ends at a stop or an event say little about the next step; the error is discarded.
+    Size and error of a step that ends at a stop or an event say little about the next step; its error and those of the
+    steps before are discarded.
     """
     progress, interval = c.progress, c.interval
     interval.steps[0] += 1
     interval.last_size[0] = h
     if plan.control.controlled[0]:
-        factor = factor_after_acceptance(plan.control, error, progress.last_error[0], progress.retrying[0])
-        if at_stop or progress.part[0] != 0.0:
+        factor = factor_after_acceptance(plan.control, h, error, progress)
+        is_short = at_stop or progress.part[0] != 0.0
+        if is_short:
             progress.next_size[0] = factor * h if factor < 1.0 else max(progress.next_size[0], factor * h)
         elif t + h < plan.times.end[0]:  # the last step is shortened, so its size says nothing about the next
             progress.next_size[0] = factor * h
-        progress.last_error[0] = 0.0 if at_stop or progress.part[0] != 0.0 else max(error, MIN_LAST_ERROR)
+        progress.earlier_error[0] = 0.0 if is_short else progress.last_error[0]
+        progress.last_error[0] = 0.0 if is_short else max(error, MIN_LAST_ERROR)
+        progress.earlier_size[0] = progress.last_size[0]
     progress.retrying[0] = 0
     progress.at_stop[0] = at_stop
     progress.last_size[0] = h

@@ -13,7 +13,6 @@ import numpy as np
 
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.nearest_state import nearest_velocities
 from mbdkit.integrators.interface import Impact
 
 if TYPE_CHECKING:
@@ -92,7 +91,7 @@ def impulse(
     """
     p = EquationsOfMotion(workspace)
     old = v[: p.n].copy()
-    new = nearest_velocities(p, t, q[: p.n].copy(), old)
+    new = p.project_velocities(t, q[: p.n], old)
     work = 0.5 * float(np.sum((new - old) * p.mass * (new + old)))
     moved = float(np.sqrt(np.sum(p.mass * (new - old) ** 2) / np.sum(p.mass[::3])))
     multipliers = p.solve(t, q[: p.n], p.mass * (old - new), np.zeros(p.m))[1]

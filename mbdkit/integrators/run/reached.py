@@ -12,6 +12,9 @@ NO_CORRECTION = np.zeros(4)
 """The correction of steps without stabilization."""
 NO_CORRECTION.setflags(write=False)
 
+NO_HISTORY = (0.0, 0.0, 0.0, 0.0)
+"""The history of a run without steps before the next one."""
+
 
 class IntervalSoFar(NamedTuple):
     """Statistics since the last recorded row.
@@ -63,8 +66,9 @@ class Reached(NamedTuple):
     """Why the next step begins anew; empty if it continues."""
     size: float = np.inf
     """Size of the next step [s], if no stop comes earlier."""
-    error: float = 0.0
-    """Error of the last step relative to its tolerance; 0 if there is none."""
+    history: tuple[float, float, float, float] = NO_HISTORY
+    """Errors of the last step and of the one before, relative to their tolerances, 0 if there is none; and their sizes
+    [s]."""
     order: float | None = None
     """Order of the error estimate of the next step, if the method varies it."""
     event: StepEvent | None = None

@@ -42,7 +42,10 @@ class Progress(NamedTuple):
     """Size of the part of the attempted step that the method has taken [s], if that ends at an event of the method; 0
     for whole steps."""
     last_error: np.ndarray
-    """Scaled error of the last accepted step; 0 before the first."""
+    """Scaled error of the last accepted step; 0 before the first, and if it says nothing about the next step."""
+    earlier_error: np.ndarray
+    """Scaled error of the accepted step before that one, in the same way, and its size [s]."""
+    earlier_size: np.ndarray
     next_row: np.ndarray
     """Number of the next row to be recorded at equidistant times."""
     tried_begin: np.ndarray
@@ -104,8 +107,8 @@ INTERVAL_FIELDS = Interval._fields[1:]
 
 def new_progress() -> Progress:
     """Return the progress at the start of a run."""
-    reals, counts = np.zeros((11, 1)), np.zeros((9, 1), dtype=np.int64)
-    reals[10] = np.inf
+    reals, counts = np.zeros((13, 1)), np.zeros((9, 1), dtype=np.int64)
+    reals[12] = np.inf
     return Progress(*reals, *counts)
 
 

@@ -12,6 +12,15 @@ oscillations of the step size at the limit of stability of an explicit method. T
 (``EXPO1``); DOP853 has 0.2 there, but beta = 0 by default. RADAU5 and SciPy's Radau use Gustafsson's predictive
 controller instead, which also takes the sizes of the last two steps into account.
 
+Any other controller is a digital filter with up to five coefficients (Soderlind 2003, ACM TOMS 29, 1-26), a
+`mbdkit.methods.step_filter.StepFilter`:
+
+    h_new = h (s/e_n)^(b1/k) (s/e_(n-1))^(b2/k) (s/e_(n-2))^(b3/k) (h/h_(n-1))^(-a2) (h_(n-1)/h_(n-2))^(-a3)
+
+Here, s = S^k is the error at which the steps remain the same; a factor S of h_new, as above, would move this error to
+S^(k/(b1 + b2 + b3)), which is 0.009 for H321 of order 5. The kernels read the coefficients as one row of numbers, so
+that a controller of a plugin needs no code of its own.
+
 The compiled functions accept numbers and lanes (`mbdkit_builder.lane_types`).
 """
 
@@ -33,6 +42,7 @@ from mbdkit.engine.native.functions import subkernel
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.methods.step_filter import StepFilter
 
 SAFETY = 0.9
 """Safety factor S of a new step size: the default of DOPRI5, DOP853 and RADAU5 (``SAFE``), and of SciPy."""
@@ -90,6 +100,8 @@ class Control:
         Largest step [s]; a step that reaches a stop or the end of the run may be 1 % longer.
     length
         Unit of lengths [m] in which `atol` applies to positions and velocities, but not to angles and their rates.
+    filter
+        Coefficients of another controller, which takes the place of `memory`; None for the default controller.
     """
 
     rtol: float = 1e-6
@@ -101,6 +113,7 @@ class Control:
     memory: float = 0.0
     max_step: float = math.inf
     length: float = 1.0
+    filter: StepFilter | None = None
 
     @property
     def inner_rtol(self) -> float:
@@ -138,7 +151,19 @@ class ControlData(NamedTuple):
     """(3,) absolute tolerances of the estimate for x, y and the angle of a body."""
     exponent: np.ndarray
     """1 / k."""
-    beta: np.ndarray
+    safety: np.ndarray
+    """Safety factor of a size that follows from the last error alone."""
+    limits: np.ndarray
+    """(2,) bounds on h_new / h."""
+    alone: np.ndarray
+    """Power of e_n in h_new / h as long as there are too few earlier errors."""
+    gain: np.ndarray
+    """Factor of h_new / h besides the powers below."""
+    powers: np.ndarray
+    """(5,) powers of e_n, e_(n-1), e_(n-2), h / h_(n-1) and h_(n-1) / h_(n-2) in h_new / h."""
+    reach: np.ndarray
+    """Number of errors that the controller needs: 2 or 3; negative if it does not use sizes of steps before the last
+    one, so that only the first two powers are not 0."""
     estimates: np.ndarray
     """Number of estimates of the error, 1 or 2."""
     min_size: np.ndarray
@@ -149,14 +174,26 @@ class ControlData(NamedTuple):
 def control_data(control: Control | None, min_size: float) -> ControlData:
     """Return the data of step-size control for the kernels; `control` is None for fixed steps."""
     c = control or Control()
-    numbers = (c.inner_rtol, 1.0 / c.estimate_order, c.memory / c.estimate_order)
-    rtol, exponent, beta = (np.array([x], dtype=np.float64) for x in numbers)
+    exponent, beta, chosen = 1.0 / c.estimate_order, c.memory / c.estimate_order, c.filter
+    if chosen is None:
+        alone, safety, gain, limits = -(exponent - INTEGRAL_SHARE * beta), SAFETY, SAFETY, (MIN_FACTOR, MAX_FACTOR)
+        powers, reach = [alone, beta, 0.0, 0.0, 0.0], -2
+    else:
+        alone, safety, limits = -exponent, chosen.safety, chosen.limits
+        gain = elementary.pow(safety, sum(chosen.errors))
+        powers = [*(-weight * exponent for weight in chosen.errors), *(-weight for weight in chosen.ratios)]
+        reach = 3 if powers[2] or powers[4] else 2 if powers[3] else -2
     return ControlData(
         controlled=np.array([int(control is not None)]),
-        rtol=rtol,
+        rtol=np.array([c.inner_rtol]),
         atol=c.inner_atol * c.lengths,
-        exponent=exponent,
-        beta=beta,
+        exponent=np.array([exponent]),
+        safety=np.array([safety]),
+        limits=np.array(limits),
+        alone=np.array([alone]),
+        gain=np.array([gain]),
+        powers=np.array(powers),
+        reach=np.array([reach]),
         estimates=np.array([c.estimates]),
         min_size=np.array([min_size], dtype=np.float64),
         max_size=np.array([c.max_step], dtype=np.float64),
@@ -234,15 +271,30 @@ def _power(x, y):
 
 
 @subkernel
-def factor_after_acceptance(control, error, last_error, retrying):
-    """Return h_new / h after an accepted step.
+def factor_after_acceptance(control, h, error, past):
+    """Return h_new / h after an accepted step of size `h`.
 
-    `last_error` is 0 if there is no accepted step before. After a rejection (`retrying`) the size must not grow.
+    `past` has the errors and sizes of the steps before, as `mbdkit.integrators.run.run_state.Progress`; an error is 0
+    if there is no such step, or if it says nothing about the next one. After a rejection (``retrying``) the size must
+    not grow.
     """
-    factor = SAFETY * _power(error, -(control.exponent[0] - INTEGRAL_SHARE * control.beta[0]))
-    factor = where(last_error > 0.0, factor * _power(last_error, control.beta[0]), factor)
-    factor = min(MAX_FACTOR, max(MIN_FACTOR, where(error > 0.0, factor, MAX_FACTOR)))
-    return where(retrying != 0, min(1.0, factor), factor)
+    last_error, earlier_error = past.last_error[0], past.earlier_error[0]
+    is_known = last_error > 0.0
+    if control.reach[0] > 2:
+        is_known = earlier_error > 0.0
+    factor = where(is_known, control.gain[0], control.safety[0])
+    factor = factor * _power(error, where(is_known, control.powers[0], control.alone[0]))
+    factor = where(is_known, factor * _power(last_error, control.powers[1]), factor)
+    if control.reach[0] > 0:
+        last_size = where(is_known, past.last_size[0], h)
+        ratio = _power(h / last_size, control.powers[3])
+        if control.reach[0] > 2:
+            ratio = ratio * _power(earlier_error, control.powers[2])
+            ratio = ratio * _power(last_size / where(is_known, past.earlier_size[0], h), control.powers[4])
+        factor = where(is_known, factor * ratio, factor)
+    least, most = control.limits[0], control.limits[1]
+    factor = min(most, max(least, where(error > 0.0, factor, most)))
+    return where(past.retrying[0] != 0, min(1.0, factor), factor)
 
 
 @subkernel
@@ -250,7 +302,7 @@ def factor_after_rejection(control, solved, error):
     """Return h_new / h after a rejected step, by the error alone; `solved` is false if the error is unknown because the
     equations could not be solved.
     """
-    factor = max(MIN_FACTOR, SAFETY * _power(error, -control.exponent[0]))
+    factor = max(control.limits[0], control.safety[0] * _power(error, -control.exponent[0]))
     return where(solved & (error < np.inf), factor, SOLVER_FAILURE_FACTOR)
 
 

@@ -11,6 +11,7 @@ from functools import partial
 from typing import cast
 
 import numpy as np
+from pydantic import BaseModel
 
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
@@ -18,6 +19,7 @@ from mbdkit.integrators.interface import Guards, Timetable
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.methods import dop853, gauss, radau_iia
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, Tolerances
+from mbdkit.methods.step_controls import controlled
 from mbdkit.registry.items import IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
@@ -180,7 +182,7 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
         if own:
             update = {"rtol": tolerances.rtol, "atol": None if given.by_size else tolerances.atol}
             changed = options.model_copy(update=update)
-            create = cast("Callable[[], Method]", partial(spec.integrator_plugin.create, changed))
+            create = partial(_own_method, spec, changed)
             name = f"tolerance {tolerances.rtol:.2g}"
             run: tuple[str, Stabilization] = (spec.formulated.name, spec.stabilized)
         else:
@@ -191,9 +193,15 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
     return companions[0], companions[1]
 
 
+def _own_method(spec: RunSpec, options: BaseModel) -> Method:
+    """Return the method of a spec with other options."""
+    method = cast(Method, spec.integrator_plugin.create(options))
+    return controlled(method, options, spec.integrator_item.name)
+
+
 def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
     if method.traits.tolerances is not None:
-        return replace(method.traits.tolerances, max_step=None)
+        return replace(method.traits.tolerances, max_step=None, control=None)
     rtol = getattr(spec.integrator, "rtol", None) or 1e-6
     atol = getattr(spec.integrator, "atol", None)
     return Tolerances(rtol, atol or rtol, by_size=atol is None)

@@ -25,8 +25,10 @@ from mbdkit.plugin.mechanisms import curve_of
 from mbdkit_predict.grid import weights
 from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
-NODES = 10_000
-"""Least number of nodes in a motion, as many as there are samples of a motion in runs."""
+NODES, FEW = 10_000, 1_000
+"""Least number of nodes in a motion, as many as there are samples of a motion in runs; and before the objective is
+accurate.
+"""
 PANEL = 5
 """Nodes of the Gauss-Legendre formula of each of the panels into which an interval is divided."""
 ARGUMENTS = "q", "v", "a", "lam", "z", "u"
@@ -34,6 +36,8 @@ ARGUMENTS = "q", "v", "a", "lam", "z", "u"
 BESIDE = 1e-3
 """Distance from the ends of intervals at which forces are compared, as a share of the shortest interval."""
 
+BULK = 0.99
+"""Share of what remains that the intervals have which are divided."""
 LEAST = 1e-6
 """Least size of moments relative to forces, and of changes of states relative to the states: smaller ones are noise."""
 
@@ -51,19 +55,22 @@ class Residual(NamedTuple):
     largest force or rate; zero at the ends of phases, where conditions may fix the state."""
 
     def is_large(self, change: float, impulse: float) -> np.ndarray:
-        """Return the intervals (N,) that contribute to sums beyond these limits; none if both are within them."""
-        sums = abs(self.change).sum(), self.impulse.sum()
-        return np.asarray(
-            (sums[0] > change) & (abs(self.change) * len(self.change) > change)
-            | (sums[1] > impulse) & (self.impulse * len(self.impulse) > impulse)
-        )
+        """Return the fewest intervals (N,) that make up `BULK` of each sum beyond its limit, none if both are within
+        them (W. Doerfler, SIAM Journal on Numerical Analysis 33:1106-1124, 1996).
+        """
+        chosen = np.zeros(len(self.change), dtype=bool)
+        for sizes, limit in ((abs(self.change), change), (self.impulse, impulse)):
+            order = np.argsort(-sizes)
+            if sizes.sum() > limit:
+                chosen[order[: 1 + np.searchsorted(np.cumsum(sizes[order]), BULK * sizes.sum())]] = True
+        return chosen
 
 
-def residual_between_points(method: Transcription, mesh: Mesh) -> Residual:
-    """Return what a solution leaves of the equations between its collocation points."""
+def residual_between_points(method: Transcription, mesh: Mesh, least: int = NODES) -> Residual:
+    """Return what a solution leaves of the equations between its collocation points, by so many nodes at least."""
     values, lengths = mesh.values, mesh.values["duration"] @ mesh.grid.lengths
     count, b = len(lengths), method.b
-    panels = -(-NODES // (count * PANEL))
+    panels = -(-least // (count * PANEL))
     nodes, weight = np.polynomial.legendre.leggauss(PANEL)
     shares = ((np.arange(panels)[:, None] + 0.5 * (nodes + 1.0)) / panels).ravel()
     weight = np.tile(0.5 * weight / panels, panels)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbdkit_predict.point_derivatives import PointHessian, PointValues
+from mbdkit_predict.point_hessian import PointHessian, PointJacobian
 from mbdkit_predict.processes import Stop
 
 MOST_ITERATIONS = 2000
@@ -126,10 +126,8 @@ class NonlinearProgram:
         What is minimized.
     sizes
         Natural size of each row of unknowns, by which they are divided for the optimizer; 1 if it is not given.
-    points
-        Values of functions at collocation points, for which conditions and the objective contain symbols.
-    hessian
-        The second derivatives; those of CasADi by default.
+    jacobian, hessian
+        The first and second derivatives; those of CasADi by default.
     size
         Natural size of the objective.
 
@@ -146,7 +144,7 @@ class NonlinearProgram:
         conditions: Sequence[ProgramCondition],
         objective: ca.MX,
         sizes: Mapping[str, np.ndarray],
-        points: PointValues,
+        jacobian: PointJacobian | None = None,
         hessian: PointHessian | None = None,
         size: float = 1.0,
     ):
@@ -167,12 +165,13 @@ class NonlinearProgram:
         given = ca.vertcat(*(ca.vec(x) for x in unknowns.values()))
         values = [objective, ca.vertcat(*(ca.vec(condition.value) for condition in conditions))]
         x = ca.MX.sym("x", *given.shape)
-        self._program = ca.Function("program", [given], points.put_into(*values))
-        self._functions: Any = dict(zip("xfg", [x, *self._program(ca.DM(self._sizes) * x)], strict=True))
-        self._derivatives = {"jac_g": points.jacobian(values[1], given, self._sizes)}
-        if hessian is not None:
-            by_name = {condition.name: condition.value for condition in conditions}
-            self._derivatives["hess_lag"] = hessian.whole(by_name, given, self._sizes)
+        # two functions, so that derivatives of the objective are not propagated through the conditions
+        self._program = [ca.Function("program", [given], [value]) for value in values]
+        at = ca.DM(self._sizes) * x
+        self._functions: Any = {"x": x} | {name: own(at) for name, own in zip("fg", self._program, strict=True)}
+        by_name = {condition.name: condition.value for condition in conditions}
+        self._derivatives = {} if hessian is None else {"hess_lag": hessian.whole(by_name, given, self._sizes)}
+        self._derivatives |= {} if jacobian is None else {"jac_g": jacobian.whole(given, self._sizes)}
 
     def solve(
         self,
@@ -189,7 +188,7 @@ class NonlinearProgram:
         """
         first = np.concatenate([_flat(guess[name]) for name in self._names])
         watcher = _Watcher(len(self._low_x), self._low, self._high, stop, lambda best: report(self._iterate(*best)))
-        watcher.note(first / self._sizes, *self._program(first)[::-1])
+        watcher.note(first / self._sizes, *(own(first) for own in self._program[::-1]))
         options: dict[str, Any] = {
             "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": self._scale,
             **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _WARM), **self._derivatives,

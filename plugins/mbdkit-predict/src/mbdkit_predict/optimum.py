@@ -9,11 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from mbdkit_predict.between_points import Residual, residual_between_points
+from mbdkit_predict.between_points import FEW, NODES, Residual, residual_between_points
 from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.processes import Stop, results_of
-from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription, solved_meshes
+from mbdkit_predict.transcription import MOST_UNEVEN, OF_POINTS, Mesh, Transcription, solved_meshes
 
 ROUNDING = 1e-8
 """Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
@@ -29,8 +29,8 @@ OPEN, DIVISIONS = 0.1, 2
 """Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
 intervals in which they do are divided.
 """
-SAFETY = 3.0
-"""Factor of the estimated error of the objective."""
+SAFETY, HIGHER_ORDER = 3.0, 1.5
+"""Factors of the estimated error of the objective, and of its first-order change by what remains between the points."""
 ACCIDENT, ACCIDENT_OF_ACTIVE = 2.0**-10, 2.0**-5
 """Smallest ratio of two changes of the objective in a row that is believed; the second one, where conditions become
 active.
@@ -147,7 +147,7 @@ class _MeshSearch:
     def run(self) -> _Search:
         """Yield problems to solve, take their solutions, and return the best motion."""
         mesh, error, reason, jumps = (yield from self._first()), math.nan, "", list[float]()
-        divisions = 0
+        divisions, is_resolved = 0, False
         while _solution(mesh).is_optimum:
             opens, joints = self.transcription.openings(mesh)
             if opens.max() > OPEN and divisions == DIVISIONS:
@@ -163,18 +163,23 @@ class _MeshSearch:
             objective, count = abs(_solution(mesh).objective), len(mesh.grid.phase)
             limit = self.spec.tolerance * objective + NOTHING * mesh.size
             is_last = len(self.meshes) > self.halved + 1 and 2 * count > MOST_INTERVALS
-            chosen = None
-            if (is_known and error <= limit) or is_last:
-                residual = residual_between_points(self.transcription, mesh)
-                error = max(error, float(abs(residual.change).sum()))
-                chosen = residual.is_large(limit, math.sqrt(self.spec.tolerance))
-                if is_last and (error > limit or chosen.any()):
-                    reason = _mesh_limit(error, limit, residual, count)
-                if is_last or not chosen.any():
-                    has_jump = residual.jump > math.sqrt(self.spec.tolerance)
-                    jumps = (mesh.values["duration"] @ mesh.grid.ends)[has_jump].tolist()
-                    break
-                self.halved = len(self.meshes)
+            is_accurate, chosen = is_known and error <= limit, None
+            if is_accurate or is_last or not is_resolved:
+                nodes = NODES if is_accurate or is_last else FEW
+                residual = residual_between_points(self.transcription, mesh, nodes)
+                large = residual.is_large(limit / HIGHER_ORDER, math.sqrt(self.spec.tolerance))
+                is_resolved = not large.any()
+                if is_accurate or is_last:
+                    error = max(error, HIGHER_ORDER * float(abs(residual.change).sum()))
+                    if is_last and (error > limit or not is_resolved):
+                        reason = _mesh_limit(error, limit, residual, count)
+                    if is_last or is_resolved:
+                        has_jump = residual.jump > math.sqrt(self.spec.tolerance)
+                        jumps = (mesh.values["duration"] @ mesh.grid.ends)[has_jump].tolist()
+                        break
+                # all intervals are halved unless few of them have almost all that remains
+                if is_accurate or 0 < large.sum() <= MOST_UNEVEN * count < MOST_UNEVEN * MOST_INTERVALS / 2:
+                    chosen, self.halved = large, len(self.meshes)
             (mesh,) = yield [(self.transcription, self.transcription.refined(mesh, chosen), MOST_ITERATIONS)]
         if not _solution(mesh).is_optimum and not reason:
             reason = self._failure(mesh)

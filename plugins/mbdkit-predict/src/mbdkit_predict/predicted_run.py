@@ -29,7 +29,7 @@ from mbdkit_predict.transcription import Transcription
 
 NO_OPTIMUM = "The motion is that of the best iterate: it is no optimum, and may violate conditions."
 INACCURATE = "The objective is less accurate than `tolerance`."
-UNKNOWN = "The motion is the optimum on the first mesh only, so that the error of the objective is not known."
+UNKNOWN = "Too few meshes have an optimum, so that the error of the objective is not known."
 SMALL = "The error of the objective is more than `tolerance`: it is nearly zero, compared with its natural size."
 NO_MINIMUM = "The second-order condition does not hold: motions near it may have the same or a smaller objective."
 ESTIMATED = "The error of the objective is estimated, a forward run confirms the motion, and it is a local minimum."
@@ -42,10 +42,10 @@ def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: b
     if file is not None:
         guess = spec.folder / spec.guess if isinstance(spec.guess, str) else None
         check_target(file, overwrite=overwrite, source=guess)
-    problems = [transcribed(spec), *([transcribed(compared_spec(spec))] if spec.compare else [])]
-    setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), _processor_time()
     stop = Stop(np.inf if spec.limits is None else begin + spec.limits.wall_time)
     with one_thread_of_linear_algebra(), interrupts_noted(stop.interrupt):
+        problems = [transcribed(spec), *([transcribed(compared_spec(spec))] if spec.compare else [])]
+        setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), _processor_time()
         result, *others = find_optima(problems, stop)
     timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": _processor_time() - cpu}
     return _run_of(result, others[0] if others else None, file, timings, overwrite=overwrite, is_stopped=stop.now)

@@ -41,7 +41,7 @@ from mbdkit_predict.nonlinear_program import (
     solve_pose,
 )
 from mbdkit_predict.objective import Objective
-from mbdkit_predict.point_derivatives import PointHessian, PointValues
+from mbdkit_predict.point_hessian import PointHessian, PointJacobian
 from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
@@ -356,9 +356,9 @@ class Transcription:
         report: Callable[[Mesh], None] = lambda mesh: None,
     ) -> Mesh:
         """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
-        *program_of, points, hessian = self._program(guess.grid)
+        unknowns, bounds, conditions, objective, jacobian, hessian = self._program(guess.grid)
         sizes = self._sizes | {"peak": np.where(guess.values["peak"] == 0.0, 1.0, abs(guess.values["peak"]))}
-        program = NonlinearProgram(*program_of, sizes, points, hessian, guess.size)
+        program = NonlinearProgram(unknowns, bounds, conditions, objective, sizes, jacobian, hessian, guess.size)
 
         def mesh(solution: Solution) -> Mesh:
             done = guess.iterations + solution.iterations
@@ -373,7 +373,7 @@ class Transcription:
         """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of
         violations; empty if it is not found.
         """
-        unknowns, bounds, conditions, _, points, _ = self._program(guess.grid)
+        unknowns, bounds, conditions, *_ = self._program(guess.grid)
         asked = [k for k, row in enumerate(conditions) if ": " in row.name]
         sizes = [conditions[k].value.numel() for k in asked]
         weight = [WEIGHT_OF_START if conditions[k].name.startswith("initial") else 1.0 for k in asked]
@@ -385,7 +385,7 @@ class Transcription:
             missed = (unknowns["over"] - unknowns["under"])[part.tolist()]
             conditions[k] = conditions[k]._replace(value=ca.vec(conditions[k].value) - missed)
         total = ca.dot(np.repeat(np.divide(weight, sizes), sizes), unknowns["over"] + unknowns["under"])
-        program = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes, points)
+        program = NonlinearProgram(unknowns, bounds, conditions, total, self._sizes)
         solution = program.solve(values, stop, lambda solution: None)
         if not solution.is_optimum:
             return {}
@@ -405,9 +405,10 @@ class Transcription:
             ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
         ]  # fmt: skip
         self._curvature = self._curvature_function(results, mu)
-        variables, values = ca.vertcat(*given, mu), ca.vertcat(*results)
-        self._values = ca.Function("values", [variables], [ca.cse(values)])
-        self._slopes = ca.Function("slopes", [variables], [ca.cse(ca.jacobian(values, variables))])
+        known = {**system.symbols, "mu": mu}
+        variables = ca.vertcat(*(known[name] for name in OF_POINTS), system.p, system.t, ca.SX.sym("h"))
+        self._slopes = ca.Function("slopes", [*given, mu], [ca.cse(ca.jacobian(ca.vertcat(*results), variables))])
+        self._integrands = ca.Function("integrands", [*given, mu], [self.objective.integrands])
         return ca.Function("point", [*given, mu], ca.cse(results))
 
     def _projection_function(self) -> tuple[ca.Function, np.ndarray]:
@@ -463,7 +464,9 @@ class Transcription:
 
     def _program(
         self, grid: IntervalGrid
-    ) -> tuple[dict[str, ca.MX], dict[str, Any], list[ProgramCondition], ca.MX, PointValues, PointHessian | None]:
+    ) -> tuple[
+        dict[str, ca.MX], dict[str, Any], list[ProgramCondition], ca.MX, PointJacobian, PointHessian | None
+    ]:  # fmt: skip
         system, s = self.system, len(self.c)
         count = len(grid.phase)
         total = count * s
@@ -471,11 +474,12 @@ class Transcription:
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
-        own = [x[name] for name in ("q", "v", "a", "lam", "z", "u")]
-        variables = ca.vertcat(*own, ca.repmat(x["p"], 1, total), times, x["mu"])
-        at_points = PointValues(variables, self._values, self._slopes)
-        rows = np.cumsum([0, *(self.stage.size1_out(k) for k in range(self.stage.n_out()))]).tolist()
-        closed, position_rates, rates, integrands, balance, path = ca.vertsplit(at_points.symbols, rows)
+        given = [*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"]]
+        values: Any = self.stage.map(total)(*given)
+        sizes = np.cumsum([0, *(value.shape[0] for value in values)]).tolist()
+        results = ca.MX.sym("results", sizes[-1], total)
+        closed, position_rates, rates, _, balance, path = ca.vertsplit(results, sizes)
+        integrands = self._integrands.map(total)(*given)
         states, slopes = ca.vertcat(x["q"], x["v"], x["z"]), ca.vertcat(position_rates, x["a"], rates)
         ends = x["nodes"] if self.has_nodes else states[:, s - 1 :: s]
         begins = ca.horzcat(x["start"], ends[:, :-1])
@@ -517,11 +521,15 @@ class Transcription:
         weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
         finals = self._at_node(self.objective.finals)(end, x["p"], duration)
         objective = self.objective.value(ca.mtimes(integrands, weighted), finals, x["peak"], duration)
+        variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
+        outer = [condition.value for condition in conditions]
+        column: Any = ca.vertcat(*map(ca.vec, outer))
+        jacobian = PointJacobian(variables, results, self._slopes.map(total)(*given), column, ca.vertcat(*values))
+        columns: Any = ca.substitute(outer, [results], [jacobian.values])
+        conditions = [condition._replace(value=value) for condition, value in zip(conditions, columns, strict=True)]
         slope = self._slope_of_integrals()
         if slope is None or self.has_nodes:  # projections are curved, too
-            return x, bounds, conditions, objective, at_points, None
-
-        variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
+            return x, bounds, conditions, objective, jacobian, None
 
         def blocks(factor: ca.MX, multipliers: Mapping[str, ca.MX]) -> ca.MX:
             of_path = [
@@ -535,7 +543,7 @@ class Transcription:
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
         rest = self.objective.value(ca.MX.zeros(len(slope)), finals, x["peak"], duration)
-        return x, bounds, conditions, objective, at_points, PointHessian(variables, blocks, names, rest)
+        return x, bounds, conditions, objective, jacobian, PointHessian(variables, blocks, names, rest)
 
     def _slope_of_integrals(self) -> np.ndarray | None:
         """Return the derivatives of the objective by its integrals; None if they are not constant."""
@@ -672,14 +680,17 @@ class Transcription:
         1 unless it is small.
         """
         low, high, _ = self.limits["u"]
-        values = dict(mesh.values)
-        values["u"] = np.clip(values["u"] + 0.5 * self._sizes["u"][:, None], low[:, None], high[:, None])
-        duration, (*_, integrands, _, along) = values["duration"], self._along(mesh, values["u"])
+        u = np.clip(mesh.values["u"] + 0.5 * self._sizes["u"][:, None], low[:, None], high[:, None])
+        size = abs(self.objective_at(mesh, u))
+        return size if 0.0 < size < SMALL else 1.0
+
+    def objective_at(self, mesh: Mesh, u: np.ndarray) -> float:
+        """Return the objective of a motion, with controls (U, N s)."""
+        values, duration, (*_, integrands, _, along) = mesh.values, mesh.values["duration"], self._along(mesh, u)
         integrals = integrands @ np.kron(duration @ mesh.grid.lengths, self.b)
         finals = self._at_node(self.objective.finals)(self.nodes(mesh)[:, -1], values["p"], duration.sum())
         peaks = [along[k].max() for k, path in enumerate(self._path) if path.peak is not None]
-        size = abs(float(self.objective.value(integrals, finals, peaks, duration.sum())))
-        return size if 0.0 < size < SMALL else 1.0
+        return float(self.objective.value(integrals, finals, peaks, duration.sum()))
 
     def _along(self, mesh: Mesh, u: np.ndarray) -> list[np.ndarray]:
         """Return the results of `stage` at the points of a mesh, with other controls (U, N s)."""
@@ -755,8 +766,10 @@ def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Sto
     """
     found = results_of([partial(method.solved, guess, stop, most) for method, guess, most in problems], stop)
     return [
-        replace(guess, solution=Solution(guess.values, np.nan, {})) if mesh is None else mesh
-        for mesh, (_, guess, _) in zip(found, problems, strict=True)
+        replace(guess, solution=Solution(guess.values, method.objective_at(guess, guess.values["u"]), {}))
+        if mesh is None
+        else mesh
+        for mesh, (method, guess, _) in zip(found, problems, strict=True)
     ]
 
 

@@ -420,10 +420,9 @@ def test_derivatives_of_points_and_ends_are_those_of_the_whole_program() -> None
         collocation={"points": 2, "intervals": 2},
     )  # fmt: skip
     problem = transcribed(load_predict_spec({k: x for k, x in spec.items() if k not in ("duration", "final")}))
-    unknowns, _, conditions, objective, points, hessian = problem._program(problem.guess().grid)
+    unknowns, _, conditions, objective, jacobian, hessian = problem._program(problem.guess().grid)
     x, factor = ca.vertcat(*map(ca.vec, unknowns.values())), ca.MX.sym("factor")
-    symbolic = ca.vertcat(*(ca.vec(condition.value) for condition in conditions))
-    values, objective = points.put_into(symbolic, objective)
+    values = ca.vertcat(*(ca.vec(condition.value) for condition in conditions))
     lam, random = ca.MX.sym("lam", values.numel()), np.random.default_rng(0)
     whole = ca.Function(
         "whole", [x, factor, lam], [ca.triu(ca.hessian(factor * objective + ca.dot(lam, values), x)[0])]
@@ -432,7 +431,7 @@ def test_derivatives_of_points_and_ends_are_those_of_the_whole_program() -> None
     parts = hessian.whole({condition.name: condition.value for condition in conditions}, x, sizes)
     at, multipliers = random.standard_normal(x.numel()), random.standard_normal(values.numel())
     slopes = ca.Function("slopes", [x], [values, ca.jacobian(values, x)])(sizes * at)
-    found = points.jacobian(symbolic, x, sizes)(at, [])
+    found = jacobian.whole(x, sizes)(at, [])
     np.testing.assert_array_equal(np.array(found[0]), np.array(slopes[0]))
     np.testing.assert_allclose(np.array(ca.DM(found[1])), np.array(ca.DM(slopes[1])) * sizes, rtol=1e-13, atol=1e-13)
     expected = np.diag(sizes) @ np.array(ca.DM(whole(sizes * at, 1.7, multipliers))) @ np.diag(sizes)

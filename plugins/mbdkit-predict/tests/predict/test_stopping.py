@@ -7,7 +7,6 @@ import signal
 import sys
 import threading
 import time
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,30 +18,9 @@ import mbdkit
 from mbdkit import RunError
 from mbdkit.cli import app
 from mbdkit_predict.processes import GRACE, Stop, results_of
+from predict.chains import chain
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="solutions have processes of their own on Linux only")
-
-
-def chain(count: int) -> dict[str, Any]:
-    """Return a problem whose first mesh takes longer than any limit of these tests: rods with torques in all joints."""
-    names = ["ground", *(f"rod{k}" for k in range(count))]
-    pairs = list(pairwise(names))
-    model = {
-        "name": "mechanism",
-        "bodies": {b: {"mass": 1, "inertia": 1 / 12, "position": [0, -k - 0.5]} for k, (_, b) in enumerate(pairs)},
-        "joints": {b: {"type": "revolute", "bodies": [a, b], "at": [0, -k]} for k, (a, b) in enumerate(pairs)},
-        "forces": {
-            b: {"type": "torque", "body": b, "value": 0.0, **({} if a == "ground" else {"reaction_body": a})}
-            for a, b in pairs
-        },
-    }
-    return {
-        "mbdkit_predict": 1, "base": {"model": model}, "duration": 1.0,
-        "controls": {f"forces.{b}.value": {"bounds": [-1e4, 1e4]} for b in names[1:]},
-        "initial": {f"bodies.{b}.{what}": 0 for b in names[1:] for what in ("angle", "angular_velocity")},
-        "final": {f"bodies.{b}.{what}": x for b in names[1:] for what, x in (("angle", 0.3), ("angular_velocity", 0))},
-        "minimize": " + ".join(f"integral(forces.{b}.value**2)" for b in names[1:]),
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize("count", [2, pytest.param(40, marks=pytest.mark.slow)])

@@ -81,6 +81,14 @@ def test_the_references_are_those_of_the_methods_used_and_of_no_others():
     assert any("order 6, symmetric and symplectic" in paragraph for paragraph in gauss.paragraphs)
 
 
+def test_the_controller_of_adaptive_steps_is_named_with_its_reference():
+    integrator = {"name": "dopri5", "adaptive": True, "step_control": {"name": "h211b", "b": 6.0}}
+    found = methods([load_spec("knee", integrator=integrator, time={"end": 1.0}).model_dump(mode="json")])
+    assert any("h211b" in text and text.endswith("b 6.") for text in found.paragraphs)
+    assert any("Drift: only accelerations" in text for text in found.paragraphs)
+    assert any("{soderlind2003," in entry for entry in found.bibtex)
+
+
 def test_a_method_that_is_not_installed_is_named_as_missing():
     found = methods([{"model": {"name": "acme:crane"}, "integrator": {"name": "rk4"}}])
     assert any("acme:crane is not installed here" in paragraph for paragraph in found.paragraphs)

@@ -19,6 +19,7 @@ from mbdkit.kernels import suits_lanes, topology_of
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
+from mbdkit.methods.step_filter import StepFilter
 from mbdkit.runs.preparation import build
 from mbdkit.spec import RunSpec
 from mbdkit_studies.lanes.lane_stepper import (
@@ -46,6 +47,8 @@ IMPLICIT = [name for name, method in METHODS.items() if isinstance(method, Impli
 
 
 TIGHT, LOOSE = Tolerances(1e-9, 1e-9, by_size=True), Tolerances(1e-4, 1e-5, max_step=0.2)
+H211B = StepFilter((0.25, 0.25), (0.25,))
+H321 = StepFilter((1 / 3, 1 / 18, -5 / 18), (-5 / 6, -1 / 6))
 
 CONTROLLED: dict[str, ExplicitRungeKutta | ImplicitRungeKutta] = {
     "adaptive dopri5": ExplicitRungeKutta(dopri5.tableau(), dopri5.pair(), TIGHT),
@@ -54,11 +57,16 @@ CONTROLLED: dict[str, ExplicitRungeKutta | ImplicitRungeKutta] = {
     "adaptive radau-iia-3": ImplicitRungeKutta(radau_iia.tableau(3), tolerances=TIGHT),
     "loose gauss-2": ImplicitRungeKutta(gauss.tableau(2), tolerances=LOOSE),
     "loose radau-iia-2 by fixed points": ImplicitRungeKutta(radau_iia.tableau(2), "fixed-point", tolerances=LOOSE),
+    "dopri5 with three errors": ExplicitRungeKutta(
+        dopri5.tableau(), dopri5.pair(), dataclasses.replace(LOOSE, control=H321)
+    ),
+    "gauss-2 with a filter": ImplicitRungeKutta(gauss.tableau(2), tolerances=dataclasses.replace(LOOSE, control=H211B)),
 }
 RECORDED: dict[str, dict[str, Any]] = {
     "adaptive dopri5": {"every": 1}, "adaptive dop853": {"interval": 0.011}, "loose dop853": {"every": 3},
     "adaptive radau-iia-3": {"every": 2}, "loose gauss-2": {"interval": 0.011},
-    "loose radau-iia-2 by fixed points": {"every": 1},
+    "loose radau-iia-2 by fixed points": {"every": 1}, "dopri5 with three errors": {"every": 1},
+    "gauss-2 with a filter": {"interval": 0.011},
 }  # fmt: skip
 
 

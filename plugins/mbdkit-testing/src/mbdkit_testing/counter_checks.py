@@ -42,6 +42,11 @@ class InstrumentedEquations(EquationsOfMotion):
         self.seen["rhs_evaluations"] += 1
         return super().residual(t, q, v, a, lam)
 
+    def project(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Count and project."""
+        self.seen["projections"] += 1
+        return super().project(t, q, v)
+
     def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
         """Count and project."""
         self.seen["projections"] += 1

@@ -55,7 +55,7 @@ brackets, an angle in radians. Another unit of the same quantity can follow the 
 `2 N/mm` and `500 ms`. Any number of the model may also be an expression of `parameters`, such as `0.5*crank` or
 `degrees(45)`. `mbdkit schema KIND`, where KIND is `run`, `study`, `inverse`, `design` or `identify`, prints these keys,
 and those of installed plugins, as a JSON schema for editors; `mbdkit plugins show NAME` prints the options of one
-model, integrator or force law.
+model, integrator, controller of steps or force law.
 """
 
 PARTS = ("model", "integrator", "stabilization")
@@ -118,6 +118,9 @@ def page(installed: Registry) -> str:
         "## Integrators",
         "Claims hold for the default options. The page `methods` helps to choose.",
         *(part for item in installed.of_kind("integrator") for part in _item(item)),
+        "### `step_control`",
+        "Adaptive steps of every integrator may have one of these controllers. The page `methods` helps to choose.",
+        *(part for item in installed.of_kind("step-control") for part in _item(item, "####")),
         "## Stabilizations",
         *(
             part

@@ -47,13 +47,13 @@ def methods(specs: Iterable[Mapping[str, object]], sources: Iterable[str] = ()) 
     sources
         Further BibTeX entries, such as those of a packaged study.
     """
-    specs = list(specs)
+    specs = [_with_control_apart(spec) for spec in specs]
     forward = [spec for spec in specs if "integrator" in spec]
     paragraphs = [_EQUATIONS, _stabilization(forward)] if forward else []
     if any(kind_of(spec).run_kind == "inverse" for spec in specs):
         paragraphs.append(_INVERSE)
     references = [_own_reference(), *sources]
-    for kind in ("model", "integrator"):
+    for kind in ("model", "integrator", "step-control"):
         for name, options in _used(specs, kind).items():
             item = _find(kind, name)
             if item is None:
@@ -64,15 +64,24 @@ def methods(specs: Iterable[Mapping[str, object]], sources: Iterable[str] = ()) 
     return Methods(tuple(paragraphs), tuple(dict.fromkeys(entry.strip() for entry in references)))
 
 
+def _with_control_apart(spec: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a spec in which the controller of adaptive steps stands beside the integrator."""
+    integrator = dict(spec.get("integrator", {}))
+    if "step_control" not in integrator:
+        return spec
+    control = integrator.pop("step_control")
+    return {**spec, "integrator": integrator, **({} if control is None else {"step-control": control})}
+
+
 def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[str, Any]]]:
-    """Return the distinct options of each model or integrator (`kind`) in the specs, by its name. The options of models
-    are left out.
+    """Return the distinct options of each model, integrator or controller (`kind`) in the specs, by its name. The
+    options of models are left out.
     """
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for spec in specs:
         if kind not in spec:  # inverse dynamics has no integrator
             continue
-        options = {key: value for key, value in spec[kind].items() if key != "name"} if kind == "integrator" else {}
+        options = {key: value for key, value in spec[kind].items() if key != "name"} if kind != "model" else {}
         found.setdefault(str(spec[kind]["name"]), {}).setdefault(json.dumps(options, sort_keys=True), options)
     return {name: list(options.values()) for name, options in found.items()}
 
@@ -95,7 +104,7 @@ def _paragraph(item: Registered, used: list[dict[str, object]]) -> str:
     settings = "; ".join(f"{key} {listed(given, 'and')}" for key, given in values.items())
     origin = f"{item.origin.distribution} {item.origin.version}"
     parts = [
-        f"{item.kind.capitalize()} {item.name} ({origin}): {item.plugin.summary}",
+        f"{item.plugin.label().capitalize()} {item.name} ({origin}): {item.plugin.summary}",
         f"Settings: {settings}." if settings else "",
     ]
     if isinstance(item.plugin, IntegratorPlugin):

@@ -1,7 +1,7 @@
-"""Derivatives of a transcription, assembled from those of its collocation points.
+"""First and second derivatives of a transcription, assembled from those of its collocation points.
 
 CasADi finds the nonzeros of a whole Hessian, and the colors of its columns, in a time that grows with the square of the
-number of points, and evaluates a Jacobian once for each color.
+number of points. For a whole Jacobian, it evaluates as many directional derivatives as a point has variables.
 """
 
 from __future__ import annotations
@@ -11,46 +11,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-
-
-class PointValues:
-    """Values of a function at K points, for which a program contains symbols.
-
-    Parameters
-    ----------
-    variables
-        The arguments of each point, linear functions of the unknowns, as columns (V, K).
-    function, jacobian
-        The function of V variables with R values, and its Jacobian (R, V).
-
-    Attributes
-    ----------
-    symbols
-        Symbols (R, K) of the values.
-    """
-
-    def __init__(self, variables: ca.MX, function: ca.Function, jacobian: ca.Function):
-        self._variables, self._jacobian, count = variables, jacobian, variables.shape[1]
-        self.symbols = ca.MX.sym("at_points", function.size1_out(0), count)
-        self._values = function.map(count)(variables)
-
-    def put_into(self, *expressions: ca.MX) -> list[ca.MX]:
-        """Return expressions with the values in place of their symbols."""
-        return list(ca.graph_substitute(expressions, [self.symbols], [self._values]))
-
-    def jacobian(self, conditions: ca.MX, unknowns: ca.MX, sizes: np.ndarray) -> ca.Function:
-        """Return the Jacobian of conditions, for unknowns divided by their sizes, as the optimizer takes it."""
-        count = self.symbols.shape[1]
-        blocks = self._jacobian.map(count)(self._variables)
-        of_points = ca.MX(ca.diagcat(*[self._jacobian.sparsity_out(0)] * count), blocks.nz[:])
-        places = ca.sparsify(ca.evalf(ca.jacobian(ca.vec(self._variables), unknowns)))
-        by_values = ca.jacobian(conditions, ca.vec(self.symbols))
-        whole = ca.jacobian(conditions, unknowns) + ca.mtimes([by_values, of_points, places])
-        whole = ca.mtimes(whole, ca.diag(ca.DM(sizes)))
-        function = ca.Function("slopes", [unknowns], self.put_into(conditions, whole))
-        x = ca.MX.sym("x", *unknowns.shape)
-        arguments = [x, ca.MX.sym("p", 0)]
-        return ca.Function("jac_g", arguments, function(ca.DM(sizes) * x), ["x", "p"], ["g", "jac_g_x"])
 
 
 @dataclass(frozen=True)
@@ -98,3 +58,42 @@ class PointHessian:
         scaled = ca.mtimes([scale, function(ca.DM(sizes) * x, factor, lam), scale])
         arguments = [x, ca.MX.sym("p", 0), factor, lam]
         return ca.Function("hessian", arguments, [scaled], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])
+
+
+@dataclass(frozen=True)
+class PointJacobian:
+    """The derivatives of all conditions.
+
+    Attributes
+    ----------
+    variables
+        As in `PointHessian`.
+    results
+        Symbol of the results (R, K) of a function of these variables at each of the K points.
+    blocks
+        The Jacobians of all points side by side, (R, K V).
+    conditions
+        The values of all conditions, one column, as an expression of the unknowns and of `results`.
+    values
+        The results, as an expression of the unknowns.
+    """
+
+    variables: ca.MX
+    results: ca.MX
+    blocks: ca.MX
+    conditions: ca.MX
+    values: ca.MX
+
+    def whole(self, unknowns: ca.MX, sizes: np.ndarray) -> ca.Function:
+        """Return the values of all conditions and their derivatives, for unknowns divided by their sizes."""
+        sides = ca.horzsplit(self.blocks.sparsity(), self.variables.shape[0])
+        of_points = ca.MX(ca.diagcat(*sides), self.blocks.nz[:])
+        places = ca.sparsify(ca.evalf(ca.jacobian(ca.vec(self.variables), unknowns)))
+        by_results = ca.jacobian(self.conditions, ca.vec(self.results))
+        slopes = ca.jacobian(self.conditions, unknowns) + ca.mtimes([by_results, of_points, places])
+        function = ca.Function("jacobian", [unknowns, self.results], [self.conditions, slopes])
+        x, scale = ca.MX.sym("x", *unknowns.shape), ca.diag(ca.DM(sizes))
+        at = ca.mtimes(scale, x)
+        values, slopes = function(at, ca.Function("results", [unknowns], [self.values])(at))
+        names = ["x", "p"], ["g", "jac_g_x"]
+        return ca.Function("jacobian", [x, ca.MX.sym("p", 0)], [values, ca.mtimes(slopes, scale)], *names)
