@@ -63,7 +63,7 @@ class StepAttempts:
         #: Time of a soft stop besides those of the timetable, at which an open run pauses [s].
         self.pause = math.inf
         self._judged = math.inf, 0.0  # size of the next step, and error of this one over its tolerance
-        self._retrying, self._rejected = False, 0
+        self._retrying, self._rejected, self._iterations = False, 0, 0  # the latter two before the first attempt
 
     def begun(self, t: float, state: StepState, why: Why) -> StepState:
         """Return a state with the memory for a step that begins anew."""
@@ -84,7 +84,7 @@ class StepAttempts:
         `worst` (P,) are updated. Raises StepError and any exception of the method.
         """
         counters = self.equations.counters
-        self._retrying, self._rejected = False, counters.rejected
+        self._retrying, self._rejected, self._iterations = False, counters.rejected, counters.newton_iterations
         while True:
             self._begin, plan = begin, self._next(begin)
             try:
@@ -111,7 +111,7 @@ class StepAttempts:
         plan, share = self._next(begin), 1.0
         if now.is_event:  # the step ended earlier than planned
             share = (now.begin - plan.begin) / plan.size
-        self._begin, self._retrying = begin, False
+        self._begin, self._retrying, self._iterations = begin, False, self.equations.counters.newton_iterations
         try:
             end, wanted = self._attempt(begin, plan, worst, theta * share).end, share * theta
         except (StepError, RejectedError):
@@ -162,7 +162,6 @@ class StepAttempts:
         of the method.
         """
         table, counters = self.timetable, self.equations.counters
-        iterations = counters.newton_iterations
         done, t, h = begin.done + 1, plan.begin, theta * plan.size
         # a sum of steps would accumulate rounding errors
         is_grid = self.is_fixed and h == table.step
@@ -176,7 +175,7 @@ class StepAttempts:
             raise self._unsolved(h, StepError("not-finite", "positions or velocities overflowed"))
         inside = self.results.inside(self._made)
         energy, low = self._energies.booked(begin, t, h, taken, inside)
-        iterations, rejected = counters.newton_iterations - iterations, counters.rejected - self._rejected
+        iterations, rejected = counters.newton_iterations - self._iterations, counters.rejected - self._rejected
         size, error = self._judged
         if plan.is_at_stop and not self._retrying:
             size = max(size, begin.size)  # the stop has shortened the step, not its error
