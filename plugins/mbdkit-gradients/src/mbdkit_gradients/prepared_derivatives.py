@@ -252,8 +252,8 @@ class RunPreparation(Preparation):
                 values = {one.path: one.value for one in changed if one.path[0] != "initial"}
                 initial = {str(one.path[1]): one.value for one in changed if one.path[0] == "initial"}
                 start, both = {**self.initial, **initial}, {**self.values, **values}
-                shared = self._prepared, self._equations
-                other = RunPreparation(self._base, self._numbers, start, self._specs, both, *shared)
+                made = self._specs, both, self._prepared, self._equations
+                other = RunPreparation(self._base, self._numbers, start, *made)
                 known = np.array([one.value for one in parameters])
                 if other.repeated(KnownDerivatives(known, self.mechanism, self.base, found), changed) is not None:
                     return found

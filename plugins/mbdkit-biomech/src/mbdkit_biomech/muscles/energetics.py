@@ -60,7 +60,8 @@ def fiber_power(muscle: Muscle, tension: np.ndarray, length: np.ndarray, rate: n
 
 def _positive(x: np.ndarray, width: float) -> np.ndarray:
     """Return the larger of x (...) and 0; with a width, rounded: x = 0 gives half the width."""
-    return np.maximum(x, 0.0) if width == 0.0 else 0.5 * (x + elementary.hypot(x, width))
+    rounded: np.ndarray = np.maximum(x, 0.0) if width == 0.0 else 0.5 * (x + elementary.hypot(x, width))
+    return rounded
 
 
 def metabolic_power(
