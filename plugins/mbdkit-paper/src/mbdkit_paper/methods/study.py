@@ -11,6 +11,7 @@ import yaml
 from pydantic import ValidationError
 
 from mbdkit.plugin import Claims, MbdkitError
+from mbdkit.plugin.runs import build, make_method, require_support
 from mbdkit.plugin.specs import choice_of, named_options, registry
 from mbdkit_paper.methods.problems import Problem, problems
 from mbdkit_studies import IN_TOLERANCES, claims_of
@@ -81,14 +82,23 @@ def _ways(method: Method, problem: Problem) -> Iterator[tuple[str, dict[str, Any
         if name.partition(" ")[0] not in problem.formulations:
             continue
         keys = {"integrator": dict(method.integrator), "formulation": choice_of(name)}
-        if not problem.treatments:
+        if not problem.treatments and (not method.claims.mechanisms or _supports(problem, keys)):
             yield name, keys
             if name == "index-1" and "projection" in method.claims.stabilizations:
                 yield "index-1, projected", keys | {"stabilization": "projection"}
         for treatment in problem.treatments:
-            with suppress(MbdkitError):  # few methods step over impacts
-                problem.spec(problem.step, **keys, contact={"treatment": treatment})
+            if _supports(problem, keys | {"contact": {"treatment": treatment}}):
                 yield f"{name}, {treatment}", keys | {"contact.treatment": treatment}
+
+
+def _supports(problem: Problem, keys: dict[str, Any]) -> bool:
+    """Return whether the method in the keys of a run does not refuse a problem."""
+    try:
+        spec = problem.spec(problem.step, **keys)
+        require_support(spec, make_method(spec), build(spec)[0].mechanism)
+    except MbdkitError:
+        return False
+    return True
 
 
 def column(problem: str, quantity: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from mbdkit_studies import Study, StudyPoint
 
 TARGET = 1e-6
-"""Relative error at which costs are compared."""
+"""Relative error at which costs are compared, unless the references are less accurate."""
 DRAWN = 10
 """Largest number of integrators in a figure, besides added ones; more lines would not be legible."""
 ENOUGH = 3
@@ -69,17 +70,17 @@ class Result:
         return tuple(sum(value(point, name) for name in OPERATIONS) for point in self.points)
 
     def cost(self, of: Sequence[float]) -> float:
-        """Return the least cost of the runs whose errors are at most `TARGET`; nan if none is."""
-        return work_for([0.0 if math.isnan(cost) else cost for cost in of], self.errors, TARGET)
+        """Return the least cost for errors of at most `_target`; nan if it is not reached."""
+        return work_for([0.0 if math.isnan(cost) else cost for cost in of], self.errors, _target(self.problem))
 
     @cached_property
     def work(self) -> float:
-        """Operations for an error of `TARGET`."""
+        """Operations for the error of the comparison."""
         return self.cost(self.operations)
 
     @cached_property
     def seconds(self) -> float:
-        """Wall time for an error of `TARGET` [s]."""
+        """Wall time for the error of the comparison [s]."""
         return self.cost([value(point, "wall_s") for point in self.points])
 
     @property
@@ -132,8 +133,9 @@ def verdict(study: Study) -> Verdict:
         f"At least {ENOUGH} integrators reach the published results of {reached} of {len(claims)} problems that print "
         f"any. {failures} of {len(study.points)} runs failed or reached the limit of wall time."
     )
-    limits = sorted({limit for point in study.points if (limit := point.spec.limits.wall_time)})
-    limit = " or ".join(f"{limit:g}" for limit in limits) or "no"
+    bases = [json.loads(study.family(name)[0].planned.grid.base_json) for name in study.families]
+    limits = sorted({base["limits"]["wall_time"] for base in bases})
+    limit = " or ".join(f"{limit:g}" for limit in limits)
     return Verdict(
         "methods",
         study.spec.title,
@@ -141,7 +143,7 @@ def verdict(study: Study) -> Verdict:
         claims,
         (
             WORDS.table("choice", [_choice(name, found) for name, found in by_problem.items()]),
-            WORDS.table("results", [_row(study, result) for result in results]),
+            WORDS.table("results", [_row(result) for result in results]),
             _failures(results),
             WORDS.table("problems", [row for name in by_problem for row in _statement(name, problems()[name])]),
         ),
@@ -165,6 +167,11 @@ def _results(study: Study) -> Iterator[Result]:
     order = list(problems())
     for key, points in sorted(found.items(), key=lambda item: order.index(item[0][0])):
         yield Result(*key, tuple(points))
+
+
+def _target(problem: str) -> float:
+    """Return the relative error at which costs are compared on a problem."""
+    return max(TARGET, *(known.reference_error for known in problems()[problem].quantities.values()))
 
 
 def _prints(problem: Problem) -> bool:
@@ -198,23 +205,23 @@ def _choice(name: str, results: Sequence[Result]) -> tuple[Cell, ...]:
     )  # fmt: skip
 
 
-def _row(study: Study, result: Result) -> tuple[Cell, ...]:
+def _row(result: Result) -> tuple[Cell, ...]:
     best = result.best
     complete = f"{sum(point.status == 'complete' for point in result.points)} of {len(result.points)}"
     codes = ", ".join(dict.fromkeys(point.reason.partition(":")[0] for point in result.failed))
     if best is None:
         return (result.problem, result.method, complete, *[None] * 10, codes)
-    run, by_mbdkit = study.run(best), None
-    if run is not None:
-        with run:
-            by_mbdkit = run.stats.get("host_evaluations")
     setting = next(f"{label:.2g}" for key, label in best.axes.items() if key != "method")
-    columns = ("multiplier_error", "misalignment_max", *OPERATIONS, "wall_s")
-    numbers = [None if math.isnan(number := value(best, name)) else float(f"{number:.6g}") for name in columns]
+    errors: list[Cell] = [_known(value(best, name)) for name in ("multiplier_error", "misalignment_max")]
+    counters = (OPERATIONS[0], "host_evaluations", *OPERATIONS[1:])
+    counts = [None if math.isnan(count := value(best, name)) else int(count) for name in counters]
     work = None if math.isnan(result.work) else round(result.work)
-    evaluations = [None if number is None else int(number) for number in numbers[2:5]]
-    cells = (setting, result.error, *numbers[:2], evaluations[0], by_mbdkit and int(by_mbdkit), *evaluations[1:])
-    return (result.problem, result.method, complete, *cells, numbers[5], work, codes)
+    cells = (complete, setting, result.error, *errors, *counts, _known(value(best, "wall_s")), work, codes)
+    return (result.problem, result.method, *cells)
+
+
+def _known(number: float) -> float | None:
+    return None if math.isnan(number) else number
 
 
 def _failures(results: Sequence[Result]) -> Table:
