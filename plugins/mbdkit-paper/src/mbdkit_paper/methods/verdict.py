@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 TARGET = 1e-6
 """Relative error at which costs are compared, unless the references are less accurate."""
-DRAWN = 10
-"""Largest number of integrators in a figure, besides added ones; more lines would not be legible."""
+DRAWN = 6
+"""Largest number of integrators in a figure, besides added ones; there are no more colours."""
 ENOUGH = 3
 """Number of integrators that have to reach a published result."""
 LEAST = 1e-17
@@ -41,7 +41,7 @@ class Result:
     problem, method
         Name of the problem, and label of the method.
     integrator
-        Name and options of the integrator, as text.
+        Name of the integrator.
     points
         The runs, which differ in the step or in the tolerance.
     """
@@ -157,9 +157,7 @@ def _results(study: Study) -> Iterator[Result]:
     integrators: dict[tuple[str, str], str] = {}
     for name, family in study.spec.families.items():
         for entry in family.axes[0]["method"]:  # type: ignore[attr-defined]
-            chosen = entry["set"]["integrator"]
-            text = ", ".join(f"{key} {option}" for key, option in chosen.items() if key != "name")
-            integrators[name, str(entry["label"])] = f"{chosen['name']}, {text}" if text else chosen["name"]
+            integrators[name, str(entry["label"])] = entry["set"]["integrator"]["name"]
     for point in study.points:
         label = str(point.axes["method"])
         key = point.family.removesuffix(IN_TOLERANCES), label, integrators[point.family, label]
@@ -180,7 +178,7 @@ def _prints(problem: Problem) -> bool:
 
 def _published(name: str, results: Sequence[Result]) -> Claim:
     """Return the claim that the published results of a problem are reached by several integrators."""
-    meeting = list(dict.fromkeys(result.integrator.partition(",")[0] for result in results if result.meets()))
+    meeting = list(dict.fromkeys(result.integrator for result in results if result.meets()))
     answer = Answer.YES if len(meeting) >= ENOUGH else Answer.PARTLY if meeting else Answer.OPEN
     values = {"problem": name, "title": problems()[name].title, "count": len(meeting), "enough": ENOUGH}
     return WORDS.claim("published", answer, name, names=", ".join(meeting) or "none", **values)
@@ -249,7 +247,7 @@ def _statement(name: str, problem: Problem) -> Iterator[tuple[Cell, ...]]:
 
 
 def _figure(name: str, results: Sequence[Result], added: Sequence[str]) -> Figure:
-    """Return the work-precision figure of a problem: each integrator in the formulation that costs it the least."""
+    """Return the work-precision figure of a problem: each integrator as it costs the least."""
 
     def rank(result: Result) -> tuple[bool, float, float]:
         return math.isnan(result.work), 0.0 if math.isnan(result.work) else result.work, result.error
