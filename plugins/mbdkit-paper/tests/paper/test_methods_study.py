@@ -109,7 +109,7 @@ def test_every_method_has_each_formulation_that_it_claims_and_the_problem_allows
 
 
 def test_only_studies_with_a_short_form_have_one() -> None:
-    with pytest.raises(SpecError, match="^--quick: only packaged studies"):
+    with pytest.raises(SpecError, match=r"^--quick: only packaged studies"):
         load_study_spec("convergence", quick=True)
 
 

@@ -58,7 +58,10 @@ class Method:
     @property
     def has_tolerance(self) -> bool:
         """Whether the tolerance varies in place of the step."""
-        return self.claims.adaptive and "rtol" in named_options(registry().get("integrator", self.integrator["name"])).model_fields
+        return (
+            self.claims.adaptive
+            and "rtol" in named_options(registry().get("integrator", self.integrator["name"])).model_fields
+        )
 
 
 def installed() -> Iterator[Method]:
@@ -139,7 +142,7 @@ def _families(name: str, problem: Problem, methods: list[Method], extent: Extent
     shared = {key: yaml.safe_load(value) for key, value in changes.items()}
     shared["measures"] = {column(name, key): quantity.value for key, quantity in problem.quantities.items()}
     shared["time"] = {"end": problem.end}
-    reference = {"formulation": "index-1", "stabilization": "none", "time": {"end": problem.end}}
+    reference: dict[str, object] = {"formulation": "index-1", "stabilization": "none", "time": {"end": problem.end}}
     reference |= {"limits.wall_time": None, **problem.precise}
     scale = problem.step or 1.0
     for suffix, axis, varies in (

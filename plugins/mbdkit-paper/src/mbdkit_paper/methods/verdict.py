@@ -156,7 +156,7 @@ def _results(study: Study) -> Iterator[Result]:
     found: dict[tuple[str, str, str], list[StudyPoint]] = {}
     integrators: dict[tuple[str, str], str] = {}
     for name, family in study.spec.families.items():
-        for entry in family.axes[0]["method"]:  # type: ignore[attr-defined]
+        for entry in family.axes[0]["method"]:
             integrators[name, str(entry["label"])] = entry["set"]["integrator"]["name"]
     for point in study.points:
         label = str(point.axes["method"])

@@ -229,9 +229,7 @@ def _with_each(spec: StudySpec, method: AddedMethod, notify: Callable[[str], Non
     return spec
 
 
-def _with(
-    spec: StudySpec, method: AddedMethod, notify: Callable[[str], None], *, repeated: bool = False
-) -> StudySpec:
+def _with(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None], *, repeated: bool = False) -> StudySpec:
     """Return a study with a method in one formulation; if it has the method already and this may be `repeated`, with
     the label of the method among the added ones.
     """
