@@ -128,11 +128,11 @@ def test_errors_are_those_of_the_problem(verdict: Verdict) -> None:
     run = mbdkit.run(problem.spec(0.0025, integrator={"name": "gauss", "stages": 3}))
     assert row["error"] == pytest.approx(max(problem.errors(run).values()), rel=1e-3)  # all results are smaller than 1
     assert row["evaluations"] == run.stats["rhs_evaluations"]
-    assert row["by mbdkit"] is None
+    assert row["by mbdkit"] == 0
     stranger = rows["floating-slider-crank", "verlet, index-1"]
     assert row["error of forces"] < 1e-6 < stranger["error of forces"] < 0.1
     assert stranger["misalignment"] < 1e-12  # it projects every step
-    assert stranger["by mbdkit"] is not None
+    assert stranger["by mbdkit"] > 0
 
 
 def test_methods_that_fail_are_shown_with_their_reason(verdict: Verdict) -> None:

@@ -22,8 +22,6 @@ from mbdkit_studies.spec.measures import MEASURES, SECOND, RunGroup, other_value
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, Index, Row, quartiles
 
-_NUMBERS = (*COUNTERS, *SOME_COUNTERS, *TIMINGS)
-
 
 class RunFiles(RunStore[str]):
     """Stores an archive for each run; the results of second runs and repeated timings are stored in the index.
@@ -43,7 +41,8 @@ class RunFiles(RunStore[str]):
         self._is_timed = any(grid.repeats > 1 for grid in self.plan.points.grids)
         self._of_second_runs = [name for name in spec.built_in_measures or () if name in SECOND]
         #: Names of the numeric columns that are computed from every archive; checked runs have further columns.
-        self._columns = (*self.plan.built_in, *(measure.name for measure in self._defined), *_NUMBERS)
+        self._columns = (*self.plan.built_in, *(measure.name for measure in self._defined))
+        self._columns += (*COUNTERS, *SOME_COUNTERS, *TIMINGS)
         self._hashes: dict[str, str] = {}
         #: The open reference run, by its id; runs of a family follow each other, and to open an archive takes long.
         self._compared: dict[str, Run] = {}
@@ -196,7 +195,8 @@ class RunFiles(RunStore[str]):
         group = RunGroup([run], reference)
         taken = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
         taken |= other_values(run, spec, self._defined)
-        return taken | {name: float(run.stats.get(name, math.nan)) for name in _NUMBERS}
+        numbers = {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
+        return taken | numbers | {name: float(run.stats.get(name, 0)) for name in SOME_COUNTERS}
 
     def _is_unchanged(self, run_id: str) -> bool:
         """Return whether the archive of a run has the same bytes as when it was indexed."""
