@@ -66,7 +66,8 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:  # type: ignore[empty-body]
 def mbdkit_studies() -> list[StudyPlugin]:  # type: ignore[empty-body]
     """Return the packaged studies of this plugin, which run by name: ``mbdkit study NAME``.
 
-    The study spec is a file of the package, and a function of the study returns the verdict::
+    The study spec is a file of the package, or a function that returns it. A function of the study returns the
+    verdict::
 
         def verdict(study):
             from mbdkit_report import Verdict

@@ -377,7 +377,8 @@ class StudyPlugin(Plugin):
     summary
         One line that describes the study.
     spec
-        File of the study spec (YAML, TOML or JSON). Paths in it are relative to the folder of this file.
+        File of the study spec (YAML, TOML or JSON), with paths relative to its folder; or a function that returns the
+        spec as a mapping. The function takes whether the short form of the study is wanted, as by ``--quick``.
     verdict
         Function that takes the `mbdkit.Study`, complete or not, and returns the verdict of the report, a
         `mbdkit_report.Verdict`; None for the general verdict of a study. Decorated with
@@ -393,7 +394,7 @@ class StudyPlugin(Plugin):
 
     name: str
     summary: str
-    spec: Path
+    spec: Path | Callable[[bool], Mapping[str, object]]
     verdict: Given[Callable[..., object] | None] = Given(None)
     references: Given[tuple[str, ...]] = Given(())
     order: int = 500
@@ -411,8 +412,11 @@ class StudyPlugin(Plugin):
         return vars(self)["verdict"] is not None
 
     def _check_spec(self) -> None:
+        if callable(self.spec):
+            self._check_callable("spec", "quick")
+            return
         if not isinstance(self.spec, Path):
-            raise PluginError(f"its spec is {described(self.spec)}, not a pathlib.Path")
+            raise PluginError(f"its spec is {described(self.spec)}, not a pathlib.Path or a function")
         if not self.spec.is_file():
             raise PluginError(f"its spec is not a file: {self.spec}")
 

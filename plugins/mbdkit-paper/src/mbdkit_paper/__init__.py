@@ -8,6 +8,14 @@ from mbdkit.plugin import StudyPlugin, Target
 
 _HERE = Path(__file__).parent
 
+
+def _methods(quick: bool) -> dict[str, object]:
+    """Return the spec of the study `methods`, whose runs depend on what is installed."""
+    from mbdkit_paper.methods.study import study
+
+    return study(quick)
+
+
 STUDIES = (
     StudyPlugin(
         "paper",
@@ -43,6 +51,12 @@ STUDIES = (
         "knee-spring",
         "Sobol indices of the knee force for stiffness and ends of a support, and body mass.",
         _HERE / "knee_spring" / "study.yaml",
+    ),
+    StudyPlugin(
+        "methods",
+        "Error, drift, forces and cost of all installed integrators on problems with published results.",
+        _methods,
+        Target("mbdkit_paper.methods.verdict:verdict"),
     ),
     StudyPlugin(
         "no-drift",

@@ -61,6 +61,10 @@ class Stored:
             ),
         ),
     ] = None
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="Run the short form of a packaged study that has one, such as methods."),
+    ] = False
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -153,6 +157,7 @@ def study(
             with_=stored.methods or (),
             overwrite=stored.overwrite,
             store=stored.store,
+            quick=stored.quick,
             call=call,
         )
     page, told, values = None, "", {}

@@ -14,6 +14,7 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.plugin.specs import registry
 from mbdkit.spec import load_spec
 from mbdkit.spec.schema import HOME, run_schema
 from mbdkit_studies.compute.study_plan import plan_study
@@ -295,6 +296,8 @@ def test_a_study_says_why_its_runs_are_not_vectorized(sections: dict[str, Any], 
 @pytest.mark.parametrize("name", study_names())
 def test_every_packaged_study_is_valid_and_names_the_schema(name):
     assert load_study_spec(name).title
+    if callable(registry().get("study", name).plugin.spec):
+        return  # it is no file
     first = (files("mbdkit_paper") / name.replace("-", "_") / "study.yaml").read_text("utf-8").splitlines()[0]
     assert first == f"# yaml-language-server: $schema={HOME.format('study')}"
 

@@ -22,8 +22,8 @@ class StudyUnderTest(ItemUnderTest):
 
     @cached_property
     def spec(self) -> StudySpec:
-        """The spec of the packaged study."""
-        return load_study_spec(self.item.id)
+        """The spec of the packaged study, in its short form if it has one."""
+        return load_study_spec(self.item.id, quick=callable(getattr(self.item.plugin, "spec", None)))
 
 
 @check("study.spec")

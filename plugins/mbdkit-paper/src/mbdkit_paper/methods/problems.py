@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from mbdkit.plugin import Run, RunSpec
 
 
+PRECISE = {"integrator": {"name": "dop853", "adaptive": True, "rtol": 1e-13}, "stabilization": "projection"}
+
+
 class Quantity(StrictModel):
     """One result of a problem, in SI units."""
 
@@ -45,6 +48,8 @@ class Problem(StrictModel):
     """The largest fixed step of a comparison [s], which most implicit methods can take; None if all would fail."""
     quantities: dict[str, Quantity]
     """The results by name."""
+    precise: dict[str, Any] = PRECISE
+    """Keys of a run whose forces are the references of forces."""
     formulations: tuple[Literal["index-1", "index-2", "index-3", "ggl", "joint-coordinates"], ...]
     """Formulations in which the problem has this solution."""
     treatments: tuple[Literal["event-driven", "time-stepping"], ...] = ()

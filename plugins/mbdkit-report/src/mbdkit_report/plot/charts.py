@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogFormatterSciNotation
 
 from mbdkit.plugin import UnknownNameError, file_error
 from mbdkit_report.figures.page_model import Figure
@@ -205,6 +206,8 @@ def _draw(axes: Axes, chart: Figure, looks: Sequence[Look], labels: Look, notes:
         axes.set_aspect("equal", adjustable="datalim")
     if chart.x.log:
         axes.set_xscale("log")
+        # labels between powers of ten stand side by side, so that more than a few would overlap
+        axes.xaxis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(0.5, 0.25)))
     if chart.y.log:
         axes.set_yscale("log")
     return found

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from mbdkit.plugin import Claims, MbdkitError, RunSpec, SpecError, listed, value_text
 from mbdkit.plugin.runs import build, make_method, require_support
-from mbdkit.plugin.specs import choice_of, named_options, parse_key, put, registry, spec_error
+from mbdkit.plugin.specs import choice_of, name_of, named_options, parse_key, put, registry, spec_error
 from mbdkit.spec.reading import read_value
 from mbdkit_studies.points.planned_points import HOW, Grid, PlannedPoints, Setting, grids, sets_method
 from mbdkit_studies.results.point_selection import IN_TOLERANCES
@@ -180,7 +180,8 @@ def with_methods(
     """Return a study with further methods, each as one more value of every axis of methods.
 
     A method joins with the formulation and stabilization that the study sets, or with the first ones of its claims,
-    whichever suit most families. Where the study
+    whichever suit most families. Where every method of the study states its formulation, it joins in each formulation
+    of its claims; results that the study has already are then listed as those of an added method. Where the study
     varies the step, an adaptive method joins in a family of its own, with tolerances in place of steps.
 
     Parameters
@@ -199,11 +200,39 @@ def with_methods(
         if the method suits no family; the reason is then that of the first family.
     """
     for given in [methods] if isinstance(methods, str | Mapping) else methods:
-        spec = _with(spec, AddedMethod.read(given), notify)
+        method = AddedMethod.read(given)
+        spec = _with_each(spec, method, notify) if _states_formulations(spec) else _with(spec, method, notify)
     return spec
 
 
-def _with(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None]) -> StudySpec:
+def _states_formulations(spec: StudySpec) -> bool:
+    """Return whether every method of the study states its formulation."""
+    places = [place for grid in grids(spec) if (place := _place(grid)) is not None]
+    return bool(places) and all(
+        value.together and "formulation" in value.value for place in places for value in place.values
+    )
+
+
+def _with_each(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None]) -> StudySpec:
+    """Return a study with a method in each formulation that it claims and that suits any family."""
+    errors = []
+    for formulation in method.formulations:
+        label = method.label if method.is_labelled else f"{method.label}, {name_of(formulation)}"
+        settings = {**method.settings, "formulation": formulation}
+        one = replace(method, label=label, settings=settings, is_labelled=True)
+        try:
+            spec = _with(spec, one, notify, repeated=True)
+        except SpecError as error:
+            errors.append(error)
+    if len(errors) == len(method.formulations):
+        raise errors[0]
+    return spec
+
+
+def _with(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None], *, repeated: bool = False) -> StudySpec:
+    """Return a study with a method in one formulation; if it has the method already and this may be `repeated`, with
+    the label of the method among the added ones.
+    """
     first = next((point for point in PlannedPoints(spec) if not point.lacking), None)
     assert first is None or first.spec  # errors of the study itself are reported as such
     places = [place for grid in grids(spec) if (place := _place(grid)) is not None]
@@ -220,6 +249,8 @@ def _with(spec: StudySpec, method: AddedMethod, notify: Callable[[str], None]) -
         if not attempts[-1].refused:
             break
     best = min(attempts, key=lambda attempt: len(attempt.refused))  # the first of equal ones
+    if not best.joined and best.same and repeated:
+        return spec.changed(added=list(dict.fromkeys((*spec.added, *best.same))))
     if not best.joined:
         reason = next(iter(best.refused.values()), "has fixed steps, but this study varies the tolerance")
         raise SpecError(f"is already in this study, as '{best.same[0]}'" if best.same else reason, file=method.given)
@@ -282,7 +313,13 @@ class _Attempt:
             without = self._step_axis(place, chosen)
             span = RunSpec(**next(place.data(chosen))).span
             chosen |= _without_step(base, span, others if without is None else others - place.keys_set(without))
-        same = {place.words_of(value): value.label for value in place.values}
+        name, how = self.method.settings[METHOD]["name"].rpartition(":")[2], self.how["formulation"]
+        same = {
+            place.words_of(value): value.label
+            for value in place.values
+            if name in json.dumps(value.value)  # other methods differ anyway, and their specs take long to build
+            and (not value.together or value.value.get("formulation", how) == how)
+        }
         shared = chosen
         if sets_method(place.grid.reference or ()):
             shared = {key: value for key, value in chosen.items() if key not in HOW}

@@ -93,6 +93,7 @@ def study(
     overwrite: bool = False,
     store: Storing | None = None,
     call: bool = False,
+    quick: bool = False,
 ) -> Study:
     """Run a study: compute the runs that are missing in its folder.
 
@@ -131,6 +132,8 @@ def study(
         files of many runs, ``all`` arrays, ``histories``, a ``summary`` or ``hashes``.
     call
         Whether the Python functions that controllers of the specs name may be called. They can execute any code.
+    quick
+        Whether to run the short form of a packaged study that has one, such as ``methods``.
 
     Returns
     -------
@@ -167,7 +170,7 @@ def study(
         raise SpecError(
             "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
         )
-    spec = with_methods(load_study_spec(source, assignments), with_, notify)
+    spec = with_methods(load_study_spec(source, assignments, quick=quick), with_, notify)
     spec = spec if store is None else spec.stored_as(store)
     with calls_allowed(call):
         return _carried_out(spec, out, engine, shard, progress, notify, overwrite=overwrite)

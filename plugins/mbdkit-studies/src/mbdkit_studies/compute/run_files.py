@@ -6,14 +6,13 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 from mbdkit import ArchiveError
 from mbdkit.archive.untrusted_file import is_sparse
 from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, counted, load
-from mbdkit.plugin.archives import COUNTERS, DAMAGE, TIMINGS, data_sha256
+from mbdkit.plugin.archives import COUNTERS, DAMAGE, SOME_COUNTERS, TIMINGS, data_sha256
 from mbdkit.plugin.runs import functionals_of
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
 from mbdkit_studies.compute.tasks import Outcome, Task
@@ -42,8 +41,11 @@ class RunFiles(RunStore[str]):
         self._is_timed = any(grid.repeats > 1 for grid in self.plan.points.grids)
         self._of_second_runs = [name for name in spec.built_in_measures or () if name in SECOND]
         #: Names of the numeric columns that are computed from every archive; checked runs have further columns.
-        self._columns = (*self.plan.built_in, *(measure.name for measure in self._defined), *COUNTERS, *TIMINGS)
+        self._columns = (*self.plan.built_in, *(measure.name for measure in self._defined))
+        self._columns += (*COUNTERS, *SOME_COUNTERS, *TIMINGS)
         self._hashes: dict[str, str] = {}
+        #: The open reference run, by its id; runs of a family follow each other, and to open an archive takes long.
+        self._compared: dict[str, Run] = {}
 
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
         """See `RunStore.begin`."""
@@ -132,6 +134,7 @@ class RunFiles(RunStore[str]):
                     known[key] = self._row(*key)
                 row = known[key]
             rows.append(replace(row, family=point.family, axes=point.axes))
+        self._close()
         references = dict.fromkeys(reference_id for _, reference_id in known if reference_id)
         return Index.of_rows(rows, [self._row(run_id, "") for run_id in references], self.plan.defined)
 
@@ -145,7 +148,7 @@ class RunFiles(RunStore[str]):
             is_compared = bool(reference_id) and self._is_complete(reference_id)
             sha256 = self._file_sha256(run_id)
             try:
-                reference = self.folder.archive(reference_id) if is_compared else None
+                reference = self._opened(reference_id) if is_compared else None
                 row = replace(self._row_of(path, reference, self._runs[run_id]), file_sha256=sha256)
             except (SpecError, ArchiveError, ResourceError) as error:  # the archive was damaged after it was computed
                 outcome = Outcome("missing", f"error: {error}")
@@ -156,22 +159,34 @@ class RunFiles(RunStore[str]):
         note = second.reason or second.status
         return replace(row, values=values, repeats=seconds, reference_id=reference_id, second_run=note)
 
-    def _row_of(self, archive: Path, reference: Path | None, spec: RunSpec) -> Row:
-        """Return the row of a run, with values computed from its archive and from that of its reference run, if any.
+    def _opened(self, run_id: str) -> Run:
+        """Return an open reference run, after closing another one."""
+        if run_id not in self._compared:
+            self._close()
+            self._compared[run_id] = load(self.folder.archive(run_id))
+        return self._compared[run_id]
+
+    def _close(self) -> None:
+        for run in self._compared.values():
+            run.close()
+        self._compared.clear()
+
+    def _row_of(self, archive: Path, reference: Run | None, spec: RunSpec) -> Row:
+        """Return the row of a run, with values computed from its archive and from its reference run, if any.
 
         Raises
         ------
         SpecError, ResourceError
             If an archive cannot be read.
         """
-        with load(archive) as run, nullcontext() if reference is None else load(reference) as compared:
+        with load(archive) as run:
             return Row(
                 run.run_id,
                 run.status,
                 run.status_reason,
                 worst_joint=worst_joint(run),
                 data_sha256=run.data_sha256,
-                values=self._values(run, compared, spec),
+                values=self._values(run, reference, spec),
                 verdict=run.verdict,
                 verdict_reasons=BETWEEN_REASONS.join(run.verdict_reasons),
             )
@@ -180,7 +195,8 @@ class RunFiles(RunStore[str]):
         group = RunGroup([run], reference)
         taken = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
         taken |= other_values(run, spec, self._defined)
-        return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
+        numbers = {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
+        return taken | numbers | {name: float(run.stats.get(name, 0)) for name in SOME_COUNTERS}
 
     def _is_unchanged(self, run_id: str) -> bool:
         """Return whether the archive of a run has the same bytes as when it was indexed."""

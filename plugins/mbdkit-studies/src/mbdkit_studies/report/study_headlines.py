@@ -59,14 +59,15 @@ def headlines(study: Study, sign: str = "+-") -> list[tuple[str, str]]:
     """Return pairs of a name and a text about the values of each measure that the study or its base defines.
 
     At most `MOST` measures are included; measures with equal values share a pair. In studies with a reference, the
-    first pairs are about the errors of the runs, and the cost of runs at a given error.
+    first pairs are about the errors of the runs, and the cost of runs at a given error. A study with a verdict of its
+    own has no pairs about measures, because the verdict says what they mean.
 
     Parameters
     ----------
     sign
         Sign between a number and its error.
     """
-    names = [measure.name for measure in study.spec.defined_measures()]
+    names = [] if study.spec.verdict else [measure.name for measure in study.spec.defined_measures()]
     of_errors = [] if study.spec.has_table else error_headlines(study)
     groups = sample_groups(study)[:MOST] if study.spec.has_table else [SampleGroup("", {}, range(len(study.points)))]
     return of_errors + [

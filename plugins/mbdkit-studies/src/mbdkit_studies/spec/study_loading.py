@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import TypeAlias
 
-from mbdkit.plugin import SpecError, StudyPlugin, copied, did_you_mean, listed, path_text
+from mbdkit.plugin import SpecError, StudyPlugin, blaming, copied, did_you_mean, listed, path_text
 from mbdkit.plugin.files import Path
 from mbdkit.plugin.seams import packaged_spec, spec_loader
 from mbdkit.plugin.specs import (
@@ -33,7 +33,7 @@ StudySource: TypeAlias = str | FilePath | Mapping[str, object] | StudySpec
 """A file, the name of a packaged study, a mapping, or a validated spec."""
 
 
-def load_study_spec(source: object, assignments: Iterable[str] = ()) -> StudySpec:
+def load_study_spec(source: object, assignments: Iterable[str] = (), *, quick: bool = False) -> StudySpec:
     """Load and validate a study spec; the name or file of each base is replaced by the content, a mapping.
 
     Parameters
@@ -44,6 +44,8 @@ def load_study_spec(source: object, assignments: Iterable[str] = ()) -> StudySpe
     assignments
         Assignments with values in YAML. Keys of runs, as in ``"time.end=5"``, are set in the base of every run, after
         the `overrides` of the study. Keys of the sample, as in ``"sample.n=64"``, are set in the sample.
+    quick
+        Whether to load the short form of a packaged study.
 
     Returns
     -------
@@ -61,8 +63,14 @@ def load_study_spec(source: object, assignments: Iterable[str] = ()) -> StudySpe
         if source._document is not None and not assignments:
             return source
         source = source.model_dump(exclude_unset=True)
+    if quick and not (isinstance(source, str) and not os.path.isfile(source) and _has_quick_form(source)):
+        raise SpecError("only packaged studies that define a short form have one, such as methods", file="--quick")
     document, folder = document_of(
-        source, ("study", "studies"), _packaged_document, study_names, lambda name: registry().advice(name)
+        source,
+        ("study", "studies"),
+        lambda name: _packaged_document(name, quick=quick),
+        study_names,
+        lambda name: registry().advice(name),
     )
     data = document.data
     if "mbdkit" in data and "mbdkit_study" not in data:
@@ -193,7 +201,12 @@ def document_of(
     return read_file(path), path.parent
 
 
-def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
+def _has_quick_form(name: str) -> bool:
+    item = _packaged(name)
+    return item is not None and isinstance(item.plugin, StudyPlugin) and callable(item.plugin.spec)
+
+
+def _packaged_document(name: str, *, quick: bool = False) -> tuple[Document, FilePath] | None:
     """Return the document of a packaged study, and its folder.
 
     The verdict function of the study is used unless the spec names another one.
@@ -203,7 +216,11 @@ def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
         return None
     assert isinstance(item.plugin, StudyPlugin)
     path = item.plugin.spec
-    document = read_text(path.read_text("utf-8"), f"{item.spec_name} (packaged study)", path.suffix)
+    if isinstance(path, FilePath):
+        document = read_text(path.read_text("utf-8"), f"{item.spec_name} (packaged study)", path.suffix)
+    else:
+        with blaming(f"{item.id} failed to return its spec", SpecError):
+            document, path = Document(copied(path(quick))), FilePath()
     if item.plugin.has_verdict and "verdict" not in document.data:
         document.data["verdict"] = item.spec_name
     return document, path.parent

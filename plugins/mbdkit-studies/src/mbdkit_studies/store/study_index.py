@@ -21,6 +21,7 @@ from mbdkit.plugin.archives import (
     COUNTERS,
     FLOAT,
     INTEGER,
+    SOME_COUNTERS,
     TEXT,
     TIMINGS,
     attributes_sha256,
@@ -67,7 +68,7 @@ TEXTS = {
 NUMBERS: Mapping[str, Description] = {
     **{name: Description(one.units, one.long_name) for name, one in {**MEASURES, **OF_CHECKED_RUNS}.items()},
     **{name: Description(*told) for name, told in SECOND.items()},
-    **{name: Description("1", f"counter of the run: {name.replace('_', ' ')}") for name in COUNTERS},
+    **{name: Description("1", f"counter of the run: {name.replace('_', ' ')}") for name in (*COUNTERS, *SOME_COUNTERS)},
     **{name: Description("s", f"time of the run: {name.removesuffix('_s')}") for name in TIMINGS},
     **{
         name: Description("s", f"wall time of the steps, {name.split('_')[1]} of the serial timings")
