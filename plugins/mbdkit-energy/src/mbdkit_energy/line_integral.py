@@ -163,16 +163,16 @@ class _Trial:
         middle = self.state.q + h / 2 * (v0 + h / 4 * self.g[0])
         given = self.t + h / 2, middle, v0 + h / 2 * self.g[0], self.g[0], self.lam[0]
         scaled = [h * root for root, _, _ in self.p.modes]
-        return [
-            self.equations.iteration_matrix(*given, damping=x, stiffness=x * x, gamma_v=-x / 2) for x in scaled
-        ]
+        return [self.equations.iteration_matrix(*given, damping=x, stiffness=x * x, gamma_v=-x / 2) for x in scaled]
 
     def _residuals(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals of the equations of motion (s, n), and of the constraints as rates (s, m)."""
         equations, p, h = self.equations, self.p, self.h
         nodes = list(zip(self.times, self.q, self.v, self.rate, self.a, self.reactions, strict=True))
-        force = sums((p.weights[:, None] * p.values).T, np.array([equations.residual(t, q, v, a, lam)
-                     for t, q, v, _, a, lam in nodes]))
+        force = sums(
+            (p.weights[:, None] * p.values).T,
+            np.array([equations.residual(t, q, v, a, lam) for t, q, v, _, a, lam in nodes]),
+        )
         rows = np.zeros((len(self.lam), equations.m))
         if equations.m:
             if len(rows) > 1:
@@ -224,7 +224,9 @@ class _Trial:
         made = self.state.moved(h * self.mean, h * self.g[0])
         if equations.m:
             v = equations.project_velocities(end, made.q, made.v)
-            if not equations.constraint_rates(end, made.q, 0 * v).any():  # a factor leaves only scleronomic rows at zero
+            if not equations.constraint_rates(
+                end, made.q, 0 * v
+            ).any():  # a factor leaves only scleronomic rows at zero
                 kinetic = equations.kinetic(v)
                 v = v * np.sqrt(equations.kinetic(made.v) / kinetic) if kinetic else v
             made = mbdkit.StepState(made.q, v)
