@@ -81,7 +81,7 @@ def test_driven_and_damped_motions_and_their_energy_balance_converge_with_the_cl
     # expected: orders of Gonzalez (1996), and of Gauss collocation with projected ends (Ascher and Petzold 1991)
     there, model, integrator = reference(mechanism), MECHANISMS[mechanism]().to_spec(), METHODS[method]
     order = 2 * integrator.get("s", 1)
-    runs = [run(model, integrator, steps) for steps in ((40, 80) if order == 2 else (20, 40))]
+    runs = [run(model, integrator, steps) for steps in {2: (80, 160), 4: (40, 80), 6: (20, 40)}[order]]
     pairs = (
         ("trajectory/position", "trajectory/position"),
         ("trajectory/velocity", "trajectory/velocity"),
@@ -91,7 +91,8 @@ def test_driven_and_damped_motions_and_their_energy_balance_converge_with_the_cl
         errors = [np.abs(each.array(mine) - there.array(theirs)).max() for each in runs]
         assert np.log2(errors[0] / errors[1]) > order - 0.3, (mine, errors)
     unbalanced = [np.abs(each.array("energy/balance")).max() for each in runs]
-    assert np.log2(unbalanced[0] / unbalanced[1]) > order - 0.3 or unbalanced[1] < 1e-12, unbalanced
+    # the work is integrated along the dense output, the velocity of which is of order 5 in the interior of a step
+    assert np.log2(unbalanced[0] / unbalanced[1]) > min(order, 5) - 0.3, unbalanced
     for each in runs:
         assert each.misalignment_max < 1e-14
         assert np.abs(each.array("constraints/velocity_residual")[1:]).max() < 1e-13
@@ -126,7 +127,7 @@ def test_the_midpoint_rule_and_too_few_nodes_lose_energy_where_the_methods_do_no
         (LineIntegral(2, 2, 50), LineIntegral(10, 2, 50)),
     ):
         assert change_of_energy(two_rods(), loses, 0.05, 40) > 1e-7
-        assert change_of_energy(two_rods(), conserves, 0.05, 40) < 1e-13
+        assert change_of_energy(two_rods(), conserves, 0.05, 40) < 1e-12
 
 
 @pytest.mark.parametrize("s", [1, 2, 3])

@@ -18,6 +18,7 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
             create=Target("mbdkit_energy.methods:create_discrete_gradient"),
             claims=Target("mbdkit_energy.methods:claims_of_discrete_gradient"),
             references=Target("mbdkit_energy.methods:REFERENCES_OF_DISCRETE_GRADIENT"),
+            dense_output=True,
         ),
         IntegratorPlugin(
             name="hbvm",
@@ -26,5 +27,6 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
             create=Target("mbdkit_energy.methods:create_hbvm"),
             claims=Target("mbdkit_energy.methods:claims_of_hbvm"),
             references=Target("mbdkit_energy.methods:REFERENCES_OF_HBVM"),
+            dense_output=True,
         ),
     ]

@@ -28,15 +28,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
 
 import mbdkit
-from mbdkit.plugin import IterationMatrix
 from mbdkit.plugin.equations import gauss_on_unit
 from mbdkit.plugin.seams import integrator_method
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import IterationMatrix
+    from mbdkit.plugin.methods import Dense
 
 CONVERGED, STAGNANT = 2e-16, 1e-9
 """Relative change of velocities at which iterations end, and below which they end if the change does not halve."""
@@ -232,7 +235,20 @@ class _Trial:
             made = mbdkit.StepState(made.q, v)
         a, lam = equations.accelerations(end, made.q, made.v)
         made = replace(made, multipliers=lam, memory=(a, lam))
-        return mbdkit.Step(made, stages=(self.times, h * self.p.weights, (self.q, self.v)))
+        return mbdkit.Step(made, dense=self._interpolant(made, a))
+
+    def _interpolant(self, made: mbdkit.StepState, a1: np.ndarray) -> Dense:
+        """Return the quintic polynomial through positions, velocities and accelerations at both ends of the step."""
+        h, q, a = self.h, self.state.q, self.state.memory[0]
+        v = h * self.state.v
+        of_q, of_v, of_a = made.q - q - v - h**2 / 2 * a, h * made.v - v - h**2 * a, h**2 * (a1 - a)
+        c3, c4, c5 = 10 * of_q - 4 * of_v + of_a / 2, 7 * of_v - 15 * of_q - of_a, 6 * of_q - 3 * of_v + of_a / 2
+
+        def dense(x: float) -> tuple[np.ndarray, ...]:
+            position = q + x * (v + x * (h**2 / 2 * a + x * (c3 + x * (c4 + x * c5))))
+            return position, (v + x * (h**2 * a + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h, made.z
+
+        return dense
 
 
 def sums(weights: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -100,5 +100,6 @@ def _claims(k: int, s: int, conserves: tuple[str, ...]) -> mbdkit.Claims:
         formulations=("index-3",),
         stabilizations=("none", "projection"),
         conserves=conserves,
+        dense_order=min(2 * s, 4),
         a_stable=True,
     )
