@@ -23,7 +23,9 @@ def problem_of(spec: dict[str, Any], archive: Path, coordinates: str = "absolute
     return transcribed(load_predict_spec(spec | {"guess": str(archive), "coordinates": coordinates}))
 
 
-@pytest.mark.parametrize(("coordinates", "share"), [pytest.param("absolute", 0.5, marks=pytest.mark.slow), ("joint", 0.9)])
+@pytest.mark.parametrize(
+    ("coordinates", "share"), [pytest.param("absolute", 0.5, marks=pytest.mark.slow), ("joint", 0.9)]
+)
 def test_a_warm_start_reaches_the_same_optimum_in_fewer_iterations(
     tmp_path: Path, coordinates: str, share: float
 ) -> None:
