@@ -35,7 +35,6 @@ from numpy.polynomial import legendre
 
 import mbdkit
 from mbdkit.plugin.equations import gauss_on_unit
-from mbdkit.plugin.seams import integrator_method
 
 if TYPE_CHECKING:
     from mbdkit.plugin import IterationMatrix
@@ -81,7 +80,8 @@ def polynomials(k: int, s: int) -> Polynomials:
         coupling[j, j - 1] = 0.5 / np.sqrt(4 * j**2 - 1)
         coupling[j - 1, j] = -coupling[j, j - 1]
     roots, right = np.linalg.eig(coupling)
-    left, modes = np.linalg.inv(right), []
+    left = np.linalg.inv(right)
+    modes: list[tuple[complex, np.ndarray, np.ndarray]] = []
     for i, root in enumerate(roots):
         if abs(root.imag) < 1e-12:
             modes.append((float(root.real), right[:, i].real, left[i].real))
@@ -90,7 +90,6 @@ def polynomials(k: int, s: int) -> Polynomials:
     return Polynomials(nodes, weights, norms * on_nodes[:, :s], integrals, coupling, modes)
 
 
-@integrator_method
 class LineIntegral(mbdkit.StepMethod):
     """HBVM(k, s), or with `is_corrected` the discrete gradient of Gonzalez, for which k = s = 1.
 
@@ -203,7 +202,8 @@ class _Trial:
         gap = equations.potential(t, self.state.q + h * mean) - self.potential + h * power
         if equations.m:
             gap -= h * float(np.add.reduce(self.lam[0] * equations.constraint_rates(t, q, mean)))
-        return gap / (2 * h * equations.kinetic(mean)) * equations.mass * mean
+        force: np.ndarray = gap / (2 * h * equations.kinetic(mean)) * equations.mass * mean
+        return force
 
     def improve(self, matrices: list[IterationMatrix]) -> float:
         """Take one simplified Newton iteration; return the change of velocities, relative to the largest of a kind."""
@@ -253,4 +253,5 @@ class _Trial:
 
 def sums(weights: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return ``weights @ x`` for (r, c) and (c, n) arrays, added in the same order on every processor."""
-    return np.add.reduce(weights[:, :, None] * x[None], axis=1)
+    total: np.ndarray = np.add.reduce(weights[:, :, None] * x[None], axis=1)
+    return total

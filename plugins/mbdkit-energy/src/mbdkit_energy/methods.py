@@ -80,16 +80,16 @@ def create_hbvm(options: LineIntegralOptions) -> LineIntegral:
 @integrator_claims
 def claims_of_discrete_gradient(options: DiscreteGradientOptions) -> mbdkit.Claims:
     """Return the claims of the discrete gradient."""
-    return _claims(1, 1, ("energy",))
+    return _claims(1, 1)
 
 
 @integrator_claims
 def claims_of_hbvm(options: LineIntegralOptions) -> mbdkit.Claims:
     """Return the claims of HBVM(k, s)."""
-    return _claims(options.k, options.s, ("energy", "linear-momentum"))
+    return _claims(options.k, options.s)
 
 
-def _claims(k: int, s: int, conserves: tuple[str, ...]) -> mbdkit.Claims:
+def _claims(k: int, s: int) -> mbdkit.Claims:
     return mbdkit.Claims(
         order=2 * s,
         multiplier_order=2 * s,
@@ -99,7 +99,7 @@ def _claims(k: int, s: int, conserves: tuple[str, ...]) -> mbdkit.Claims:
         needs=("accelerations", "tangents"),
         formulations=("index-3",),
         stabilizations=("none", "projection"),
-        conserves=conserves,
+        conserves=("energy",),
         dense_order=min(2 * s, 4),
         a_stable=True,
     )
