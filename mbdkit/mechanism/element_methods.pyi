@@ -659,7 +659,7 @@ class ElementMethods(NamedElements):
             Weight in recruitment, which minimises the sum of (activation / weight)^exponent.
         metabolics
             Model of the energy that the muscle consumes: a name, or a name and its options; none by default. Keys
-            of `Metabolics`: model, slow_fibers, aerobic_factor, specific_tension, density, mass.
+            of `Metabolics`: model, slow_fibers, aerobic_factor, specific_tension, density, mass, smoothing.
         """
 
     def contact(
