@@ -182,7 +182,9 @@ def test_gradients_of_a_double_pendulum_with_friction_are_differences_of_runs(
         np.testing.assert_allclose(found.jacobian[:, k], differences(spec, MEASURES, name), rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize(("integrator", "more"), KINDS[1::2])
+@pytest.mark.parametrize(
+    ("integrator", "more"), [KINDS[1], *(pytest.param(*kind, marks=pytest.mark.slow) for kind in KINDS[3::2])]
+)
 def test_gradients_pass_their_check_where_joints_turn_back(integrator: Any, more: dict[str, Any]) -> None:
     spec = spec_of(double_pendulum((0.0, 0.0)), 0.8, 0.005, integrator, **more)
     found = mbdkit.gradient(spec, MEASURES, NAMES)
@@ -202,6 +204,7 @@ def test_adaptive_steps_across_corners_of_friction_are_doubted() -> None:
     assert "'friction of A', or its derivative, is discontinuous" in found.doubts[0]
 
 
+@pytest.mark.slow
 def test_a_slide_whose_normal_forces_change_their_signs_has_accurate_derivatives() -> None:
     # expected: differences of runs with small steps, in which corners inside steps cause errors of about 1e-4
     m, a = Mechanism(gravity=(0.0, -G)), 0.7
