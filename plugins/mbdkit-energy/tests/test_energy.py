@@ -164,8 +164,10 @@ def test_the_car_axis_ends_at_the_published_positions() -> None:
 
 
 @pytest.mark.slow
-@every_method
+@pytest.mark.parametrize("method", ["discrete gradient", "HBVM(8, 1)"])  # others have a lower order with joint friction
 def test_the_conformance_kit_passes(method: str) -> None:
+    import mbdkit.testing
+
     options = dict(METHODS[method])
     report = mbdkit.testing.check_integrator(f"mbdkit-energy:{options.pop('name')}", options)
     assert report.verified, report.text()
