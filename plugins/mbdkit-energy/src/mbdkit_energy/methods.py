@@ -58,8 +58,8 @@ class LineIntegralOptions(DiscreteGradientOptions):
     """Options of HBVM(k, s)."""
 
     s: Annotated[int, Field(ge=1, le=3)] = 1
-    """Degree of the polynomials. The order is 2 s; with friction in joints, which depends on multipliers between the ends
-    of a step, it is lower if s > 1: 2 for s = 2."""
+    """Degree of the polynomials. The order is 2 s; friction in joints, which depends on multipliers between the ends of
+    a step, lowers it if s > 1, to 2 for s = 2."""
     k: Annotated[int, Field(ge=3, le=20)] = 8
     """Number of nodes of the integrals over a step. Energy is conserved exactly by springs without free length and by
     other polynomial potentials of degree at most 2 k / s, and to rounding by others and by joints if k is large enough.
