@@ -180,6 +180,9 @@ class ChosenNumbers:
         changes: dict[str, list[np.ndarray]] = {name: [] for name in base}
         for k, step in enumerate(np.diag(steps)):
             moved = [(share * steps[k], self._compiled(share * step)) for share in (1.0, 0.5)]
+            if all(np.array_equal(x, base[name], equal_nan=True) for name, x in moved[0][1].items()):
+                why = "is not a parameter that can be exported: the equations of motion do not contain it"
+                raise SpecError(why, key=self.place(self.parameters[k]))
             for name, start in base.items():
                 slopes = [(x[name] - start) / change for change, x in moved if x[name].shape == start.shape]
                 if len(slopes) < 2 or np.any(abs(np.subtract(*slopes)) > LINEAR * np.max(np.abs(slopes), axis=0)):

@@ -38,6 +38,7 @@ from mbdkit.plugin.specs import (
     check_name,
     check_tables,
     description,
+    parameters_in_use,
 )
 from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import equilibria, unknown_keys
@@ -229,6 +230,9 @@ class PredictSpec(ModelSpec):
             raise SpecError("has no effect, because each of the `phases` has its own", key="duration")
         for name in self.measured:
             check_name(name, f"measured.{quoted(name)}")
+        if used := parameters_in_use(self.parameters, [self.minimize]) & {*self.optimized, *self.sensitivities}:
+            why = f"depends on '{min(used)}', which therefore can neither be optimized nor have a sensitivity"
+            raise SpecError(why, key="minimize")
         return self
 
     @property

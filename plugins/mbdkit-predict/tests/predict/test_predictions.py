@@ -325,6 +325,11 @@ def test_a_named_parameter_is_optimized_wherever_it_occurs() -> None:
     assert run.sensitivities["m"] == pytest.approx(24.0, rel=1e-6)
     run = mbdkit.predict(spec, parameters={"n": {"bounds": [0.25, 2.0]}})
     assert (run.objective, run.parameters["n"]) == pytest.approx((3.0, 0.25), rel=1e-6)
+    spec["base"]["parameters"]["w"] = 1.0
+    with pytest.raises(SpecError, match=r"minimize: depends on 'm', which therefore can neither be optimized"):
+        mbdkit.predict(spec, minimize=f"m*{EFFORT}", sensitivities=["m"])
+    with pytest.raises(SpecError, match=r"parameters\.w: .* the equations of motion do not contain it"):
+        mbdkit.predict(spec, parameters={"w": {"bounds": [0.5, 2.0]}})
     with pytest.raises(SpecError, match=r"parameters\.nn: there is no parameter 'nn'.*'n'"):
         mbdkit.predict(spec, parameters={"nn": {"bounds": [0.25, 2.0]}})
 
