@@ -176,10 +176,14 @@ class ChosenNumbers:
         if not self.parameters:
             return known._replace(**arrays)
         steps = np.array([STEP * (abs(start) or 1.0) for start in self.parameter_start])
-        base = self._compiled(0.0 * steps)
+        base, initial = self._compiled(0.0 * steps)
         changes: dict[str, list[np.ndarray]] = {name: [] for name in base}
         for k, step in enumerate(np.diag(steps)):
-            moved = [(share * steps[k], self._compiled(share * step)) for share in (1.0, 0.5)]
+            (whole_step, start_of_states), (half_step, _) = self._compiled(step), self._compiled(0.5 * step)
+            if not np.array_equal(initial, start_of_states):
+                why = "is not a parameter that can be exported: the initial value of a state depends on it"
+                raise SpecError(why, key=self.place(self.parameters[k]))
+            moved = [(steps[k], whole_step), (0.5 * steps[k], half_step)]
             if all(np.array_equal(x, base[name], equal_nan=True) for name, x in moved[0][1].items()):
                 why = "is not a parameter that can be exported: the equations of motion do not contain it"
                 raise SpecError(why, key=self.place(self.parameters[k]))
@@ -193,16 +197,18 @@ class ChosenNumbers:
                 slope = np.where(abs(slopes[0] - whole) <= LINEAR, whole, slopes[0])
                 for index in zip(*np.nonzero(slope), strict=True):
                     arrays[name][index] = arrays[name][index] + slope[index] * (p[k] - self.parameter_start[k])
-        together = self._compiled(steps)
+        together, _ = self._compiled(steps)
         for name, start in base.items():
             size = abs(start) + np.abs(changes[name]).sum(axis=0)
             if np.any(abs(together[name] - start - np.sum(changes[name], axis=0)) > LINEAR * size):
                 raise SpecError("the equations contain products of these parameters", key="parameters")
         return known._replace(**arrays)
 
-    def _compiled(self, changes: np.ndarray) -> dict[str, np.ndarray]:
+    def _compiled(self, changes: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the arrays of the mechanism, and the initial values of states, with changed parameters."""
         changed = self.with_parameters((np.array(self.parameter_start) + changes).tolist())
-        return dict(_numbers(compile_mechanism(changed).topology))
+        compiled = compile_mechanism(changed)
+        return dict(_numbers(compiled.topology)), compiled.initial_states
 
 
 def _numbers(topology: Topology) -> Iterator[tuple[str, np.ndarray]]:
