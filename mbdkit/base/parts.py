@@ -21,13 +21,18 @@ PARTS = (
     "taylor",
     "testing",
     "transmissions",
+    "wearable",
 )
 """Names of the parts; `mbdkit_NAME` is the package, and `mbdkit-NAME` the word in messages."""
 
 OWN_PACKAGES = ("mbdkit", *(f"mbdkit_{part}" for part in PARTS))
 """The packages of mbdkit itself: the core and its parts."""
 
-ELEMENTS_OF_PARTS: Mapping[str, str] = {"contacts": "mbdkit-contact", "muscles": "mbdkit-biomech"}
+ELEMENTS_OF_PARTS: Mapping[str, str] = {
+    "contacts": "mbdkit-contact",
+    "muscles": "mbdkit-biomech",
+    "cuffs": "mbdkit-wearable",
+}
 """Parts by the keys of their elements in the model."""
 
 SECTIONS_OF_PARTS: Mapping[str, str] = {"contact": "mbdkit-contact"}
@@ -42,7 +47,9 @@ MARKERS_OF_PARTS: Mapping[str, str] = {
 }
 """Parts by the markers of their specs, which are not run specs where the part is not installed either."""
 
-GROUPS_OF_PARTS: Mapping[str, str] = dict.fromkeys(("contacts", "ground_reactions"), "mbdkit-contact") | dict.fromkeys(
-    ("motion", "actuators", "muscles", "loads"), "mbdkit-biomech"
+GROUPS_OF_PARTS: Mapping[str, str] = (
+    dict.fromkeys(("contacts", "ground_reactions"), "mbdkit-contact")
+    | dict.fromkeys(("motion", "actuators", "muscles", "loads"), "mbdkit-biomech")
+    | {"cuffs": "mbdkit-wearable"}
 )
 """Parts by their groups in archives."""

@@ -22,11 +22,16 @@ from mbdkit_contact.contact import Friction
 from mbdkit_contact.contact import Shape
 from mbdkit_transmissions.cams import Follower
 from mbdkit_transmissions.cams import SlotCurve
+from mbdkit_wearable.cuff import Cuff
+from mbdkit_wearable.cuff import CuffDamping
+from mbdkit_wearable.cuff import CuffStiffness
+from mbdkit_wearable.cuff import ExponentialTissue
 
 class ElementMethods(NamedElements):
     """The part of `Mechanism` that adds its elements."""
 
     muscles: dict[str, Muscle]
+    cuffs: dict[str, Cuff]
     contacts: dict[str, Contact]
 
     def body(
@@ -660,6 +665,44 @@ class ElementMethods(NamedElements):
         metabolics
             Model of the energy that the muscle consumes: a name, or a name and its options; none by default. Keys
             of `Metabolics`: model, slow_fibers, aerobic_factor, specific_tension, density, mass, smoothing.
+        """
+
+    def cuff(
+        self: 'Any', name: str, *, at: Sequence[float], on: Sequence[float] | None = None,
+        angle: float | None = None, axis: Sequence[float] = (1.0, 0.0),
+        stiffness: Mapping[str, Any] | CuffStiffness,
+        damping: Mapping[str, Any] | CuffDamping = CuffDamping(normal=0.0, tangential=0.0, rotation=0.0),
+        law: Literal["linear"] | Mapping[str, Any] | ExponentialTissue = 'linear', clearance: float = 0.0
+    ) -> None:
+        """Add an element of kind cuff.
+
+        A soft attachment of a link of a device to a limb.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        at
+            Point of the limb [m], in its frame: where the device's point is while the tissue is at rest.
+        on
+            The device's point [m], in its frame, at which the forces act; by default, the point that coincides with
+            `at` for the given initial positions (before assembly).
+        angle
+            Angle of the device relative to the limb [rad] while the tissue is at rest; by default, the one of the
+            given initial positions (before assembly).
+        axis
+            Direction of the normal force, in the frame of the limb; its length does not matter.
+        stiffness
+            Stiffness of the tissue: `normal`, `tangential`, `rotation`. Keys of `CuffStiffness`: normal,
+            tangential, rotation.
+        damping
+            Damping of the tissue: `normal`, `tangential`, `rotation`. Keys of `CuffDamping`: normal, tangential,
+            rotation.
+        law
+            Force as a function of displacement: `linear`, or {name: exponential, length, angle}. Keys of
+            `ExponentialTissue`: name, length, angle.
+        clearance
+            Normal displacement up to which the cuff does not touch the limb, in both directions [m].
         """
 
     def contact(

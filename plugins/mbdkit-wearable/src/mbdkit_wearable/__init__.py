@@ -1,0 +1,1 @@
+"""Devices worn by persons, and the cuffs that attach them to limbs."""
