@@ -22,6 +22,15 @@ def model_builder(options: Never, /) -> Mechanism:
     raise NotImplementedError
 
 
+@OwnSeam
+def model_extension(values: Never, mechanism: Mechanism, /) -> None:
+    """Add elements to the mechanism of a model, as a key of the model says: `values` are those of the key by name.
+
+    Raises SpecError, whose key begins with that of the section, such as ``devices.NAME``.
+    """
+    raise NotImplementedError
+
+
 @Seam
 def mechanism_attribute(mechanism: Mechanism, /) -> object:
     """Return the value of an attribute of a mechanism."""

@@ -196,11 +196,12 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
         return "unknown key"
     fields = dict(owner.model_fields)
     known = sorted((info.alias or name for name, info in fields.items()), key=lambda name: name != "name")
-    if issubclass(owner, StrictModel):
+    if hasattr(owner, "further_keys"):
         further = [name for name in owner.further_keys() if name not in known]
-        index = known.index(owner.FURTHER_AFTER) + 1 if owner.FURTHER_AFTER in known else len(known)
+        after = getattr(owner, "FURTHER_AFTER", "")
+        index = known.index(after) + 1 if after in known else len(known)
         known[index:index] = further
-        if owner.FURTHER_AFTER:  # further keys are sections
+        if after and issubclass(owner, StrictModel):  # further keys are sections
             fields |= {name: field for name in further if (field := owner.further_field(name)) is not None}
     message = plugins.owners_of(key, owner) or f"unknown key{did_you_mean(key, known)}"
     for name, info in fields.items():
@@ -283,8 +284,8 @@ def walk(location: Sequence[str | int], root: object, plugins: PluginLookup) -> 
             path, owner = (*path, here), annotation
             fields = annotation.model_fields.items()
             field = next((field for name, field in fields if here in (name, field.alias)), None)
-            if field is None and issubclass(annotation, StrictModel):
-                field = annotation.further_field(here)
+            if field is None and (further_field := getattr(annotation, "further_field", None)) is not None:
+                field = further_field(here)
             if field is None:
                 break
             annotation, further = field.annotation, (field, *field.metadata)

@@ -87,7 +87,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.quantities.states import States as States
     from mbdkit.registry.element_items import (
         ElementDerivatives as ElementDerivatives, ElementFailures as ElementFailures, ElementForces as ElementForces,
-        ElementKind as ElementKind, JointKind as JointKind, QuantityKind as QuantityKind,
+        ElementKind as ElementKind, JointKind as JointKind, ModelKey as ModelKey, QuantityKind as QuantityKind,
     )
     from mbdkit.registry.feature_items import (
         Accessor as Accessor, CriterionItem as CriterionItem, Example as Example, FileFormat as FileFormat,

@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.mechanism.mechanism_seams import (
         element_lines as element_lines, mechanism_attribute as mechanism_attribute, member_names as member_names,
-        model_builder as model_builder, run_check as run_check,
+        model_builder as model_builder, model_extension as model_extension, run_check as run_check,
     )
     from mbdkit.methods.kinds import integrator_method as integrator_method
     from mbdkit.methods.step_filter import step_filter as step_filter

@@ -11,7 +11,7 @@ from typing import Literal
 from mbdkit.base.distributions import MBDKIT, normalized_name
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.registry.element_items import ElementKind, JointKind, QuantityKind
+from mbdkit.registry.element_items import ElementKind, JointKind, ModelKey, QuantityKind
 from mbdkit.registry.feature_items import FEATURES
 from mbdkit.registry.item import Item, Plugin
 from mbdkit.registry.items import ITEM_CLASSES
@@ -19,7 +19,7 @@ from mbdkit.registry.items import ITEM_CLASSES
 Kind = str
 """Kind of a plugin: a key of `KINDS`."""
 
-_CLASSES: tuple[type[Item], ...] = (*ITEM_CLASSES, *FEATURES, ElementKind, JointKind, QuantityKind)
+_CLASSES: tuple[type[Item], ...] = (*ITEM_CLASSES, *FEATURES, ElementKind, JointKind, ModelKey, QuantityKind)
 KINDS: dict[Kind, type[Item]] = {item_class.kind: item_class for item_class in _CLASSES}
 """The item class of each kind."""
 

@@ -230,6 +230,37 @@ class JointKind(Feature):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ModelKey(Feature):
+    """A key of every model, such as ``devices``, with values by name that extend the mechanism which the model builds.
+
+    Parameters
+    ----------
+    name
+        The key. Models that have a parameter of this name do not get the key.
+    summary
+        Description of the key in the schema of specs.
+    model
+        Class of the values, derived from `mbdkit.plugin.StrictModel`.
+    extend
+        Function that adds elements to the mechanism.
+    read_files
+        Function that replaces in plain data of the values what specs give by the names of files.
+    """
+
+    kind: ClassVar[str] = "model-key"
+    key: ClassVar[str] = "model"
+    seams: ClassVar[Mapping[str, str]] = {"extend": "model_extension", "read_files": "element_files"}
+
+    model: Target
+    extend: Target
+    read_files: Target | None = None
+
+    def _check_name(self) -> None:
+        if not self.name.isidentifier():
+            raise PluginError(f"the name {self.name!r} is not made of letters, digits and _")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class QuantityKind(Feature):
     """A kind of objects with quantities, which are a group of the archives of runs that have such objects.
 

@@ -31,7 +31,7 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.joint_kinds import joint_class, joint_kinds
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Kind, Registered, Registry
-from mbdkit.registry.item_options import class_name, is_of_item, item_of, name_type, named_options
+from mbdkit.registry.item_options import class_name, is_of_item, item_of, model_keys, name_type, named_options
 from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:
@@ -47,12 +47,14 @@ class Choice:
     Only the options of the chosen plugin are imported. The JSON schema is the union of the options of all plugins.
 
     `kind`: ``"model"``, ``"integrator"`` or ``"step-control"``. `installed`: the registry to choose from; None for all
-    installed plugins. `optional`: whether the value may be None.
+    installed plugins. `optional`: whether the value may be None. `has_keys`: whether models have the keys that plugins
+    add to every model.
     """
 
     kind: Kind
     installed: Registry | None = None
     optional: bool = False
+    has_keys: bool = True
 
     @property
     def registry(self) -> Registry:
@@ -64,16 +66,21 @@ class Choice:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         items = self.registry.of_kind(self.kind)
-        union = _union(items)
+        union = _union((item, self._keys(item, model_keys(item))) for item in items)
         return handler(core_schema.nullable_schema(union) if self.optional else union) if items else {}
 
     def _validated(self, data: object, info: core_schema.ValidationInfo) -> object:
         if data is None and self.optional:
             return None
-        validator = _validator(self.registry.get(self.kind, self._name(data)))
+        item = self.registry.get(self.kind, self._name(data))
+        validator = _validator(item, self._keys(item, cast("Mapping[str, object]", data)))
         if info.mode == "json":  # strict mode accepts a list for a tuple, or a text for a path, only in JSON
             return validator.validate_json(json.dumps(data), context=info.context)
         return validator.validate_python(data, context=info.context)
+
+    def _keys(self, item: Registered, given: Iterable[str]) -> tuple[str, ...]:
+        """Return the model keys among those that are given."""
+        return tuple(key for key in model_keys(item) if key in given) if self.has_keys else ()
 
     def _name(self, data: object) -> str:
         if not isinstance(data, Mapping):
@@ -89,13 +96,13 @@ class Choice:
 
 
 @functools.cache
-def _validator(item: Registered) -> SchemaValidator:
+def _validator(item: Registered, keys: tuple[str, ...]) -> SchemaValidator:
     """Return the validator of the options of an item; the locations in its errors begin with the id of the item."""
-    return SchemaValidator(_union([item]))
+    return SchemaValidator(_union([(item, keys)]))
 
 
-def _union(items: Iterable[Registered]) -> CoreSchema:
-    choices = {item.id: _blaming(item, named_options(item).__pydantic_core_schema__) for item in items}
+def _union(items: Iterable[tuple[Registered, tuple[str, ...]]]) -> CoreSchema:
+    choices = {item.id: _blaming(item, named_options(item, keys).__pydantic_core_schema__) for item, keys in items}
     return core_schema.tagged_union_schema(choices, lambda data: next(iter(choices)))
 
 

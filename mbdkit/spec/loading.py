@@ -20,6 +20,7 @@ from mbdkit.engine.formulation import FormulationName
 from mbdkit.mechanism.element_kinds import element_files, element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registry
+from mbdkit.registry.element_items import ElementKind, ModelKey
 from mbdkit.registry.feature_items import Example
 from mbdkit.registry.manager import registry
 from mbdkit.spec.estimates import read_estimates
@@ -122,7 +123,9 @@ def _read_files(document: Document) -> None:
         read_estimates(document.data, document.folder)
         if isinstance(inputs := document.data.get("inputs"), Mapping):
             read_input_files(inputs, document.folder)
-        for key, kind in element_kinds().items() if isinstance(model, Mapping) else ():
+        keys = (cast(ModelKey, item.plugin) for item in registry().of_kind("model-key"))
+        kinds: Mapping[str, ElementKind | ModelKey] = element_kinds() | {key.name: key for key in keys}
+        for key, kind in kinds.items() if isinstance(model, Mapping) else ():
             if kind.read_files is not None and isinstance(elements := model.get(key), Mapping):
                 element_files.of(kind.read_files)(elements, document.folder)
 

@@ -12,7 +12,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, SerializerFunctionWrapHandler, model_serializer
 
@@ -21,9 +21,10 @@ from mbdkit.base.files_read import FileRead, FilesRead, recording
 from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_text, plain, without_collection
 from mbdkit.base.strict_model import FormatVersion
 from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.mechanism_seams import model_extension
 from mbdkit.mechanism.parameters import Written, WrittenText, insert, parameter_values, with_expressions, without_units
 from mbdkit.registry.catalogue import Registered
-from mbdkit.registry.item_options import item_of
+from mbdkit.registry.item_options import item_of, model_keys
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.spec.choices import Choice, RegistryLookup, registry_of
 from mbdkit.spec.estimates import Estimated, Estimates
@@ -280,7 +281,12 @@ class ModelSpec(StrictSpec):
 
     def _built(self) -> Any:
         try:
-            return self.model_plugin.build(self.model)
+            mechanism = self.model_plugin.build(self.model)
+            for name, key in model_keys(self.model_item).items():
+                if values := getattr(self.model, name, None):
+                    model_extension.of(key.extend)(values, cast("Mechanism", mechanism))
+                    cast("Mechanism", mechanism).validate()
+            return mechanism
         except ArithmeticError:
             if self.model_item.origin.distribution != "mbdkit":
                 raise
