@@ -668,11 +668,10 @@ class ElementMethods(NamedElements):
         """
 
     def cuff(
-        self: 'Any', name: str, *, at: Sequence[float], on: Sequence[float] | None = None,
-        angle: float | None = None, axis: Sequence[float] = (1.0, 0.0),
-        stiffness: Mapping[str, Any] | CuffStiffness,
+        self: 'Any', name: str, *, axis: Sequence[float] = (1.0, 0.0), stiffness: Mapping[str, Any] | CuffStiffness,
         damping: Mapping[str, Any] | CuffDamping = CuffDamping(normal=0.0, tangential=0.0, rotation=0.0),
-        law: Literal["linear"] | Mapping[str, Any] | ExponentialTissue = 'linear', clearance: float = 0.0
+        law: Literal["linear"] | Mapping[str, Any] | ExponentialTissue = 'linear', clearance: float = 0.0,
+        at: Sequence[float], on: Sequence[float] | None = None, angle: float | None = None
     ) -> None:
         """Add an element of kind cuff.
 
@@ -682,14 +681,6 @@ class ElementMethods(NamedElements):
         ----------
         name
             Name of the element.
-        at
-            Point of the limb [m], in its frame: where the device's point is while the tissue is at rest.
-        on
-            The device's point [m], in its frame, at which the forces act; by default, the point that coincides with
-            `at` for the given initial positions (before assembly).
-        angle
-            Angle of the device relative to the limb [rad] while the tissue is at rest; by default, the one of the
-            given initial positions (before assembly).
         axis
             Direction of the normal force, in the frame of the limb; its length does not matter.
         stiffness
@@ -703,6 +694,14 @@ class ElementMethods(NamedElements):
             `ExponentialTissue`: name, length, angle.
         clearance
             Normal displacement up to which the cuff does not touch the limb, in both directions [m].
+        at
+            Point of the limb [m], in its frame: where the device's point is while the tissue is at rest.
+        on
+            The device's point [m], in its frame, at which the forces act; by default, the point that coincides with
+            `at` for the given initial positions (before assembly).
+        angle
+            Angle of the device relative to the limb while the tissue is at rest [rad]; by default, the one of the
+            given initial positions (before assembly).
         """
 
     def contact(

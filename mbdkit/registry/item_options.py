@@ -63,7 +63,8 @@ def _field(item: Registered, name: str) -> FieldInfo | None:
     if (key := model_keys(item).get(name)) is None:
         return None
     values: Any = Field(default_factory=dict, description=key.summary)
-    return FieldInfo.from_annotated_attribute(dict.__class_getitem__((str, key.model())), values)
+    values_by_name: Any = dict.__class_getitem__((str, key.model()))
+    return FieldInfo.from_annotated_attribute(values_by_name, values)
 
 
 @functools.cache
@@ -73,10 +74,11 @@ def _named(item: Registered) -> type[BaseModel]:
     namespace = {
         "__module__": __name__,
         "model_config": ConfigDict(**STRICT, title=item.name),
-        "further_keys": lambda: [*getattr(base, "further_keys", list)(), *model_keys(item)],
-        "further_field": lambda name: getattr(base, "further_field", lambda _: None)(name) or _field(item, name),
+        "further_keys": staticmethod(lambda: [*getattr(base, "further_keys", list)(), *model_keys(item)]),
+        "further_field": staticmethod(
+            lambda name: getattr(base, "further_field", lambda _: None)(name) or _field(item, name)
+        ),
     }
-    namespace |= {name: staticmethod(namespace[name]) for name in ("further_keys", "further_field")}
     options: type[BaseModel] = create_model(
         class_name(f"{item.name} {item.kind}"),
         __base__=type("Options", (base,), namespace),

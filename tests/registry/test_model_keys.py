@@ -50,8 +50,9 @@ def masses(model, **more):
 
 Path("mass.txt").write_text("0.25")
 found = {
-    "pendulum": masses({"name": "single-pendulum", "bobs": {"b": {"on": "rod1", "mass": "2*m"}}}, parameters={"m": 1.5}),
-    "mechanism": masses({"name": "mechanism", "bodies": {"a": {"mass": 1, "inertia": 1}}, "bobs": {"b": {"on": "a", "mass": "5 g"}}}),
+    "pendulum": masses({"name": "single-pendulum", "bobs": {"b": {"on": "rod1", "mass": "2*m"}}}, parameters={"m": 1}),
+    "mechanism": masses({"name": "mechanism", "bodies": {"a": {"mass": 1, "inertia": 1}},
+                         "bobs": {"b": {"on": "a", "mass": "5 g"}}}),
     "file": masses({"name": "single-pendulum", "bobs": {"b": {"on": "rod1", "file": "mass.txt"}}}),
     "none": masses({"name": "single-pendulum"}),
 }
@@ -73,7 +74,7 @@ def test_a_key_of_a_plugin_extends_the_mechanism_of_every_model(tmp_path) -> Non
     done = python("-c", PROGRAM, path=(tmp_path / "site",), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
-    assert found["pendulum"] == {"rod1": 1.0, "b": 3.0}
+    assert found["pendulum"] == {"rod1": 1.0, "b": 2.0}
     assert found["mechanism"] == {"a": 1.0, "b": 0.005}
     assert found["file"] == {"rod1": 1.0, "b": 0.25}
     assert found["none"] == {"rod1": 1.0}

@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import ElementForces, ElementKind, Example, GuidePage, Item, QuantityKind, Target, hookimpl
+from mbdkit.plugin import (
+    Accessor,
+    ElementForces,
+    ElementKind,
+    Example,
+    GuidePage,
+    Item,
+    ModelKey,
+    QuantityKind,
+    Target,
+    hookimpl,
+)
 
 _HERE = Path(__file__).parent
 
@@ -22,11 +33,24 @@ def mbdkit_items() -> Iterable[Item]:
             builder="cuff",
             model=Target("mbdkit_wearable.cuff:Cuff"),
             acts=ElementForces(
-                forces=Target("mbdkit_wearable.cuff:forces_of"),
-                lower=Target("mbdkit_wearable.cuff:lower"),
+                forces=Target("mbdkit_wearable.acting_cuffs:forces_of"),
+                lower=Target("mbdkit_wearable.acting_cuffs:lower"),
             ),
-            draw=Target("mbdkit_wearable.cuff:cuff_lines"),
+            draw=Target("mbdkit_wearable.acting_cuffs:cuff_lines"),
             example="knee-orthosis",
+        ),
+        ModelKey(
+            name="devices",
+            summary="Devices that the person wears, by name.",
+            model=Target("mbdkit_wearable.device:Device"),
+            extend=Target("mbdkit_wearable.device:add_devices"),
+            read_files=Target("mbdkit_wearable.device:read_devices"),
+        ),
+        Accessor(
+            name="wear",
+            summary="Method that adds a device to the mechanism of a person.",
+            of="Mechanism",
+            target=Target("mbdkit_wearable.device:wear_method"),
         ),
         QuantityKind(
             name="cuffs",

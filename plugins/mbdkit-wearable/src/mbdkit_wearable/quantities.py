@@ -47,7 +47,7 @@ CUFFS = quantity_group(
         row_units="row_units", components=DIRECTIONS,
         about=("displacement of the device's point in the frame of the limb", "rotation of the device in the limb")),
     _of_cuffs("normal_force", "N", "force of the device on the limb, along the axis of the cuff",
-        charts=(Chart("cuff-forces", "Normal forces of the cuffs", "They act on the limbs, along the axes of the cuffs.",
+        charts=(Chart("cuff-forces", "Normal forces of the cuffs", "They act on the limbs, along their axes.",
             "force", "N"),)),
     _of_cuffs("shear_force", "N", "force of the device on the limb, along the axis turned by 90 degrees",
         charts=(Chart("cuff-shear", "Shear forces of the cuffs", "They act on the limbs, along the skin.", "force",

@@ -1,0 +1,297 @@
+"""Devices worn by a person: a mechanism of its own, whose links cuffs attach to the limbs of the model of the person.
+
+The key `devices` of a model adds the elements of each device to the mechanism, with the name of the device in front:
+body ``lower`` of the device ``brace`` is ``brace.lower``, and the cuff of this link has the same name.
+
+A device is fitted in the *neutral posture*: the initial positions of its own mechanism, in which its links lie on the
+limbs of an upright person. In this posture, the tissue under all cuffs is at rest. The initial positions in the model
+of the person may be others: each attached link starts where its tissue is at rest, and the joints of the device are
+then closed by the least change in the metric of its masses.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, model_validator
+
+from mbdkit.plugin import (
+    GROUND,
+    Body,
+    Mechanism,
+    ModelPlugin,
+    Number,
+    Point,
+    SpecError,
+    StrictModel,
+    blaming,
+    did_you_mean,
+    listed,
+    quoted,
+)
+from mbdkit.plugin.equations import elementary, workspace_at_start
+from mbdkit.plugin.seams import element_files, mechanism_attribute, model_extension
+from mbdkit.plugin.specs import Choice, item_of, load_spec, parse_key, put, read_source
+from mbdkit_wearable.cuff import Tissue
+
+if TYPE_CHECKING:
+    from mbdkit.plugin import Element
+
+REACH = 1.5
+"""Largest distance of a cuff from the centre of mass of its limb, relative to that of the farthest joint of the limb.
+"""
+
+
+class DeviceAttachment(StrictModel):
+    """The cuff with which a link of a device is attached to a limb."""
+
+    limb: str
+    """Body of the person."""
+    at: Point
+    """Point of the limb [m], in its frame, where the point `on` of the link lies in the neutral posture if the device
+    fits exactly."""
+    on: Point = (0.0, 0.0)
+    """Point of the link [m], in its frame, at which the forces act; by default, its centre of mass."""
+    angle: Number | None = None
+    """Angle of the link relative to the limb in the neutral posture [rad]; by default, the initial angle of the link in
+    the mechanism of the device, which is right if the frame of the limb is then parallel to the global frame."""
+    cuff: Tissue
+    """Properties of the cuff: `stiffness`, and further keys of `cuffs`."""
+
+
+class Device(StrictModel):
+    """A device worn by a person."""
+
+    file: str | None = None
+    """Name of a spec whose model is the mechanism of the device, in its neutral posture; relative to the folder of the
+    spec."""
+    mechanism: Annotated[BaseModel | None, Choice("model", optional=True, has_keys=False)] = None
+    """The mechanism of the device itself: the name of a model, and its parameters; an alternative to `file`."""
+    attach: dict[str, DeviceAttachment]
+    """Cuffs by the name of the link of the device."""
+    offset: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    """Misfit [x, y, angle]: displacement of the device from where it fits exactly [m], and rotation about the origin of
+    its global frame [rad], both in this frame in the neutral posture."""
+    worn: bool = True
+    """Whether measured loads, such as those of force plates, include the weight and inertia of the device."""
+
+    @model_validator(mode="after")
+    def _has_mechanism(self) -> Device:
+        if self.mechanism is None:
+            wrong = (
+                "name a file of a spec that is loaded by name" if self.file else "is missing: the model of the device"
+            )
+            raise SpecError(wrong if not self.file else "is read only in specs that are loaded", key="mechanism")
+        if not self.attach:
+            raise SpecError("is empty: attach at least one link of the device to a limb", key="attach")
+        return self
+
+
+@element_files
+def read_devices(devices: Mapping[str, object], folder: Path) -> None:
+    """Replace the names of files by the mechanisms that they contain."""
+    for name, device in devices.items():
+        if isinstance(device, dict) and isinstance(device.get("file"), str):
+            key = f"model.devices.{quoted(name)}"
+            if "mechanism" in device:
+                raise SpecError("give either `file` or `mechanism`, not both", key=f"{key}.file")
+            document = read_source(folder / device.pop("file"))
+            document.data = {"integrator": {"name": "rk4"}, "time": {"steps": 1, "step": 1e-3}} | document.data
+            device["mechanism"] = load_spec(document).mechanism().to_spec()
+
+
+@model_extension
+def add_devices(devices: Mapping[str, Device], mechanism: Mechanism) -> None:
+    """Add the elements of devices and their cuffs to the mechanism of a person."""
+    for name, device in devices.items():
+        assert device.mechanism is not None
+        item = item_of(device.mechanism)
+        assert isinstance(item.plugin, ModelPlugin)
+        key = f"devices.{quoted(name)}"
+        try:
+            with blaming(f"model {item.id} failed to build"):
+                own = item.plugin.build(device.mechanism)
+        except SpecError as error:
+            raise error.located(prefix=f"{key}.mechanism") from None
+        assert isinstance(own, Mechanism)
+        _Worn(name, device, own, mechanism, key).add()
+
+
+@mechanism_attribute
+def wear_method(mechanism: Mechanism) -> Callable[..., None]:
+    """Return the method that adds a device to a mechanism: its name, its own mechanism, and keys of `devices`."""
+
+    def wear(name: str, device: Mechanism, **keys: Any) -> None:
+        given = Device.model_validate({"mechanism": {"name": "mechanism", **device.to_spec()}, **keys})
+        _Worn(name, given, device, mechanism, f"devices.{quoted(name)}").add()
+        mechanism.validate()
+
+    return wear
+
+
+def turned(angle: float, point: tuple[float, float]) -> tuple[float, float]:
+    """Return a point (x, y), turned by an angle [rad]."""
+    c, s = elementary.cos(angle), elementary.sin(angle)
+    return c * point[0] - s * point[1], s * point[0] + c * point[1]
+
+
+class _Worn:
+    """A device that is added to the mechanism of a person; `key` is that of the device in the model."""
+
+    def __init__(self, name: str, device: Device, own: Mechanism, person: Mechanism, key: str):
+        self.name, self.device, self.own, self.person, self.key = name, device, own, person, key
+        if own.beams:
+            raise SpecError("has beams, which devices cannot have yet", key=f"{key}.mechanism")
+        self.rests = {link: self._rest(link, one) for link, one in device.attach.items()}
+
+    def prefixed(self, name: str) -> str:
+        """Return the name of an element or body of the device in the mechanism of the person."""
+        return name if name == GROUND else f"{self.name}.{name}"
+
+    def _rest(self, link: str, one: DeviceAttachment) -> tuple[tuple[float, float], float]:
+        """Return the point of the limb where a link's point is at rest [m], and the relative angle at rest [rad]."""
+        key = f"{self.key}.attach.{quoted(link)}"
+        if link not in self.own.bodies:
+            known = did_you_mean(link, self.own.bodies) or f"; its links are {listed(list(self.own.bodies))}"
+            raise SpecError(f"the device has no link '{link}'{known}", key=key)
+        if one.limb != GROUND and one.limb not in self.person.bodies:
+            known = did_you_mean(one.limb, self.person.bodies) or f"; its bodies are {listed(list(self.person.bodies))}"
+            raise SpecError(f"there is no limb '{one.limb}' for the cuff of '{link}'{known}", key=f"{key}.limb")
+        x, y, turn = self.device.offset
+        angle = self.own.bodies[link].angle
+        held = self.own.bodies[link].to_global(one.on)
+        swung = turned(turn, held)
+        frame = 0.0 if one.angle is None else one.angle - angle
+        move = turned(frame, (x + swung[0] - held[0], y + swung[1] - held[1]))
+        at = one.at[0] + move[0], one.at[1] + move[1]
+        ends = [elementary.hypot(*point) for body, point in _pins(self.person) if body == one.limb]
+        reach = REACH * max(ends, default=float("inf"))
+        if (far := elementary.hypot(*at)) > reach:
+            moved, of_offset = elementary.hypot(*move), f"{self.key}.offset"
+            what = f"moves the cuff of '{link}' by {moved:.3g} m, to" if moved else "is"
+            raise SpecError(
+                f"{what} {far:.3g} m from the centre of mass of '{one.limb}', beyond the reach of this limb, whose "
+                f"joints are at most {max(ends):.3g} m from there",
+                key=of_offset if moved else f"{key}.at",
+            )
+        return at, frame + angle + turn
+
+    def _carried(self, body: Body, at: tuple[float, float], angle: float, limb: str) -> Body:
+        """Return a body whose centre of mass is at a point of a limb, at an angle relative to it, and moves with it."""
+        if limb == GROUND:
+            return body.model_copy(update={"position": at, "angle": angle})
+        of = self.person.bodies[limb]
+        x, y = of.to_global(at)
+        spin = of.angular_velocity
+        velocity = of.velocity[0] - spin * (y - of.position[1]), of.velocity[1] + spin * (x - of.position[0])
+        placed = {"position": (x, y), "velocity": velocity}
+        turn = {} if body.inertia is None else {"angle": of.angle + angle, "angular_velocity": spin}
+        return body.model_copy(update=placed | turn)
+
+    def _bodies(self) -> dict[str, Body]:
+        """Return the links of the device on the limbs: attached ones at rest, others with the first attached one."""
+        first = next(iter(self.rests))
+        found = {}
+        for name, body in self.own.bodies.items():
+            link = name if name in self.rests else first
+            one, (at, angle), lead = self.device.attach[link], self.rests[link], self.own.bodies[link]
+            # the point of the limb below the centre of mass, by way of the point of the attached link
+            x, y = lead.to_local(body.position)
+            arm = turned(angle, (x - one.on[0], y - one.on[1]))
+            found[name] = self._carried(
+                body, (at[0] + arm[0], at[1] + arm[1]), angle + body.angle - lead.angle, one.limb
+            )
+        return self._closed(found)
+
+    def _closed(self, bodies: dict[str, Body]) -> dict[str, Body]:
+        """Return the links with the least change that closes the joints of the device."""
+        alone = Mechanism()
+        alone.bodies, alone.joints, alone.assembly = dict(bodies), dict(self.own.joints), self.own.assembly
+        if not alone.joints:
+            return bodies
+        try:
+            _, start = workspace_at_start(alone)
+        except SpecError as error:
+            message = f"the device cannot close on the limbs at the start: {error.message}"
+            raise SpecError(message, key=self.key) from None
+        poses, rates = start.q.reshape(-1, 3).tolist(), start.v.reshape(-1, 3).tolist()
+        found = {}
+        for (name, body), (x, y, angle), (vx, vy, spin) in zip(bodies.items(), poses, rates, strict=False):
+            turn = {} if body.inertia is None else {"angle": angle, "angular_velocity": spin}
+            found[name] = body.model_copy(update={"position": (x, y), "velocity": (vx, vy), **turn})
+        return found
+
+    def add(self) -> None:
+        """Add the elements of the device, and its cuffs."""
+        person, own = self.person, self.own
+        for name, joint in own.joints.items():
+            if GROUND in joint.bodies:
+                key = f"{self.key}.mechanism.joints.{quoted(name)}.bodies"
+                raise SpecError("joins the device to the ground, but a worn device moves with the person", key=key)
+        for name, body in self._bodies().items():
+            person.add("bodies", self.prefixed(name), **body.model_dump(mode="json", exclude_defaults=True))
+        renamed = _Renaming(own, self.prefixed)
+        for kind, elements in own.elements.items():
+            for name, element in elements.items():
+                person.add(kind, self.prefixed(name), **renamed.keys(element))
+        for kind in ("states", "inputs", "controllers", "coordinates"):
+            for name, value in getattr(own, kind).items():
+                person.add(
+                    kind, self.prefixed(name), **renamed.texts(value.model_dump(mode="json", exclude_defaults=True))
+                )
+        for link, one in self.device.attach.items():
+            at, angle = self.rests[link]
+            tissue = one.cuff.model_dump(mode="json", exclude_defaults=True)
+            pair = (one.limb, self.prefixed(link))
+            person.add("cuffs", self.prefixed(link), bodies=pair, at=at, on=one.on, angle=angle, **tissue)
+
+
+def _pins(mechanism: Mechanism) -> list[tuple[str, tuple[float, float]]]:
+    """Return body and point of each joint, in the frame of the body [m]."""
+    return [(body, point) for joint in mechanism.joints.values() for _, body, point in joint.attachments()]
+
+
+class _Renaming:
+    """Replaces the names of the elements of a device, in elements and in expressions, by those with the prefix."""
+
+    def __init__(self, own: Mechanism, prefixed: Callable[[str], str]):
+        self.own, self.prefixed = own, prefixed
+        kinds = ("bodies", "states", "inputs", "controllers", *own.elements)
+        self.kinds = {name: kind for kind in kinds for name in getattr(own, kind)}
+        names = "|".join(re.escape(name) for name in sorted(self.kinds, key=len, reverse=True))
+        kind = "|".join(kinds)
+        self.pattern = re.compile(
+            rf"""(?<![\w.\]"'])(?:({kind})(?:\.|(?=\[)))?(?:\["({names})"\]|({names}))(?=\.|\s*$|\W)"""
+        )
+
+    def text(self, text: str) -> str:
+        """Return an expression of the state with the names of elements in the mechanism of the person."""
+
+        def replaced(match: re.Match[str]) -> str:
+            name = match[2] or match[3]
+            return f'{match[1] or self.kinds[name]}["{self.prefixed(name)}"]'
+
+        return self.pattern.sub(replaced, text)
+
+    def texts(self, value: Any) -> Any:
+        """Return plain data in which texts that name elements of the device name those with the prefix."""
+        if isinstance(value, str):
+            return self.text(value)
+        if isinstance(value, Mapping):
+            return {key: self.texts(one) for key, one in value.items()}
+        return [self.texts(one) for one in value] if isinstance(value, list) else value
+
+    def keys(self, element: Element) -> dict[str, Any]:
+        """Return the keys of an element, as `Mechanism.add` takes them."""
+        data = element.model_dump(mode="json", exclude_defaults=True)
+        data |= {"type": element.type} if hasattr(element, "type") else {}
+        for key, body in element.places():
+            put(data, parse_key(key), self.prefixed(body))
+        for key, text in element.expressions():
+            put(data, parse_key(key), self.text(text))
+        if isinstance(pathway := data.get("pathway"), dict) and "angles" in pathway:
+            pathway["angles"] = {self.prefixed(joint): radius for joint, radius in pathway["angles"].items()}
+        return {"from_" if key == "from" else key: value for key, value in data.items()}
