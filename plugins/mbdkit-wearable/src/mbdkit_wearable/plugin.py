@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mbdkit.plugin import (
     Accessor,
+    CriterionItem,
     ElementForces,
     ElementKind,
     Example,
@@ -14,6 +15,7 @@ from mbdkit.plugin import (
     Item,
     ModelKey,
     QuantityKind,
+    SummaryLine,
     Target,
     hookimpl,
 )
@@ -32,10 +34,18 @@ def mbdkit_items() -> Iterable[Item]:
             key_in_model="cuffs",
             builder="cuff",
             model=Target("mbdkit_wearable.cuff:Cuff"),
+            in_expressions={
+                "normal_force": "normal.tension",
+                "shear_force": "tangential.tension",
+                "moment": "rotation.tension",
+                "tangential_rate": "tangential.rate",
+            },
             acts=ElementForces(
                 forces=Target("mbdkit_wearable.acting_cuffs:forces_of"),
                 lower=Target("mbdkit_wearable.acting_cuffs:lower"),
+                lower_expressions=Target("mbdkit_wearable.acting_cuffs:lower_slip"),
             ),
+            at_start=Target("mbdkit_wearable.acting_cuffs:skin_at_start"),
             draw=Target("mbdkit_wearable.acting_cuffs:cuff_lines"),
             example="knee-orthosis",
         ),
@@ -59,6 +69,23 @@ def mbdkit_items() -> Iterable[Item]:
             target=Target("mbdkit_wearable.quantities:CUFFS"),
             word="cuffs",
             peaks=("normal_force", "shear_force"),
+        ),
+        SummaryLine(
+            name="cuffs",
+            summary="Largest forces of cuffs.",
+            order=1040,
+            text=Target("mbdkit_wearable.cuff_criteria:cuff_lines"),
+            group="cuffs",
+        ),
+        CriterionItem(
+            name="cuffs",
+            summary="Forces of cuffs beyond limits, and cuffs that slide.",
+            order=190,
+            stage="rows",
+            find=Target("mbdkit_wearable.cuff_criteria:watch_cuffs"),
+            of=frozenset({"run"}),
+            criteria=("cuff-loads", "cuff-slip"),
+            elements="cuffs",
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),
