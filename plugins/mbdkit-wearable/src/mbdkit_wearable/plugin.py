@@ -14,6 +14,7 @@ from mbdkit.plugin import (
     GuidePage,
     Item,
     ModelKey,
+    ModelPlugin,
     QuantityKind,
     SummaryLine,
     Target,
@@ -21,6 +22,54 @@ from mbdkit.plugin import (
 )
 
 _HERE = Path(__file__).parent
+_DEVICES = (
+    (
+        "hinge-orthosis",
+        "An orthosis of the knee with one hinge, a spring and a motor.",
+        "OrthosisOptions",
+        "hinge",
+        "REFERENCES",
+    ),
+    (
+        "four-bar-orthosis",
+        "An orthosis of the knee with a crossed four-bar linkage.",
+        "FourBarOrthosisOptions",
+        "four_bar",
+        "FOUR_BAR",
+    ),
+    (
+        "geared-orthosis",
+        "An orthosis of the knee with two pivots and toothed sectors.",
+        "GearedOrthosisOptions",
+        "geared",
+        "REFERENCES",
+    ),
+    (
+        "self-aligning-orthosis",
+        "An orthosis of the knee whose hinge moves on two passive slides.",
+        "SelfAligningOrthosisOptions",
+        "self_aligning",
+        "SELF_ALIGNING",
+    ),
+    (
+        "hip-knee-exoskeleton",
+        "An exoskeleton with springs and motors at hip and knee.",
+        "ExoskeletonOptions",
+        "hip_knee",
+        "REFERENCES",
+    ),
+    ("passive-strut", "A spring behind the knee between two shells.", "StrutOptions", "strut", "REFERENCES"),
+)
+"""Name and summary of each device, and the names of its options, of its builder and of its references."""
+
+
+@hookimpl
+def mbdkit_models() -> list[ModelPlugin]:
+    """Return devices for legs."""
+    return [
+        ModelPlugin(name, summary, *(Target(f"mbdkit_wearable.orthoses:{one}") for one in targets), order=80 + place)
+        for place, (name, summary, *targets) in enumerate(_DEVICES)
+    ]
 
 
 @hookimpl
