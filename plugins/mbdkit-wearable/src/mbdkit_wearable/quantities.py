@@ -23,7 +23,9 @@ def cuffs_in(states: States) -> dict[str, np.ndarray]:
     cuffs: tuple[ActingCuff, ...] = states.mechanism.extensions["cuffs"]
     values = states.observed.forces[:, np.array([cuff.forces for cuff in cuffs])]
     length, _, force, power, _ = np.moveaxis(values, 3, 0)
-    forces = dict(zip(("normal_force", "shear_force", "moment"), np.moveaxis(force, 2, 0), strict=True))
+    # archives hold the tension of a force, but the torque on the second body, which is the device
+    normal, shear, on_device = np.moveaxis(force, 2, 0)
+    forces = {"normal_force": normal, "shear_force": shear, "moment": -on_device}
     return {"length": length, **forces, "power": power.sum(axis=2)}
 
 
