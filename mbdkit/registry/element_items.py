@@ -116,7 +116,8 @@ class ElementKind(Feature):
         first one is `treatment`, whose annotation is `mbdkit.plugin.TreatmentName`.
     in_expressions
         Quantities that expressions of the state may contain, ``length``, ``rate`` or ``tension`` of the force element
-        along a pathway, by the name in the expression.
+        along a pathway, by the name in the expression; ``normal.tension`` is that of the force element with the name of
+        the element and ``.normal``.
     read_files
         Function that replaces in plain data of elements what specs give by the names of files.
     check_elements

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
-from mbdkit.plugin import ExpressionLaw, Segment
-from mbdkit.plugin.seams import element_forces, element_lines, lowering
+from mbdkit.plugin import GROUND, ExpressionLaw, Segment, SpecError, quoted
+from mbdkit.plugin.equations import elementary
+from mbdkit.plugin.seams import element_forces, element_lines, expression_lowering, lowering, start_values
 from mbdkit_wearable.cuff import DIRECTIONS, Cuff
 
 if TYPE_CHECKING:
+    import numpy as np
     import sympy
 
     from mbdkit.plugin import ActingForce, Joint, Lowering, Mechanism
@@ -67,6 +71,7 @@ class CuffForce:
             "damping": getattr(self.cuff.damping, name),
             "zero": self.zero,
             **({"clearance": self.cuff.clearance} if self._has_clearance else {}),
+            **({"skin": 0.0} if self.direction == 1 and self.cuff.slip is not None else {}),
             **of_tissue,
         }
 
@@ -76,8 +81,19 @@ class CuffForce:
 
     @property
     def force_law(self) -> ExpressionLaw:
-        """The force as a function of the displacement and its rate."""
-        return tissue_law(not isinstance(self.cuff.law, str), self._has_clearance)
+        """The force as a function of the displacement and its rate, or of the displacement of the skin."""
+        is_exponential = not isinstance(self.cuff.law, str)
+        if self.direction == 1 and self.cuff.slip is not None:
+            return skin_law(is_exponential)
+        return tissue_law(is_exponential, self._has_clearance)
+
+    def force_at(self, displacement: float) -> float:
+        """Return the force of tissue without clearance at a displacement [m or rad]."""
+        numbers = self.numbers
+        if (scale := numbers.get("scale")) is None:
+            return numbers["stiffness"] * displacement
+        size = elementary.exp(abs(displacement) / scale) - 1.0
+        return numbers["stiffness"] * scale * math.copysign(size, displacement)
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
         """Return the only segment of the pathway."""
@@ -98,8 +114,7 @@ def tissue_law(is_exponential: bool, has_clearance: bool) -> ExpressionLaw:
     x: sympy.Expr = length - zero
     size: sympy.Expr = sp.Max(sp.Abs(x) - clearance, 0) if has_clearance else sp.Abs(x)
     if is_exponential:
-        magnitude = stiffness * scale * (sp.exp(size / scale) - 1)
-        force = sp.Piecewise((magnitude, x >= 0), (-magnitude, True))
+        force = _exponential(x, size, stiffness, scale)
         potential = stiffness * scale * (scale * (sp.exp(size / scale) - 1) - size)
     else:
         force = sp.Piecewise((stiffness * size, x >= 0), (-stiffness * size, True)) if has_clearance else stiffness * x
@@ -108,13 +123,42 @@ def tissue_law(is_exponential: bool, has_clearance: bool) -> ExpressionLaw:
     return ExpressionLaw(force + drag, potential, passive=True, parameters=lambda force: force.numbers)
 
 
+@cache
+def skin_law(is_exponential: bool) -> ExpressionLaw:
+    """Return the law of the shear force of a cuff that slips: a function of the displacement of the skin, a state."""
+    import sympy as sp
+
+    stiffness, scale, skin = sp.symbols("stiffness scale skin", real=True)
+    force = _exponential(skin, sp.Abs(skin), stiffness, scale) if is_exponential else stiffness * skin
+    rates = {"skin": (sp.Integer(0), "m")}  # `lower_slip` replaces the rate
+    return ExpressionLaw(force, passive=True, rates=rates, parameters=lambda force: force.numbers)
+
+
+def _exponential(x: sympy.Expr, size: sympy.Expr, stiffness: sympy.Expr, scale: sympy.Expr) -> sympy.Expr:
+    import sympy as sp
+
+    magnitude = stiffness * scale * (sp.exp(size / scale) - 1)
+    return sp.Piecewise((magnitude, x >= 0), (-magnitude, True))
+
+
 @dataclass(frozen=True)
 class ActingCuff:
-    """A cuff that acts in a run: its name, and the indices of its three force elements among all of them."""
+    """A cuff that acts in a run.
+
+    Attributes
+    ----------
+    name, cuff
+        Its name, and the cuff.
+    forces
+        Indices of its three force elements among all of them.
+    skin
+        Index of the displacement of the skin among the first-order states; -1 for a cuff that does not slip.
+    """
 
     name: str
     cuff: Cuff
     forces: tuple[int, int, int]
+    skin: int = -1
 
     @property
     def zeros(self) -> list[float]:
@@ -131,13 +175,61 @@ element_forces(forces_of)
 
 
 @lowering
-def lower(cuffs: Mapping[str, Cuff], _lowering: Lowering, acting: tuple[ActingForce, ...]) -> tuple[ActingCuff, ...]:
+def lower(cuffs: Mapping[str, Cuff], lowering: Lowering, acting: tuple[ActingForce, ...]) -> tuple[ActingCuff, ...]:
     """Return the cuffs of a mechanism that is compiled, whose forces have been added."""
-    place = {force.name: force.place for force in acting}
-    return tuple(
-        ActingCuff(name, cuff, (place[f"{name}.normal"], place[f"{name}.tangential"], place[f"{name}.rotation"]))
-        for name, cuff in cuffs.items()
-    )
+    found = []
+    for number, (name, cuff) in enumerate(cuffs.items()):
+        normal, tangential, rotation = acting[3 * number : 3 * number + 3]
+        if cuff.slip is not None and not lowering.mechanism.is_of_run:
+            raise SpecError(
+                "the shear force of a cuff that slips depends on the motion before, which only a run has; leave this "
+                "out here",
+                key=f"model.cuffs.{quoted(name)}.slip",
+            )
+        skin = -1 if cuff.slip is None else tangential.state
+        found.append(ActingCuff(name, cuff, (normal.place, tangential.place, rotation.place), skin))
+    return tuple(found)
+
+
+@expression_lowering
+def lower_slip(cuffs: tuple[ActingCuff, ...], lowering: Lowering) -> tuple[ActingCuff, ...]:
+    """Set the rates of the displacements of the skin below cuffs that slip; see `mbdkit_wearable.cuff.CuffSlip`."""
+    for acting in cuffs:
+        if (slip := acting.cuff.slip) is not None:
+            own = f"cuffs[{json.dumps(acting.name)}]"
+            share = f"{own}.shear_force/({slip.friction!r}*({slip.preload!r} + abs({own}.normal_force)))"
+            rate = f"{own}.tangential_rate - abs({own}.tangential_rate)*{share}"
+            key = f"model.cuffs.{quoted(acting.name)}.slip"
+            lowering.set_rate(acting.skin, lowering.expression(key, acting.name, rate))
+    return cuffs
+
+
+@start_values
+def skin_at_start(cuffs: tuple[ActingCuff, ...], mechanism: Mechanism, _t0: float, q: np.ndarray) -> dict[int, float]:
+    """Return displacements of the skin by index of the state: those of the device, as far as friction holds them."""
+    place = dict(zip(mechanism.bodies, q.tolist(), strict=False)) | {GROUND: [0.0, 0.0, 0.0]}
+    found = {}
+    for acting in cuffs:
+        if (slip := acting.cuff.slip) is not None:
+            normal, tangential, _ = displacement_at(acting.cuff, *(place[body] for body in acting.cuff.bodies))
+            push = CuffForce(acting.cuff, 0).force_at(max(abs(normal) - acting.cuff.clearance, 0.0))
+            force, limit = CuffForce(acting.cuff, 1), slip.friction * (slip.preload + push)
+            while abs(force.force_at(tangential)) > limit:  # stiffness does not decrease, so that the end is reached
+                tangential *= limit / abs(force.force_at(tangential))
+            found[acting.skin] = tangential
+    return found
+
+
+def displacement_at(cuff: Cuff, limb: Sequence[float], device: Sequence[float]) -> tuple[float, float, float]:
+    """Return the displacement of a cuff for poses (x, y, angle) of limb and device."""
+    (px, py), (x, y, angle) = cuff.ends[1], device
+    c, s = elementary.cos(angle), elementary.sin(angle)
+    dx, dy = x + c * px - s * py - limb[0], y + s * px + c * py - limb[1]
+    c, s = elementary.cos(limb[2]), elementary.sin(limb[2])
+    across = c * dx + s * dy - cuff.at[0], c * dy - s * dx - cuff.at[1]
+    normal, tangential = (sum(a * b for a, b in zip(CuffForce(cuff, i).along, across, strict=True)) for i in (0, 1))
+    assert cuff.angle is not None
+    return normal, tangential, angle - limb[2] - cuff.angle
 
 
 @element_lines

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, model_validator
 
 from mbdkit.plugin import GROUND, Element, NotNegative, Number, Point, Positive, SpecError, StrictModel
 from mbdkit.plugin.equations import elementary
@@ -69,6 +69,37 @@ class ExponentialTissue(StrictModel):
     """Rotation over which the stiffness against rotation increases by the factor e [rad]."""
 
 
+class CuffSlip(StrictModel):
+    """Dry friction between a cuff and the skin, by the model of Dahl.
+
+    The displacement z of the skin, by which the tissue is sheared, follows the tangential displacement x of the device:
+    z' = x' - abs(x') f(z) / (friction (preload + n)), where f is the law of the tissue and n the absolute value of the
+    normal force without damping. P. R. Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976)
+    1675-1682, https://doi.org/10.2514/3.61511.
+    """
+
+    friction: Positive
+    """Coefficient of friction between cuff and skin."""
+    preload: Positive
+    """Normal force with which the straps press the cuff on the limb, on all sides [N]."""
+
+
+class CuffLimits(StrictModel):
+    """Forces beyond which a cuff is judged."""
+
+    normal_force: Positive = 230.0
+    """Largest normal force [N]. Through a rigid cuff on the thigh, persons felt discomfort from 40 N to more than 230
+    N: J. Bessler-Etten et al., Applied Ergonomics 115 (2024) 104055, https://doi.org/10.1016/j.apergo.2023.104055."""
+    shear_force: Positive = 250.0
+    """Largest shear force [N]. Along thigh and shank, persons accepted at least 250 N, and 700 N to 870 N on average:
+    M. B. Yandell et al., PLoS ONE 15 (2020) e0228536, https://doi.org/10.1371/journal.pone.0228536."""
+    pressure: Positive = 17.3e3
+    """Largest mean pressure on `area` [Pa]. On 20 cm^2 of the thigh, women felt pain from 34.6 N on average, men from
+    89.3 N: Z. Kozinc et al., Applied Ergonomics 93 (2021) 103379, https://doi.org/10.1016/j.apergo.2021.103379."""
+    slip: Positive = 0.01
+    """Largest distance over which the cuff slides on the skin [m]."""
+
+
 def _unit_vector(axis: tuple[float, float]) -> tuple[float, float]:
     if (size := elementary.hypot(*axis)) == 0.0:
         raise SpecError("should not be [0, 0]: it is the direction in which the cuff pushes on the limb")
@@ -88,12 +119,26 @@ class Tissue(StrictModel):
     """Force as a function of displacement: `linear`, or {name: exponential, length, angle}."""
     clearance: NotNegative = 0.0
     """Normal displacement up to which the cuff does not touch the limb, in both directions [m]."""
+    slip: CuffSlip | None = None
+    """Friction between cuff and skin, {friction, preload}; by default, the cuff does not slide."""
+    area: Positive | None = None
+    """Area of the cuff on each side of the limb, on which its normal force is distributed [m^2]."""
+    limits: CuffLimits = CuffLimits()
+    """Forces beyond which the verdict is doubtful: `normal_force`, `shear_force`, `pressure`, `slip`."""
+
+    @model_validator(mode="after")
+    def _slip_has_stiffness(self) -> Self:
+        if self.slip is not None and not self.stiffness.tangential:
+            raise SpecError("should be greater than 0 for a cuff that slips", key="stiffness.tangential")
+        if self.slip is not None and self.damping.tangential:
+            raise SpecError("is not possible with `slip`, which limits the shear force", key="damping.tangential")
+        return self
 
 
 class Cuff(Tissue, Element):
     """A soft attachment of a link of a device to a limb."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("on", "angle")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("on", "angle", "slip", "area", "limits")
 
     bodies: BodyPair
     """Names of limb and device; the limb may be `ground`."""
@@ -105,6 +150,11 @@ class Cuff(Tissue, Element):
     angle: Number | None = None
     """Angle of the device relative to the limb while the tissue is at rest [rad]; by default, the one of the given
     initial positions (before assembly)."""
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the first-order states: the displacement of the skin, if the cuff slips."""
+        return () if self.slip is None else ("tangential.skin",)
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""

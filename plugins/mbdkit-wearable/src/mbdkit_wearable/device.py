@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from pydantic import BaseModel, model_validator
 
 from mbdkit.plugin import (
@@ -32,7 +33,7 @@ from mbdkit.plugin import (
     listed,
     quoted,
 )
-from mbdkit.plugin.equations import elementary, workspace_at_start
+from mbdkit.plugin.equations import LeastChange, compile_mechanism, elementary, workspace_at_start
 from mbdkit.plugin.seams import element_files, mechanism_attribute, model_extension
 from mbdkit.plugin.specs import Choice, item_of, load_spec, parse_key, put, read_source
 from mbdkit_wearable.cuff import Tissue
@@ -43,6 +44,10 @@ if TYPE_CHECKING:
 REACH = 1.5
 """Largest distance of a cuff from the centre of mass of its limb, relative to that of the farthest joint of the limb.
 """
+
+
+CLOSED = 1e-12
+"""Largest residual of the joints of a device at the start [m, rad, m/s, rad/s]."""
 
 
 class DeviceAttachment(StrictModel):
@@ -132,6 +137,15 @@ def wear_method(mechanism: Mechanism) -> Callable[..., None]:
     return wear
 
 
+def _moved(bodies: Mapping[str, Body], q: np.ndarray, v: np.ndarray) -> dict[str, Body]:
+    """Return bodies with positions and velocities (B, 3)."""
+    found = {}
+    for (name, body), (x, y, angle), (vx, vy, spin) in zip(bodies.items(), q.tolist(), v.tolist(), strict=True):
+        turn = {} if body.inertia is None else {"angle": angle, "angular_velocity": spin}
+        found[name] = body.model_copy(update={"position": (x, y), "velocity": (vx, vy), **turn})
+    return found
+
+
 def turned(angle: float, point: tuple[float, float]) -> tuple[float, float]:
     """Return a point (x, y), turned by an angle [rad]."""
     c, s = elementary.cos(angle), elementary.sin(angle)
@@ -207,22 +221,37 @@ class _Worn:
         return self._closed(found)
 
     def _closed(self, bodies: dict[str, Body]) -> dict[str, Body]:
-        """Return the links with the least change that closes the joints of the device."""
-        alone = Mechanism()
-        alone.bodies, alone.joints, alone.assembly = dict(bodies), dict(self.own.joints), self.own.assembly
-        if not alone.joints:
+        """Return the links with the least change that closes the joints of the device.
+
+        The joints are those of the neutral posture, because gears count their angles from there.
+        """
+        neutral = Mechanism()
+        neutral.bodies, neutral.joints = dict(self.own.bodies), dict(self.own.joints)
+        neutral.assembly = self.own.assembly
+        if not neutral.joints:
             return bodies
         try:
-            _, start = workspace_at_start(alone)
+            _, start = workspace_at_start(neutral)
         except SpecError as error:
-            message = f"the device cannot close on the limbs at the start: {error.message}"
-            raise SpecError(message, key=self.key) from None
-        poses, rates = start.q.reshape(-1, 3).tolist(), start.v.reshape(-1, 3).tolist()
-        found = {}
-        for (name, body), (x, y, angle), (vx, vy, spin) in zip(bodies.items(), poses, rates, strict=False):
-            turn = {} if body.inertia is None else {"angle": angle, "angular_velocity": spin}
-            found[name] = body.model_copy(update={"position": (x, y), "velocity": (vx, vy), **turn})
-        return found
+            raise error.located(prefix=f"{self.key}.mechanism") from None
+        neutral.bodies = _moved(neutral.bodies, start.q, start.v)
+        search = LeastChange(compile_mechanism(neutral), 0.0, np.zeros(3 * len(bodies), dtype=bool))
+        q = np.array([[*body.position, body.angle] for body in bodies.values()]).ravel()
+        v = np.array([[*body.velocity, body.angular_velocity] for body in bodies.values()]).ravel()
+        if np.abs(search.evaluate(q)[0]).max() > CLOSED:
+            q = search.positions(q, CLOSED)
+        phi, jacobian, phi_t = search.evaluate(q)
+        if not np.abs(phi).max() <= CLOSED:
+            row = search.compiled.rows[int(np.nanargmax(np.abs(phi)))]
+            name, gap = row.label.rpartition(".")[0], f"{np.nanmax(np.abs(phi)):.3g} {row.unit}"
+            raise SpecError(
+                f"the device cannot close in the posture of the person at the start: its joint '{name}' stays open by "
+                f"{gap}; start in another posture, or change the device",
+                key=self.key,
+            )
+        if np.abs(search.rates(jacobian, v, phi_t)).max() > CLOSED:
+            v = search.velocities(v, jacobian, phi_t, CLOSED)
+        return _moved(bodies, q.reshape(-1, 3), v.reshape(-1, 3))
 
     def add(self) -> None:
         """Add the elements of the device, and its cuffs."""

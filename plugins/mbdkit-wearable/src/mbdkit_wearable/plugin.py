@@ -7,18 +7,69 @@ from pathlib import Path
 
 from mbdkit.plugin import (
     Accessor,
+    CriterionItem,
     ElementForces,
     ElementKind,
     Example,
     GuidePage,
     Item,
     ModelKey,
+    ModelPlugin,
     QuantityKind,
+    SummaryLine,
     Target,
     hookimpl,
 )
 
 _HERE = Path(__file__).parent
+_DEVICES = (
+    (
+        "hinge-orthosis",
+        "An orthosis of the knee with one hinge, a spring and a motor.",
+        "OrthosisOptions",
+        "hinge",
+        "REFERENCES",
+    ),
+    (
+        "four-bar-orthosis",
+        "An orthosis of the knee with a crossed four-bar linkage.",
+        "FourBarOrthosisOptions",
+        "four_bar",
+        "FOUR_BAR",
+    ),
+    (
+        "geared-orthosis",
+        "An orthosis of the knee with two pivots and toothed sectors.",
+        "GearedOrthosisOptions",
+        "geared",
+        "REFERENCES",
+    ),
+    (
+        "self-aligning-orthosis",
+        "An orthosis of the knee whose hinge moves on two passive slides.",
+        "SelfAligningOrthosisOptions",
+        "self_aligning",
+        "SELF_ALIGNING",
+    ),
+    (
+        "hip-knee-exoskeleton",
+        "An exoskeleton with springs and motors at hip and knee.",
+        "ExoskeletonOptions",
+        "hip_knee",
+        "REFERENCES",
+    ),
+    ("passive-strut", "A spring behind the knee between two shells.", "StrutOptions", "strut", "REFERENCES"),
+)
+"""Name and summary of each device, and the names of its options, of its builder and of its references."""
+
+
+@hookimpl
+def mbdkit_models() -> list[ModelPlugin]:
+    """Return devices for legs."""
+    return [
+        ModelPlugin(name, summary, *(Target(f"mbdkit_wearable.orthoses:{one}") for one in targets), order=80 + place)
+        for place, (name, summary, *targets) in enumerate(_DEVICES)
+    ]
 
 
 @hookimpl
@@ -32,10 +83,18 @@ def mbdkit_items() -> Iterable[Item]:
             key_in_model="cuffs",
             builder="cuff",
             model=Target("mbdkit_wearable.cuff:Cuff"),
+            in_expressions={
+                "normal_force": "normal.tension",
+                "shear_force": "tangential.tension",
+                "moment": "rotation.tension",
+                "tangential_rate": "tangential.rate",
+            },
             acts=ElementForces(
                 forces=Target("mbdkit_wearable.acting_cuffs:forces_of"),
                 lower=Target("mbdkit_wearable.acting_cuffs:lower"),
+                lower_expressions=Target("mbdkit_wearable.acting_cuffs:lower_slip"),
             ),
+            at_start=Target("mbdkit_wearable.acting_cuffs:skin_at_start"),
             draw=Target("mbdkit_wearable.acting_cuffs:cuff_lines"),
             example="knee-orthosis",
         ),
@@ -60,6 +119,23 @@ def mbdkit_items() -> Iterable[Item]:
             target=Target("mbdkit_wearable.quantities:CUFFS"),
             word="cuffs",
             peaks=("normal_force", "shear_force"),
+        ),
+        SummaryLine(
+            name="cuffs",
+            summary="Largest forces of cuffs.",
+            order=1040,
+            text=Target("mbdkit_wearable.cuff_criteria:cuff_lines"),
+            group="cuffs",
+        ),
+        CriterionItem(
+            name="cuffs",
+            summary="Forces of cuffs beyond limits, and cuffs that slide.",
+            order=190,
+            stage="rows",
+            find=Target("mbdkit_wearable.cuff_criteria:watch_cuffs"),
+            of=frozenset({"run"}),
+            criteria=("cuff-loads", "cuff-slip"),
+            elements="cuffs",
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),

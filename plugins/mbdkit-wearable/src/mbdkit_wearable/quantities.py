@@ -12,26 +12,31 @@ from mbdkit_wearable.cuff import DIRECTIONS
 
 if TYPE_CHECKING:
     from mbdkit.plugin import States
+    from mbdkit_wearable.acting_cuffs import ActingCuff
 
 
 def cuffs_in(states: States) -> dict[str, np.ndarray]:
-    """Return the quantities (T, C) of C cuffs in T states by name; ``displacement`` is (T, C, 3)."""
-    cuffs = states.mechanism.extensions["cuffs"]
-    zero = np.array([cuff.zeros for cuff in cuffs])
-    values = states.observed.forces[:, np.array([cuff.forces for cuff in cuffs])]  # (T, C, 3, length ... potential)
-    force = values[..., 2]
-    return {
-        "displacement": values[..., 0] - zero,
-        "normal_force": force[..., 0],
-        "shear_force": force[..., 1],
-        "moment": force[..., 2],
-        "power": values[..., 3].sum(axis=2),
-    }
+    """Return the quantities (T, C) of C cuffs in T states by name; ``length`` is (T, C, 3).
+
+    If states are derivatives, all arrays have a last axis of parameters.
+    """
+    cuffs: tuple[ActingCuff, ...] = states.mechanism.extensions["cuffs"]
+    values = states.observed.forces[:, np.array([cuff.forces for cuff in cuffs])]
+    length, _, force, power, _ = np.moveaxis(values, 3, 0)
+    # archives hold the tension of a force, but the torque on the second body, which is the device
+    normal, shear, on_device = np.moveaxis(force, 2, 0)
+    forces = {"normal_force": normal, "shear_force": shear, "moment": -on_device}
+    return {"length": length, **forces, "power": power.sum(axis=2)}
+
+
+def displacements(states: States) -> np.ndarray:
+    """Return the displacements (T, C, 3) of C cuffs in T states."""
+    cuffs: tuple[ActingCuff, ...] = states.mechanism.extensions["cuffs"]
+    return states.of(cuffs_in)["length"] - np.array([cuff.zeros for cuff in cuffs])
 
 
 def _of_cuffs(name: str, units: str, what: str, **more: object) -> Recorded:
-    dims = ("time", "cuff", "coordinate") if "components" in more else ("time", "cuff")
-    return computed(name, dims, units, what, lambda s: s.of(cuffs_in)[name], **more)
+    return computed(name, ("time", "cuff"), units, what, lambda s: s.of(cuffs_in)[name], **more)
 
 
 # fmt: off
@@ -43,8 +48,10 @@ CUFFS = quantity_group(
     name_array("device", "cuff", "body of the device", lambda names: names.bodies_of("cuffs", 1), label="bodies"),
     name_array("coordinate", "coordinate", "component of displacements", lambda names: DIRECTIONS),
     name_array("row_units", "coordinate", "units of displacement, row by row", lambda names: ("m", "m", "rad")),
-    _of_cuffs("displacement", "mixed", "displacement of the device's point in the frame of the limb",
-        row_units="row_units", components=DIRECTIONS,
+    computed("displacement", ("time", "cuff", "coordinate"), "mixed",
+        "displacement of the device's point in the frame of the limb", displacements,
+        row_units="row_units", components=DIRECTIONS, vector="displacement",
+        no_derivative="the derivatives of displacements of cuffs are not known; those of their forces are",
         about=("displacement of the device's point in the frame of the limb", "rotation of the device in the limb")),
     _of_cuffs("normal_force", "N", "force of the device on the limb, along the axis of the cuff",
         charts=(Chart("cuff-forces", "Normal forces of the cuffs", "They act on the limbs, along their axes.",
