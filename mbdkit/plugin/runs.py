@@ -13,6 +13,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.runs.integrals import RunIntegrals as RunIntegrals, functionals_of as functionals_of
     from mbdkit.runs.corners import knots_of as knots_of
+    from mbdkit.runs.followers import AddedForces as AddedForces, Follower as Follower
     from mbdkit.runs.given_start import GivenStart as GivenStart, spec_started_at as spec_started_at
     from mbdkit.runs.finish import run_in_memory as run_in_memory
     from mbdkit.runs.preparation import (

@@ -34,6 +34,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.methods.step_filter import step_filter as step_filter
     from mbdkit.registry.items import integrator_claims as integrator_claims
     from mbdkit.registry.seam import OwnSeam as OwnSeam, Seam as Seam
+    from mbdkit.runs.followers import follower as follower
     from mbdkit.runs.run_seams import (
         StateWatcher as StateWatcher, computed_run as computed_run, end_criterion as end_criterion,
         repeated_run as repeated_run,

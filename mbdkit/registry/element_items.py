@@ -246,15 +246,23 @@ class ModelKey(Feature):
         Function that adds elements to the mechanism.
     read_files
         Function that replaces in plain data of the values what specs give by the names of files.
+    follow
+        Function that returns a value of the key as a `mbdkit.plugin.runs.Follower`, whose bodies follow a measured
+        motion of the mechanism, for specs of inverse dynamics with ``follows: dynamics``.
     """
 
     kind: ClassVar[str] = "model-key"
     key: ClassVar[str] = "model"
-    seams: ClassVar[Mapping[str, str]] = {"extend": "model_extension", "read_files": "element_files"}
+    seams: ClassVar[Mapping[str, str]] = {
+        "extend": "model_extension",
+        "read_files": "element_files",
+        "follow": "follower",
+    }
 
     model: Target
     extend: Target
     read_files: Target | None = None
+    follow: Target | None = None
 
     def _check_name(self) -> None:
         if not self.name.isidentifier():

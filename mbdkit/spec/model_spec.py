@@ -34,6 +34,7 @@ from mbdkit.spec.spec_kinds import kind_of
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.registry.element_items import ModelKey
     from mbdkit.registry.feature_items import SpecKind
     from mbdkit.spec.study_measures import DefinedMeasure
 
@@ -260,6 +261,10 @@ class ModelSpec(StrictSpec):
         """Return a context in which the files that are read are added to `files_read`."""
         return recording(self._files)
 
+    def extends(self, key: ModelKey) -> bool:
+        """Return whether the values of a key of models are part of the mechanism."""
+        return True
+
     def _accept(self, mechanism: Mechanism) -> None:
         """Raise SpecError if the other sections are not compatible with the mechanism."""
 
@@ -283,7 +288,7 @@ class ModelSpec(StrictSpec):
         try:
             mechanism = self.model_plugin.build(self.model)
             for name, key in model_keys(self.model_item).items():
-                if values := getattr(self.model, name, None):
+                if self.extends(key) and (values := getattr(self.model, name, None)):
                     model_extension.of(key.extend)(values, cast("Mechanism", mechanism))
                     cast("Mechanism", mechanism).validate()
             return mechanism

@@ -215,6 +215,12 @@ def mbdkit_items() -> Iterable[Item]:
             word="loads",
             history=Target("mbdkit_biomech.histories:LoadHistory"),
         ),
+        QuantityKind(
+            name="followers",
+            summary="Joint forces without bodies that follow a measured motion.",
+            order=235,
+            target=Target("mbdkit_biomech.quantities:FOLLOWERS"),
+        ),
         ReportSection(
             name="loads",
             summary="Loads over the motion, workload, and disagreement of model and data.",

@@ -1,4 +1,4 @@
-"""Groups of the archive that muscles and inverse dynamics add: motion, actuators, muscles and loads."""
+"""Groups of the archive that muscles and inverse dynamics add: motion, actuators, muscles, loads and followers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _T, _TJ, _TJA, _TU = ("time",), ("time", "joint"), ("time", "joint", "axis"), ("
 _TK, _TA = ("time", "observed"), ("time", "actuator")
 _TL, _TLA = ("time", "load"), ("time", "load", "axis")
 
-INVERSE_GROUPS = ("motion", "actuators", "muscles", "loads")
+INVERSE_GROUPS = ("motion", "actuators", "muscles", "loads", "followers")
 """Groups of inverse dynamics; a group without elements is absent."""
 
 MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
@@ -98,5 +98,15 @@ LOADS = quantity_group(
     Array("torque", _TL, "N m", "free torque on the body, positive counter-clockwise"),
     Array("power", _TL, "W", "power that the load supplies to the body"),
     optional=True, word="loads", one="load", axis="load", is_optional=True,
+)
+
+FOLLOWERS = quantity_group(
+    "followers",
+    _TIME,
+    name_array("follower", "follower", "name of the bodies that follow the motion, such as a worn device",
+        lambda names: names.names_of("followers")),
+    JOINT, AXIS,
+    Array("reaction_force_without", _TJA, "N", "reaction_force for the same motion without these bodies"),
+    optional=True, is_optional=True,
 )
 # fmt: on

@@ -104,6 +104,7 @@ def mbdkit_items() -> Iterable[Item]:
             model=Target("mbdkit_wearable.device:Device"),
             extend=Target("mbdkit_wearable.device:add_devices"),
             read_files=Target("mbdkit_wearable.device:read_devices"),
+            follow=Target("mbdkit_wearable.worn.worn_device:worn_device"),
         ),
         Accessor(
             name="wear",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,9 +13,10 @@ from mbdkit.plugin import QuantityNames, RunError, SpecError, States, counted, l
 from mbdkit.plugin.doubts import LawRanges
 from mbdkit.plugin.equations import GivenForces, StateObserver
 from mbdkit.plugin.methods import Nodes
-from mbdkit.plugin.runs import AssembledMechanism
+from mbdkit.plugin.runs import AssembledMechanism, Follower
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
-from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, LoadSeries, loads_on, read_loads
+from mbdkit_biomech.inverse_dynamics.loads.followers import followers_of, loads_of, remarks_of
+from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, LoadSeries, read_loads
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured, read_motion
@@ -64,6 +66,10 @@ class InverseProblem:
         Recruits the muscles; None without `recruitment`.
     unused
         Markers of the model without data, and columns of the table that are not used.
+    followers
+        Bodies that follow the motion, such as worn devices, by name.
+    is_loaded
+        Whether these bodies are there.
     """
 
     spec: InverseSpec
@@ -76,6 +82,8 @@ class InverseProblem:
     source: InverseSpec
     recruiter: Recruiter | None = None
     unused: UnusedData = field(default_factory=UnusedData)
+    followers: Mapping[str, Follower] = field(default_factory=dict)
+    is_loaded: bool = True
 
     @property
     def recorded_actuators(self) -> list[NamedActuator]:
@@ -89,7 +97,7 @@ class InverseProblem:
         told = [f"{warning}." for warning in (*mechanism.warnings, *mechanism.left_out_of_runs)]
         if self.names.mechanism.muscles and self.recruiter is None:
             told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
-        told += self.unused.warnings
+        told += [*self.unused.warnings, *remarks_of(self)]
         if any(actuator.is_residual for actuator in self.actuators):
             told += [f"{warning}." for warning in light_roots(self.names.mechanism)]
         return tuple(told)
@@ -113,13 +121,14 @@ class InverseProblem:
             observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
             actuators = actuators_of(spec.actuators, names, observed)
             recruiter = None if spec.recruitment is None else Recruiter(spec.recruitment, names, actuators)
+            followers = followers_of(source, names.mechanism)
         except SpecError as error:
             raise spec.placed(error) from error
         prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
         measured = measured.near(prepared.equations.q0)
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
         unused = UnusedData.of(spec, names, measured, table)
-        problem = cls(spec, prepared, fitter, names, measured, loads, actuators, source, recruiter, unused)
+        problem = cls(spec, prepared, fitter, names, measured, loads, actuators, source, recruiter, unused, followers)
         try:
             sources_of(problem)  # before the computation, so that wrong names are found early
         except SpecError as error:
@@ -301,7 +310,7 @@ def forces_of(
 
     See `compute` for errors, and `Recruiter.recruited` for `strict`.
     """
-    loads = loads_on(motion, problem.loads, problem.fitter.bodies)
+    loads = loads_of(problem, motion)
     report = problem.spec.unbalanced == "report"
     dynamics, balance, needed = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
     recruiter = problem.recruiter
@@ -352,6 +361,12 @@ def _muscles(result: Inverse) -> Muscles | None:
     own, muscles = one.contraction, tuple(result.problem.names.mechanism.muscles.values())
     fibers = own.fiber_length, own.fiber_rate
     return Muscles(own.length, own.rate, *fibers, one.activation, one.force, one.power, muscles)
+
+
+def without_followers(result: Inverse) -> Inverse:
+    """Return the result for the same motion without the bodies that follow it."""
+    problem = replace(result.problem, is_loaded=False)
+    return forces_of(problem, result.fitted, result.independent, result.motion, strict=False)
 
 
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:

@@ -109,7 +109,7 @@ def _stretched(value: Any, factor: float, move: float) -> object:
 def of_model(spec: InverseSpec, data: Mapping[str, object]) -> Any:
     """Return a spec with the section `model` and the parameters of a spec, without a motion."""
     given = {"mbdkit": 1, "parameters": dict(spec.parameters), "motion": {"data": {"time": [0.0]}}}
-    return type(spec)(**given, model=data)
+    return type(spec)(**given, model=data, follows=spec.follows)
 
 
 def _path_lengths(spec: InverseSpec, data: Mapping[str, Any]) -> dict[str, float]:

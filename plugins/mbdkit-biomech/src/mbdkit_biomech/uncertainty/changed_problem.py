@@ -17,7 +17,7 @@ import numpy as np
 
 from mbdkit.plugin import Mechanism, QuantityNames
 from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.runs import AssembledMechanism
+from mbdkit.plugin.runs import AssembledMechanism, Follower
 from mbdkit_biomech.inverse_dynamics.compute import Fitted, Inverse, InverseProblem, forces_of
 from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
@@ -41,7 +41,7 @@ MOVING = ("centers", "lengths", "angles")
 MODEL = ("centers", "lengths", "masses", "inertias", "muscle_points")
 """Keys of places that change the mechanism."""
 
-OF_DYNAMICS = frozenset(("masses", "inertias", "pressure", "plate_gain", "offset"))
+OF_DYNAMICS = frozenset(("masses", "inertias", "pressure", "plate_gain", "offset", "followers"))
 """Keys of places that leave the paths of muscles as they are."""
 
 PROPERTIES = ("max_force", "optimal_length", "tendon_length")
@@ -78,7 +78,7 @@ class Changer:
         mechanism = self._mechanism(change) if keys & set(MODEL) else base.names.mechanism
         names = QuantityNames(mechanism)
         fitted, independent, motion = self.result.fitted, self.result.independent, self.result.motion
-        problem = replace(base, names=names, loads=self._loads(change))
+        problem = replace(base, names=names, loads=self._loads(change), followers=self._followers(change))
         if keys & set(MODEL):
             prepared = AssembledMechanism.at(GivenMechanism(mechanism), float(motion.time[0]), float(motion.time[-1]))
             fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
@@ -199,6 +199,13 @@ class Changer:
         assert independent is not None
         values = independent.quantities.values(self.result.fitted.q)
         return fixed(self.result.motion.time, values, self.problem.spec.motion.smooth)
+
+    def _followers(self, change: Change) -> Mapping[str, Follower]:
+        found = dict(self.problem.followers)
+        for place, size in change.items():
+            if place[0] == "followers":
+                found[place[1]] = found[place[1]].changed({place[2]: size})
+        return found
 
     def _loads(self, change: Change) -> dict[str, LoadSeries]:
         late = change.get(("offset",), 0.0)

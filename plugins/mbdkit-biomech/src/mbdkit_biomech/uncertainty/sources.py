@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from mbdkit.plugin import SpecError
+from mbdkit.plugin import SpecError, did_you_mean
 from mbdkit_biomech.persons.calibration import require_joints
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
@@ -24,7 +24,7 @@ InverseProblem: TypeAlias = Any
 Place: TypeAlias = tuple[str, ...]
 """What is changed: the key of `uncertainty`, the element, and the axis or the body if there are several."""
 
-Kind: TypeAlias = Literal["person", "muscles"]
+Kind: TypeAlias = Literal["person", "muscles", "devices"]
 
 DEFAULTS: Mapping[str, Any] = {
     "masses": 0.1, "inertias": 0.2, "pressure": 0.005, "plate_gain": 0.01, "max_force": 0.2, "optimal_length": 0.05,
@@ -64,6 +64,8 @@ ADVICE = {
     "offset": "synchronise plates and markers",
     "exponent": "compare activations with EMG",
     "least": "compare activations with EMG",
+    "misfit": "measure where the device is on the limbs, for example with markers",
+    "tissue": "measure the stiffness under the cuffs",
 }
 """What reduces the uncertainty of a source, by the first word of its name."""
 
@@ -75,7 +77,7 @@ class UncertainScalar:
     group: str
     """Name of the source in tables, which several scalars may share."""
     kind: Kind
-    """``person`` or ``muscles``."""
+    """``person``, ``muscles`` or ``devices``."""
     moves: Mapping[Place, float]
     """Changes of places for a change of the scalar by 1."""
     span: tuple[float, float] | None = None
@@ -110,7 +112,7 @@ def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
                         key="recruitment.deviations")  # fmt: skip
     if short is not None:
         return Uncertainty(**short.model_dump())
-    if spec.uncertainty == "none" or (spec.uncertainty is None and spec.subject is None):
+    if spec.uncertainty == "none" or (spec.uncertainty is None and spec.subject is None and spec.follows is None):
         return None
     return spec.uncertainty or Uncertainty()
 
@@ -156,6 +158,7 @@ class _Sources:
                 "offset in time of the plates", "person", {("offset",): self.person.plates.offset.deviation}
             )
         yield from self._of_muscles()
+        yield from self._of_followers()
 
     def _size(self, key: str) -> Any:
         """Return the value of a key: that of the spec, or the default of a person."""
@@ -238,6 +241,19 @@ class _Sources:
                                 key=f"uncertainty.{key}")  # fmt: skip
             if own[0] < own[1] or own[0] != value:
                 yield UncertainScalar(name, "muscles", {(key,): 1.0}, (own[0] - value, own[1] - value))
+
+    def _of_followers(self) -> Iterator[UncertainScalar]:
+        followers, given = self.problem.followers, self.asked.devices or {}
+        known = dict.fromkeys(number for one in followers.values() for number in one.deviations)
+        for number in given:
+            if number not in known:
+                what = f"there is no uncertain number '{number}'{did_you_mean(number, known)}"
+                raise SpecError(what if known else "needs `follows: dynamics`", key=f"uncertainty.devices.{number}")
+        for name, one in followers.items():
+            for number, size in (one.deviations | given).items():
+                if size:
+                    place = ("followers", name, number)
+                    yield UncertainScalar(f"{number.replace('_', ' ')} of {name}", "devices", {place: size})
 
 
 def segment_of(body: str, person: object) -> str:

@@ -21,7 +21,7 @@ from mbdkit.plugin import MbdkitError, RunError
 from mbdkit.plugin.equations import JointSums, elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import solve_dynamics
-from mbdkit_biomech.inverse_dynamics.loads.loads import loads_on
+from mbdkit_biomech.inverse_dynamics.loads.followers import loads_of
 from mbdkit_biomech.inverse_dynamics.muscles.fibers import fibers_of_length
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, share_loads
@@ -68,7 +68,7 @@ class _Mechanics:
     def __init__(self, own: ChangedProblem):
         problem, motion = own.problem, own.motion
         self.own, self._sums = own, JointSums(problem.prepared.workspace.mechanism)
-        loads = loads_on(motion, problem.loads, problem.fitter.bodies)
+        loads = loads_of(problem, motion)
         report = problem.spec.unbalanced == "report"
         self.dynamics, self._balance, _ = solve_dynamics(
             problem.fitter, motion, loads, problem.actuators, report=report

@@ -26,7 +26,7 @@ import numpy as np
 from mbdkit.plugin import counted
 from mbdkit.plugin.archives import TableColumn
 from mbdkit.plugin.equations import product
-from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, without_followers
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, UncertainScalar, asked_uncertainty, sources_of
 from mbdkit_biomech.uncertainty.stacked_outcomes import Outcomes, StackedOutcomes
@@ -35,7 +35,7 @@ _TJ = ("time", "joint")
 OF_DATA, INTERACTIONS = "noise of the data", "interactions"
 """Names of the first and the last row of contributions."""
 
-KINDS: tuple[Kind, Kind] = ("person", "muscles")
+KINDS: tuple[Kind, ...] = ("person", "muscles", "devices")
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,9 @@ class UncertainResult:
     samples: int
     failed: int
     """Number of scalars, of samples, and of samples in which the muscles cannot produce some frames."""
+    added: tuple[np.ndarray, np.ndarray] | None
+    """Bounds (T, J) of the forces of joints without the bodies that follow the motion, and of what these add [N]; None
+    without such bodies."""
     failed_rows: float
     """Share of the frames of all samples that the muscles cannot produce."""
 
@@ -86,7 +89,8 @@ class UncertainResult:
         own = self.squares[1]
         safe = np.where(whole > 0, whole, 1.0)
         rows = [of_data / safe, *(self.shares * (own / safe)), (1.0 - np.sum(self.shares, axis=0)) * (own / safe)]
-        by_kind = {kind: np.sqrt(self.share_of(kind) * own) for kind in KINDS}
+        kinds = [kind for kind in KINDS if kind != "devices" or self.added is not None]
+        by_kind = {kind: np.sqrt(self.share_of(kind) * own) for kind in kinds}
         words, what = (
             {"person": "the person"},
             "error of the largest reaction_force over the motion by person and muscles",
@@ -99,10 +103,19 @@ class UncertainResult:
                 f"reaction_error_{kind}": TableColumn(x, _TJ, "N", f"part of reaction_error by {words.get(kind, kind)}")
                 for kind, x in by_kind.items()
             },
+            **self._added_parts(),
             "reaction_peak_error": TableColumn(self.peaks, ("joint",), "N", what),
             "source": TableColumn(sources, ("source",), "1", "name of the source of uncertainty"),
             "contribution": TableColumn(np.array(rows), ("source", *_TJ), "1", share),
         }
+
+    def _added_parts(self) -> dict[str, TableColumn]:
+        words = {
+            "reaction_without_error": "error of followers/reaction_force_without, not by noise",
+            "reaction_added_error": "error of what devices add to reaction_force by all sources but the noise",
+        }
+        pairs = zip(words.items(), self.added or (), strict=False)
+        return {name: TableColumn(values, _TJ, "N", what) for (name, what), values in pairs}
 
     def share_of(self, kind: Kind) -> np.ndarray:
         """Return the share (T, J) of a kind of sources in the squared bars; interactions are divided among the kinds in
@@ -110,7 +123,7 @@ class UncertainResult:
         """
         own = [np.sum(self.shares[[one == each for one in self.kinds.values()]], axis=0) for each in KINDS]
         own = [np.maximum(one, 0.0) for one in own]
-        whole = own[0] + own[1]
+        whole = np.sum(own, axis=0)
         return np.asarray(own[KINDS.index(kind)] / np.where(whole > 0, whole, 1.0))
 
 
@@ -143,8 +156,23 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     kinds = {source.group: source.kind for source in sources}
     shares = _shares(stacked, sources, nominal, force, [*kinds])
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
-    failures = int(np.sum(failed.any(axis=1))), float(np.mean(failed))
+    failures = int(np.sum(failed.any(axis=1))), _added(result, sources, values, reactions), float(np.mean(failed))
     return UncertainResult(squares, peaks, kinds, shares, len(sources), len(values), *failures)
+
+
+def _added(
+    result: Inverse, sources: Sequence[UncertainScalar], values: np.ndarray, reactions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return bounds (T, J) of forces without the bodies that follow the motion, and of what these add, given changes
+    (S, T, J, 3) of the reactions with them for values (S, K) of the scalars.
+    """
+    if not result.problem.followers:
+        return None
+    stacked = StackedOutcomes(without_followers(result), sources)
+    without = stacked.at(values).reactions - stacked.at(np.zeros((1, len(sources)))).reactions
+    changes = without[..., :2], (reactions - without)[..., :2]
+    first, second = (_bound(np.linalg.norm(change, axis=-1)) for change in changes)
+    return first, second
 
 
 def _bound(sizes: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ class Uncertainty(Section):
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         *("centers", "lengths", "masses", "inertias", "max_force", "optimal_length", "tendon_length"),
-        *("muscle_points", "pressure", "plate_gain", "angles", "exponent", "minimum"),
+        *("muscle_points", "pressure", "plate_gain", "angles", "exponent", "minimum", "devices"),
     )
 
     centers: Distance | dict[str, Distance] | None = None
@@ -57,6 +57,9 @@ class Uncertainty(Section):
     """Range of the exponent of recruitment; default [2, 3] if it contains `recruitment.exponent`."""
     minimum: tuple[Activation, Activation] | None = None
     """Range of the smallest activation; default [0.01, 0.05] if it contains `recruitment.minimum`."""
+    devices: dict[str, Annotated[float, Field(ge=0)]] | None = None
+    """Uncertain numbers of worn devices that follow the motion: `misfit_x`, `misfit_y` [m] and `misfit_angle` [rad],
+    which are added to its offset, and `tissue`, the share by which the stiffness of all its cuffs may be wrong."""
     samples: Annotated[Count, Field(ge=20)] = 500
     """Number of samples of all scalars together."""
 

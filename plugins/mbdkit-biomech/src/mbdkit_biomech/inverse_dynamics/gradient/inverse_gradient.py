@@ -128,6 +128,8 @@ class _InverseDynamics(GradientProblem[InverseSpec]):
 
     def __init__(self, spec: InverseSpec, definitions: Definitions):
         # measures do not need error bars, which take ten times as long as the rest
+        if spec.follows is not None:
+            raise SpecError("derivatives do not include bodies that follow the motion", key="follows")
         keys = ("motion", "errors"), *([("uncertainty",)] if spec.uncertainty is not None else [])
         spec = varied_inverse(spec, [(key, "none") for key in keys])
         problem = InverseProblem.of(spec)

@@ -22,7 +22,12 @@ from mbdkit.plugin.archives import (
 from mbdkit.plugin.files import json_text
 from mbdkit.plugin.measures import take_all
 from mbdkit.plugin.runs import model_provenance
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
+from mbdkit_biomech.inverse_dynamics.compute import (
+    Inverse,
+    reaction_forces_without_muscles,
+    recorded_states,
+    without_followers,
+)
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import DataDoubts, verdict_on_data
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import long_gaps
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
@@ -65,7 +70,8 @@ def run_of(
     ResourceError
         If the archive cannot be written.
     """
-    states, names, doubts = recorded_states(result), _names(result), doubts or DataDoubts()
+    states, names, is_sample = recorded_states(result), _names(result), doubts is None
+    doubts = doubts or DataDoubts()
     groups = [group for group in INVERSE_GROUPS if names.names_of(group)]
     misalignment = states.misalignment.max(axis=0, initial=0.0)
     ending = Ending(
@@ -85,7 +91,7 @@ def run_of(
         path=path,
         overwrite=overwrite,
         names=names,
-        rows=_rows(result, bars),
+        rows=_rows(result, bars, is_sample=is_sample),
         optional=[path for group in groups for path in kind_of_group(group).by_path if path not in MUSCLES_OF_RUNS],
         measured=partial(_measured, result, errors or {}),
     )
@@ -120,11 +126,15 @@ def _names(result: Inverse) -> ArchiveNames:
         actuators=members_of_actuators(problem.recorded_actuators),
         muscles=[(name, ()) for name in ({} if problem.recruiter is None else problem.recruiter.muscles)],
         loads=[(name, (body,)) for name, body in zip(result.loads.names, result.loads.bodies, strict=True)],
+        followers=[(name, ()) for name in problem.followers],
     )
 
 
-def _rows(result: Inverse, bars: ResultBars | None) -> dict[str, np.ndarray]:
-    """Return the arrays of motion, actuators, muscles and loads that are not computed from states, by key."""
+def _rows(result: Inverse, bars: ResultBars | None, *, is_sample: bool) -> dict[str, np.ndarray]:
+    """Return the arrays of motion, actuators, muscles and loads that are not computed from states, by key.
+
+    `is_sample`: whether the result is a sample for error bars, for which no second result without followers is needed.
+    """
     problem, fitted, loads = result.problem, result.fitted, result.loads
     mechanism = problem.prepared.workspace.mechanism
     rows = {
@@ -140,6 +150,9 @@ def _rows(result: Inverse, bars: ResultBars | None) -> dict[str, np.ndarray]:
         "loads/torque": loads.torque,
         "loads/power": loads.power,
     }
+    if problem.followers:
+        other = result if is_sample else without_followers(result)
+        rows["followers/reaction_force_without"] = recorded_states(other).reactions[..., :2]
     if result.recruited is not None:
         rows |= {
             "muscles/force_error": np.full(result.recruited.force.shape, np.nan) if bars is None else bars.muscles,

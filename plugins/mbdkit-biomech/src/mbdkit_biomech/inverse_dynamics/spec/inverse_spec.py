@@ -34,7 +34,7 @@ from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism
+    from mbdkit.plugin import Mechanism, ModelKey
 
 S = TypeVar("S", bound=Section)
 
@@ -67,6 +67,7 @@ class InverseSpec(ModelSpec):
         "actuators",
         "recruitment",
         "uncertainty",
+        "follows",
         "measures",
         "unbalanced",
         "accept",
@@ -87,6 +88,9 @@ class InverseSpec(ModelSpec):
     uncertainty: Uncertainty | Literal["none"] | None = None
     """How well the person, its loads and its muscles are known, for the error bars; on by default with `subject`, and
     `none` to leave it out."""
+    follows: Literal["dynamics"] | None = None
+    """`dynamics` if no data observe the bodies of `model.devices`: their motion follows from that of the limbs, and
+    their forces act on the limbs as loads (`mbdkit guide wearable`)."""
     unbalanced: Literal["refuse", "report"] = "refuse"
     """What happens if the actuators cannot produce the motion: `refuse` makes this an error; `report` chooses their
     values so that the sum of squares of the unbalanced generalized forces is smallest, and reports these forces."""
@@ -145,6 +149,10 @@ class InverseSpec(ModelSpec):
                 raise SpecError(
                     "needs `subject`; without, give `force` and `point`", key=f"loads.{quoted(name)}.plates"
                 )
+
+    def extends(self, key: ModelKey) -> bool:
+        """Return whether the values of a key of models are part of the mechanism; not if their bodies follow it."""
+        return self.follows is None or key.follow is None
 
     def _accept(self, mechanism: Mechanism) -> None:
         if contacts := mechanism.elements.get("contacts"):

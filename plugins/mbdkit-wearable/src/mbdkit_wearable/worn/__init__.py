@@ -1,0 +1,1 @@
+"""Devices that follow the measured motion of the limbs which wear them."""
