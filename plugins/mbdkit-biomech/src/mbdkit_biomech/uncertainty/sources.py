@@ -64,6 +64,8 @@ ADVICE = {
     "offset": "synchronise plates and markers",
     "exponent": "compare activations with EMG",
     "least": "compare activations with EMG",
+    "place": "measure medial and lateral landmarks of the knee",
+    "EMG": "measure maximal contractions",
 }
 """What reduces the uncertainty of a source, by the first word of its name."""
 
@@ -221,6 +223,13 @@ class _Sources:
         for key in keys[:3]:
             if size := self._size(key):
                 yield from (self._scalar(key, name, size, "muscles") for name in recruiter.muscles)
+        names = list(recruiter.muscles)
+        for knee in recruiter.targets.knees:
+            place: Place = ("across", knee.joint)
+            yield UncertainScalar(f"place across of the {knee.joint.replace('_', ' ')}", "person", {place: knee.deviation})
+        for channel in recruiter.targets.emg:
+            name = names[channel.muscle]
+            yield UncertainScalar(f"EMG of {name.replace('_', ' ')}", "muscles", {("emg", name): channel.deviation})
         if size := self._size("muscle_points"):
             for name, muscle in recruiter.muscles.items():
                 group = f"points of {name.replace('_', ' ')}"
