@@ -265,8 +265,10 @@ class Muscle(Element):
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
         keys = ("body" if item.wrap is None else "wrap.body" for item in self.path)
+        patella = [] if self.patella is None else [("patella", self.path[-1].on)]
         return [
-            (f"path[{index}].{key}", item.on) for index, (key, item) in enumerate(zip(keys, self.path, strict=True))
+            *((f"path[{index}].{key}", item.on) for index, (key, item) in enumerate(zip(keys, self.path, strict=True))),
+            *patella,
         ]
 
     def attachments(self) -> list[Attachment]:
@@ -280,7 +282,7 @@ class Muscle(Element):
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
-        return [place for place, item in zip(self.places(), self.path, strict=True) if item.moves]
+        return [place for place, item in zip(self.places(), self.path, strict=False) if item.moves]
 
     def motions(self) -> list[tuple[str, Motion]]:
         """Return (key, value) of each prescribed function of time."""

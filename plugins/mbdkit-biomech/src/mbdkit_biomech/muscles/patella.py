@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.mechanism.mechanism_quantities import Point
+from mbdkit.mechanism.mechanism_quantities import GROUND, Point
 from mbdkit.plugin import Positive, QuantityNames, Revolute, SpecError, StrictModel
 from mbdkit.plugin.equations import elementary
 
@@ -86,7 +86,7 @@ class PatellaPath:
         self.joint, self._scale = patella.joint, patella.scale
         self._flexion = names.find(patella.flexion, f"{key}.flexion")
         self._ends = [
-            Point(names.body(body, f"{key}.joint"), *point)
+            Point(GROUND if body == names.mechanism.ground else names.body(body, f"{key}.joint"), *point)
             for body, point in zip(joint.bodies, joint.points, strict=True)
         ]
 

@@ -28,7 +28,7 @@ Kind: TypeAlias = Literal["person", "muscles"]
 
 DEFAULTS: Mapping[str, Any] = {
     "masses": 0.1, "inertias": 0.2, "pressure": 0.005, "plate_gain": 0.01, "max_force": 0.2, "optimal_length": 0.05,
-    "tendon_length": 0.02, "muscle_points": 0.005, "exponent": (2.0, 3.0), "minimum": (0.01, 0.05),
+    "tendon_length": 0.02, "muscle_points": 0.005, "exponent": (2.0, 4.0), "minimum": (0.01, 0.05),
 }  # fmt: skip
 """Values of keys that are left out with `subject`; the page `persons` of the guide gives the source of each."""
 

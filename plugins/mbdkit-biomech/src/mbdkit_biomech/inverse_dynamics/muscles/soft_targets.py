@@ -24,7 +24,7 @@ from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shar
 LEAST_DEVIATION = 0.03
 """Smallest standard deviation of an activation by EMG: that of a muscle at rest."""
 
-FOLLOWS = 0.3
+FOLLOWS = 0.5
 """A channel of EMG counts as noise if its correlation with the activation that recruitment finds without EMG is
 smaller."""
 
@@ -155,23 +155,21 @@ def share_softly(
     if not again.size:
         return whole, shared
     whole = _softened(programme, soft, active | below)
-    found = share_loads(whole.only(again), exponent, shared.multipliers[again] if np.isfinite(exponent) else None)
+    found = share_loads(whole.only(again), exponent)  # multipliers without bounds are too far away for a start
     for name in ("value", "certificate", "multipliers"):
         getattr(shared, name)[again] = getattr(found, name)
     return whole, shared
 
 
 def _softened(programme: Programme, soft: SoftTargets, active: np.ndarray) -> Programme:
-    """Return programmes with an equation and an unknown for each target; those that are not `active` (T, S) are
-    zero.
-    """
+    """Return programmes with an equation and an unknown for each target; where not `active` (T, S), both are zero."""
     (rows, equations, unknowns), targets = programme.matrix.shape, soft.right.shape[1]
     matrix = np.zeros((rows, equations + targets, unknowns + targets))
     matrix[:, :equations, :unknowns] = programme.matrix
     matrix[:, equations:, : soft.matrix.shape[2]] = soft.matrix * active[..., None]
     places = np.arange(targets)
     matrix[:, equations + places, unknowns + places] = soft.deviation
-    free = np.full((rows, targets), np.inf)
+    free = np.where(active, np.inf, 0.0)
     return Programme(
         matrix,
         np.hstack([programme.right, soft.right * active]),
