@@ -16,6 +16,7 @@ from mbdkit_biomech.muscles.muscle import Activation
 from mbdkit_biomech.muscles.muscle import Metabolics
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_biomech.muscles.muscle import PathItem
+from mbdkit_biomech.muscles.patella import Patella
 from mbdkit_contact.contact import Compliance
 from mbdkit_contact.contact import Contact
 from mbdkit_contact.contact import Friction
@@ -619,7 +620,8 @@ class ElementMethods(NamedElements):
         self, name: str, path: Sequence[Mapping[str, Any] | PathItem], *, max_force: float, optimal_length: float,
         tendon_length: float, pennation: float = 0.0,
         curves: Literal["de-groote-fregly", "millard"] = 'de-groote-fregly',
-        tendon: Literal["rigid", "elastic"] = 'rigid', damping: float = 0.1,
+        tendon: Literal["rigid", "elastic"] = 'rigid', patella: Mapping[str, Any] | Patella | None = None,
+        damping: float = 0.1,
         activation: Mapping[str, Any] | Activation = Activation(rise=0.01, fall=0.04, initial=0.05),
         excitation: float | str | Mapping[str, Any] | Table | None = None, max_velocity: float = 10.0,
         weight: float = 1.0, metabolics: Mapping[str, Any] | Metabolics | Literal["umberger"] | None = None
@@ -651,6 +653,10 @@ class ElementMethods(NamedElements):
             of Millard et al. (2013).
         tendon
             Whether the tendon has a constant length, or is elastic.
+        patella
+            For a muscle of the quadriceps, whose path ends at the patella on the thigh: the patella and its
+            ligament, which pulls the shank; ``{}`` in a model `leg`. None by default. Keys of `Patella`: joint,
+            flexion, scale.
         damping
             Damping of the fibres: the damping force at the velocity `max_velocity`, as a share of `max_force`.
         activation

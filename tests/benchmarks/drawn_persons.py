@@ -26,7 +26,6 @@ from rich.table import Table
 import mbdkit
 from mbdkit import InverseSpec
 from mbdkit.base.errors import MbdkitError
-from mbdkit.spec.loading import read_source
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
@@ -47,9 +46,9 @@ GAIN, MASS, INERTIA, STRENGTH, FIBER, TENDON = 0.01, 0.1, 0.2, 0.2, 0.05, 0.02
 """Standard deviations of logarithms; `STRENGTH` is that of a common factor and that of one for each muscle."""
 TRUNK_ZERO, FOOT_ZERO = 0.05, 0.06
 """Standard deviations of the zeros of the angles of trunk and foot [rad]; the second is found for the flat foot."""
-EXPONENT, MINIMUM = (2.0, 3.0), (0.01, 0.05)
+EXPONENT, MINIMUM = (2.0, 4.0), (0.01, 0.05)
 """Ranges of the exponent of recruitment and the least activation."""
-RECRUITMENT = {"exponent": 2, "minimum": 0.02, "reserves": 1.0}
+RECRUITMENT = {"exponent": 3, "minimum": 0.02, "reserves": 1.0}
 LEG = ("thigh", "shank", "foot")
 JOINTS = ("hip", "knee", "ankle")
 LEVEL = 0.95
@@ -124,7 +123,7 @@ def _expanded() -> dict[str, Any]:
 
 
 def _spec(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
-    """Return the spec of a person with one leg and nine muscles, from columns (T, 3) of markers and plates."""
+    """Return the spec of a person with one leg and eleven muscles, from columns (T, 3) of markers and plates."""
     data = {"time": _walker().time} | {f"{n}.{a}": x[:, k] for n, x in columns.items() for k, a in enumerate("xyz")}
     clusters = {body: names for body, names in CLUSTERS.items() if not body.endswith("_left")}
     return {
@@ -133,7 +132,7 @@ def _spec(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
         "model": {
             "name": "leg",
             "root": "trunk",
-            "muscles": read_source("walking-muscles").data["model"]["muscles"],
+            "muscles": "walking-two-legs",
         },
         "motion": {
             "data": data,

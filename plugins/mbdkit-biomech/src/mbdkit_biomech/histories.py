@@ -21,5 +21,9 @@ class MuscleHistory(columns.Muscles, of="muscles"):
     """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
 
 
+class KneeHistory(columns.Knees, of="knees"):
+    """Forces [N] in one knee beside that of the joint: of the patella on the thigh, and in both compartments."""
+
+
 class LoadHistory(columns.Loads, of="loads"):
     """One measured load, in inverse dynamics; force and point of application are in the global frame."""

@@ -208,6 +208,14 @@ def mbdkit_items() -> Iterable[Item]:
             history=Target("mbdkit_biomech.histories:MuscleHistory"),
         ),
         QuantityKind(
+            name="knees",
+            summary="Forces of patella and compartments in knees.",
+            order=225,
+            target=Target("mbdkit_biomech.quantities:KNEES"),
+            word="knees",
+            history=Target("mbdkit_biomech.histories:KneeHistory"),
+        ),
+        QuantityKind(
             name="loads",
             summary="Measured loads.",
             order=230,

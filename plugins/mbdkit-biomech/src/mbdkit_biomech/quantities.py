@@ -11,9 +11,9 @@ from mbdkit_biomech.muscles.muscle_values import MuscleValues
 _TIME = Array("time", ("time",), "s", "time of the recorded row")
 _T, _TJ, _TJA, _TU = ("time",), ("time", "joint"), ("time", "joint", "axis"), ("time", "muscle")
 _TK, _TA = ("time", "observed"), ("time", "actuator")
-_TL, _TLA = ("time", "load"), ("time", "load", "axis")
+_TL, _TLA, _TN = ("time", "load"), ("time", "load", "axis"), ("time", "knee")
 
-INVERSE_GROUPS = ("motion", "actuators", "muscles", "loads", "followers")
+INVERSE_GROUPS = ("motion", "actuators", "muscles", "knees", "loads", "followers")
 """Groups of inverse dynamics; a group without elements is absent."""
 
 MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
@@ -22,6 +22,10 @@ MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
 
 def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
     return Recorded(name, _TU, units, what, take=lambda s: s.of(MuscleValues).array(name), **more)
+
+
+def _of_knees(name: str, column: int, what: str) -> Recorded:
+    return Recorded(name, _TN, "N", what, take=lambda s: s.handles["knees"][:, :, column])
 
 
 # fmt: off
@@ -84,6 +88,17 @@ MUSCLES = quantity_group(
         "largest violation of the conditions of optimality by recruitment, relative to the size of each"),
     Array("reaction_force_without", _TJA, "N", "reaction_force if actuators produced the motion without muscles"),
     optional=True, word="muscles", one="muscle", example="force", axis="muscle", is_optional=True,
+    may_be_unknown=True,
+)
+
+KNEES = quantity_group(
+    "knees",
+    _TIME,
+    name_array("knee", "knee", "name of the joint", lambda names: names.names_of("knees")),
+    _of_knees("patellofemoral_force", 0, "force of the patella on the thigh; nan without patella"),
+    _of_knees("medial_force", 1, "force in the medial compartment; nan if frontal moments are not known"),
+    _of_knees("lateral_force", 2, "force in the lateral compartment; nan if frontal moments are not known"),
+    optional=True, word="knees", one="knee", example="medial_force", axis="knee", is_optional=True,
     may_be_unknown=True,
 )
 

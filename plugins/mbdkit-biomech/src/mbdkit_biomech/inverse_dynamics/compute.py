@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
+from mbdkit.engine.stacked_matrices import products
 from mbdkit.kernels import Observed
 from mbdkit.plugin import QuantityNames, RunError, SpecError, States, counted, listed
 from mbdkit.plugin.doubts import LawRanges
-from mbdkit.plugin.equations import GivenForces, StateObserver
+from mbdkit.plugin.equations import GivenForces, JointSums, StateObserver, elementary
 from mbdkit.plugin.methods import Nodes
 from mbdkit.plugin.runs import AssembledMechanism, Follower
-from mbdkit_biomech.inverse_dynamics.loads.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
+from mbdkit_biomech.inverse_dynamics.loads.dynamics import (
+    Balance,
+    Dynamics,
+    largest_unbalanced,
+    require_driven,
+    solve_dynamics,
+)
 from mbdkit_biomech.inverse_dynamics.loads.followers import followers_of, loads_of, remarks_of
-from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, LoadSeries, read_loads
+from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured, read_motion
@@ -31,7 +39,10 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import (
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
 from mbdkit_biomech.inverse_dynamics.motion.unused_data import UnusedData
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
+from mbdkit_biomech.inverse_dynamics.muscles.knees import knee_forces
+from mbdkit_biomech.inverse_dynamics.muscles.measured_targets import measured_targets
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
+from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Axial, Compartments
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import NamedActuator, actuators_of, light_roots
 from mbdkit_biomech.muscles.muscle_values import Muscles
@@ -120,7 +131,10 @@ class InverseProblem:
                 loads = read_loads(spec, names, table)
             observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
             actuators = actuators_of(spec.actuators, names, observed)
-            recruiter = None if spec.recruitment is None else Recruiter(spec.recruitment, names, actuators)
+            recruiter = None
+            if spec.recruitment is not None:
+                targets = measured_targets(source, names, measured.time)
+                recruiter = Recruiter(spec.recruitment, names, actuators, targets)
             followers = followers_of(source, names.mechanism)
         except SpecError as error:
             raise spec.placed(error) from error
@@ -314,8 +328,62 @@ def forces_of(
     report = problem.spec.unbalanced == "report"
     dynamics, balance, needed = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
     recruiter = problem.recruiter
-    recruited = None if recruiter is None else recruiter.recruited(motion, dynamics, balance, needed, strict=strict)
+    recruited = None
+    if recruiter is not None:
+        axial = partial(axial_forces, problem, motion, dynamics, balance)
+        recruited = recruiter.recruited(motion, dynamics, balance, needed, axial, strict=strict)
     return Inverse(problem, fitted, independent, motion, loads, dynamics, recruited)
+
+
+def axial_forces(
+    problem: InverseProblem, motion: Motion, dynamics: Dynamics, balance: Balance, pull: np.ndarray
+) -> Axial:
+    """Return the compressions of the knees of the targets of recruitment.
+
+    Parameters
+    ----------
+    pull
+        (T, n, M) generalized forces of unit tensions, which actuators balance.
+    """
+    assert problem.recruiter is not None
+    knees, muscles = problem.recruiter.targets.knees, pull.shape[2]
+    along = partial(_compressions, problem, motion, knees)
+    without, nothing = along(dynamics.lam), along(np.zeros_like(dynamics.lam))
+    unit = np.zeros((*without.shape, muscles))
+    if knees:
+        left = pull - products(balance.columns, balance.as_actuators(pull))
+        for index in range(muscles):
+            unit[..., index] = along(balance.directions.multipliers(left[..., index])) - nothing
+    return Axial(without, unit)
+
+
+def compressions(result: Inverse, knees: Sequence[Compartments]) -> np.ndarray:
+    """Return the compressions (T, K) of knees along the shank [N]."""
+    return _compressions(result.problem, result.motion, knees, result.lam)
+
+
+def _compressions(
+    problem: InverseProblem, motion: Motion, knees: Sequence[Compartments], lam: np.ndarray
+) -> np.ndarray:
+    if not knees:
+        return np.zeros((len(motion.time), 0))
+    found = problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, lam).reactions
+    reactions = JointSums(problem.prepared.workspace.mechanism).sum(found)
+    return np.stack([compression(reactions[:, one.index], motion.q, one.shank) for one in knees], axis=1)
+
+
+def compression(reaction: np.ndarray, q: np.ndarray, shank: int) -> np.ndarray:
+    """Return the component (T, ...) of reactions of a knee (T, ..., 2 or 3) along the shank, positive if pushed.
+
+    Parameters
+    ----------
+    q
+        (T, n) positions.
+    shank
+        Index of the shank among the bodies; the knee is on the positive y axis of its frame.
+    """
+    angle = q[:, 3 * shank + 2].reshape(-1, *[1] * (reaction.ndim - 2))
+    return np.asarray(elementary.sin(angle) * reaction[..., 0] - elementary.cos(angle) * reaction[..., 1])
 
 
 def recorded_states(result: Inverse) -> States:
@@ -349,9 +417,15 @@ def recorded_states(result: Inverse) -> States:
         work=work,
         dissipated=dissipated,
         start_energy=start,
-        handles={"actuators": result.actuators} | ({} if muscles is None else {"muscles": muscles}),
+        handles={"actuators": result.actuators} | ({} if muscles is None else {"muscles": muscles} | _knees(result)),
         elapsed=np.zeros(count),
     )
+
+
+def _knees(result: Inverse) -> dict[str, np.ndarray]:
+    """Return the forces in knees; see `knee_forces`."""
+    assert result.problem.recruiter is not None
+    return {"knees": knee_forces(result, compressions(result, result.problem.recruiter.targets.knees))}
 
 
 def _muscles(result: Inverse) -> Muscles | None:

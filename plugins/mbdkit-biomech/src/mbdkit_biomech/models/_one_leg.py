@@ -203,7 +203,10 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
                 f"with `symmetric_muscles: true`, '{name}' is on the second leg under this name; choose another one",
                 key=f"muscles.{quoted(name + SUFFIX)}",
             )
-        change = {"path": [_on_second(item, on_leg) for item in muscle.path]}
+        change: dict[str, object] = {"path": [_on_second(item, on_leg) for item in muscle.path]}
+        if (patella := muscle.patella) is not None:
+            own = {"joint": on_leg(patella.joint), "flexion": on_leg(patella.flexion)}
+            change["patella"] = patella.model_copy(update=own)
         found[name + SUFFIX] = muscle.model_copy(update=change | {"excitation": with_muscles(muscle.excitation)})
     return found
 

@@ -48,11 +48,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from mbdkit.plugin import GROUND, Body, Joint, Mechanism, Number, Point, Positive, SpecError, listed, quoted
+from mbdkit.plugin import GROUND, Body, Joint, Mechanism, Number, Point, Positive, SpecError, did_you_mean, listed, quoted
 from mbdkit.plugin.mechanisms import Force, Input, Marker, MechanismData, NamedCoordinate, PinFriction
 from mbdkit.plugin.seams import model_builder
+from mbdkit.plugin.specs import read_source
 from mbdkit_biomech.models._knee_linkage import MovingFrame, xy
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
 from mbdkit_biomech.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, BodySegments
@@ -62,6 +63,19 @@ from mbdkit_contact.contact import Contact
 
 REFERENCES = (WINTER, DE_LEVA, FRACTIONS, GAIT2D)
 FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)
+
+
+MUSCLE_SETS = ("walking-muscles", "walking-two-legs")
+"""Packaged examples whose muscles other legs may have."""
+
+
+def _packaged(value: object) -> object:
+    """Return the muscles of a packaged example for its name."""
+    if not isinstance(value, str):
+        return value
+    if value not in MUSCLE_SETS:
+        raise SpecError(f"is no set of muscles{did_you_mean(value, MUSCLE_SETS) or f'; sets: {listed(MUSCLE_SETS)}'}")
+    return read_source(value).data["model"]["muscles"]
 
 
 class LegOptions(LegPose):
@@ -109,9 +123,12 @@ class LegOptions(LegPose):
     """Further points on bodies, by name; the positions and velocities of these points are recorded."""
     inputs: dict[str, Input] = Field(default_factory=dict)
     """Inputs by name, such as the torque of a motor."""
-    muscles: dict[str, Muscle] = Field(default_factory=dict)
-    """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share the
-    moments of the actuators."""
+    muscles: Annotated[
+        dict[str, Muscle],
+        BeforeValidator(_packaged, json_schema_input_type=dict[str, Muscle] | Literal["walking-muscles", "walking-two-legs"]),
+    ] = Field(default_factory=dict)
+    """Muscles by name, or the name of a packaged example whose muscles the first leg has. In runs they exert forces; in
+    inverse dynamics with `recruitment`, they share the moments of the actuators."""
     contacts: dict[str, Contact] = Field(default_factory=dict)
     """Contacts by name, such as those of the foot with the floor."""
     symmetric_muscles: bool = False

@@ -333,6 +333,12 @@ def check_acting(mechanism: Mechanism) -> None:
                 "every force of an elastic tendon",
                 key=f"{key}.damping",
             )
+        if muscle.patella is not None:
+            raise SpecError(
+                "in a run, muscles have no patella; it is for inverse dynamics only: lead the path around a circle to "
+                "the shank instead",
+                key=f"{key}.patella",
+            )
         for index, item in enumerate(muscle.path):
             place = f"{key}.path[{index}]"
             if item.wrap is not None:

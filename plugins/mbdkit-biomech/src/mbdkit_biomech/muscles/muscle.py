@@ -36,6 +36,7 @@ from mbdkit.plugin.mechanisms import (
     sequence,
 )
 from mbdkit.plugin.seams import ElementsByName, element_check
+from mbdkit_biomech.muscles.patella import Patella
 
 MOST_CIRCLES = 4
 """Largest number of circles between two points of a path. It is limited because all patterns of touched circles are
@@ -177,7 +178,7 @@ class Muscle(Element):
     the muscle, ``optimal_length * sin(pennation)``, is constant.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics", "patella")
     equilibrium: ClassVar[Target] = Target("mbdkit_biomech.muscles.fiber_equilibrium:equilibrium_of")
 
     path: Annotated[list[PathItem], Field(min_length=2)]
@@ -195,6 +196,9 @@ class Muscle(Element):
     Millard et al. (2013)."""
     tendon: Literal["rigid", "elastic"] = "rigid"
     """Whether the tendon has a constant length, or is elastic."""
+    patella: Patella | None = None
+    """For a muscle of the quadriceps, whose path ends at the patella on the thigh: the patella and its ligament, which
+    pulls the shank; ``{}`` in a model `leg`. None by default."""
     damping: NotNegative = 0.1
     """Damping of the fibres: the damping force at the velocity `max_velocity`, as a share of `max_force`."""
     activation: Activation = Activation()
@@ -218,7 +222,7 @@ class Muscle(Element):
                 raise SpecError(f"the {end} item of a path is a point, not a circle", key=f"path[{index}].wrap")
             if self.path[index].when is not None:
                 raise SpecError(f"the {end} point of a path cannot have `when`", key=f"path[{index}].when")
-        if len({item.on for item in self.path}) == 1:
+        if self.patella is None and len({item.on for item in self.path}) == 1:
             raise SpecError(f"has all its points on '{self.path[0].on}', so the muscle has no effect", key="path")
         if isinstance(self.excitation, int | float) and not 0 <= self.excitation <= 1:
             raise SpecError(f"should be between 0 and 1, not {self.excitation:g}", key="excitation")
@@ -261,8 +265,10 @@ class Muscle(Element):
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
         keys = ("body" if item.wrap is None else "wrap.body" for item in self.path)
+        patella = [] if self.patella is None else [("patella", self.path[-1].on)]
         return [
-            (f"path[{index}].{key}", item.on) for index, (key, item) in enumerate(zip(keys, self.path, strict=True))
+            *((f"path[{index}].{key}", item.on) for index, (key, item) in enumerate(zip(keys, self.path, strict=True))),
+            *patella,
         ]
 
     def attachments(self) -> list[Attachment]:
@@ -276,7 +282,7 @@ class Muscle(Element):
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
-        return [place for place, item in zip(self.places(), self.path, strict=True) if item.moves]
+        return [place for place, item in zip(self.places(), self.path, strict=False) if item.moves]
 
     def motions(self) -> list[tuple[str, Motion]]:
         """Return (key, value) of each prescribed function of time."""

@@ -26,6 +26,7 @@ from mbdkit.plugin import CoordinateFunction, QuantityNames, RunError, quoted
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.mechanisms import Quantity
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
+from mbdkit_biomech.muscles.patella import PatellaPath
 
 BEHIND = np.pi / 6
 """Lower limit of the angle that a path sweeps about the center of a circle, from the point before to the point after.
@@ -129,15 +130,14 @@ class MusclePath:
     Raises
     ------
     SpecError
-        If a quantity in a condition does not exist.
+        If a quantity in a condition, or what the patella needs, does not exist.
     """
 
     def __init__(self, name: str, muscle: Muscle, names: QuantityNames):
-        self.name = name
-        self._places = [
-            _PathPlace(item, names, f"model.muscles.{quoted(name)}.path[{index}]")
-            for index, item in enumerate(muscle.path)
-        ]
+        self.name, key = name, f"model.muscles.{quoted(name)}"
+        self._places = [_PathPlace(item, names, f"{key}.path[{index}]") for index, item in enumerate(muscle.path)]
+        last, patella = muscle.path[-1].on, muscle.patella
+        self.patella = None if patella is None else PatellaPath(patella, last, names, f"{key}.patella")
 
     def at(self, time: np.ndarray, q: np.ndarray) -> PathState:
         """Return the path at positions q (T, n).
@@ -155,6 +155,8 @@ class MusclePath:
             rows = np.flatnonzero(np.ravel(group) == index)
             places = [place for place, has in zip(self._places, patterns[:, index], strict=True) if has]
             length[rows], gradient[rows] = self._of_pattern(time[rows], q[rows], places)
+        if self.patella is not None:
+            self.patella.add(q, length, gradient)
         return PathState(length, gradient)
 
     def _of_pattern(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,10 @@ MISFIT = 2.5
 """Misfit of a centre by landmarks and by the motion from which it is doubtful: 0.03 % of such centres exceed it by
 chance."""
 
+ACROSS = 0.015
+"""Largest standard deviation of the place of a knee across the plane of motion with which frontal moments are known
+[m]: half the width of the compartments, less a third."""
+
 SIDES = 3.0
 """Difference of the lengths of two legs that is doubtful, in standard deviations."""
 
@@ -54,6 +58,16 @@ class SegmentLength:
     deviation: float
     variation: float
     by_leg: Mapping[str, float]
+
+
+class KneeLoad(NamedTuple):
+    """Moment of the ground's force about the forward axis of a knee (T,) [N m], positive if it presses the medial side,
+    vertical force of the ground (T,) [N], and standard deviation of the place of the knee across the plane [m].
+    """
+
+    moment: np.ndarray
+    load: np.ndarray
+    deviation: float
 
 
 @dataclass(frozen=True)
@@ -85,6 +99,8 @@ class Person:
     shifts: Mapping[str, np.ndarray]
     """(C, E) shifts of the C columns, by body, for artefacts of its cluster: E independent errors with the standard
     deviation 1, six of its pose, and two of each of its joints by the slip of the whole cluster."""
+    knees: Mapping[str, KneeLoad]
+    """Knees by joint, whose foot stands on a plate, and whose place across the plane landmarks show."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the person without motion and loads as dicts, lists and arrays, for the archive."""
@@ -178,11 +194,32 @@ class Skeleton:
         points = {"hip": hips} | {name: own for name, own in self.points.items() if not name.startswith("hip")}
         columns = {f"markers.{name}.{axis}": own[:, k] for name, own in points.items() for k, axis in enumerate("xy")}
         columns |= {f"bodies.{body}.angle": angle for body, angle in self.angles.items()}
-        findings = (*self.findings, *plates.findings)
+        knees, remarks = self._knees(plates)
+        findings = (*self.findings, *plates.findings, *remarks)
         return Person(
             of, self.plane, self.centers, lengths, masses, self.segments.motion.artefacts, self.zeros, plates, findings,
-            self.segments.motion.file.time, columns, self.segments.reference, self._shifts(list(columns)),
+            self.segments.motion.file.time, columns, self.segments.reference, self._shifts(list(columns)), knees,
         )  # fmt: skip
+
+    def _knees(self, plates: PlateResult) -> tuple[dict[str, KneeLoad], list[Finding]]:
+        """Return the knees above plates, and a remark if their places across the plane are not known."""
+        found, unknown = {}, []
+        for leg in self.segments.legs:
+            knee, loads = f"knee{leg}", [one for one in plates.loads.values() if one.body == f"foot{leg}"]
+            deviation = float(np.sqrt(self.centers[knee].covariance[2, 2]))
+            if loads and deviation > ACROSS:
+                unknown.append(f"{knee} {1000 * deviation:.0f} mm")
+            elif loads:
+                side = 1.0 if self.segments.side(leg) == "r" else -1.0
+                moment = side * sum(one.frontal_moment(self.points[knee]) for one in loads)
+                force = np.maximum(sum(one.force[:, 1] for one in loads), 0.0)
+                found[knee] = KneeLoad(np.asarray(moment), np.asarray(force), deviation)
+        sentence = (
+            f"where knees are across the plane of motion is not known ({listed(unknown, 'and')}; at most "
+            f"{1000 * ACROSS:.0f} mm are accepted), so that their compartments do not bound the forces of muscles: use "
+            "markers on the medial and lateral sides of the knees, in the motion or in a static trial"
+        )
+        return found, [Finding("centers", None, sentence)] if unknown else []
 
     def _shifts(self, columns: Sequence[str]) -> dict[str, np.ndarray]:
         """Return the shifts of columns by artefacts; see `Person.shifts`."""

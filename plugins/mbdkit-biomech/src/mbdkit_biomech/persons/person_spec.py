@@ -59,7 +59,8 @@ def _plates(spec: InverseSpec, file: MarkerFile, skeleton: Skeleton) -> PlateRes
 def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:
     data = json.loads(spec.canonical_json())
     del data["subject"]
-    data.pop("uncertainty", None)
+    for key in ("uncertainty", "frontal", "emg"):
+        data.pop(key, None)
     lengths = {name: length.value for name, length in person.lengths.items()}
     data["model"] = scaled_model(spec, person.subject, lengths)
     source = {key: data["motion"][key] for key in ("file", "data") if key in data["motion"]}

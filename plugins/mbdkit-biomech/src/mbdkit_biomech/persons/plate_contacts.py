@@ -71,12 +71,20 @@ class PlateContact:
 
 class PlateLoad(NamedTuple):
     """Force on a foot (T, 2) [N], its point of application (T, 2) [m], nan without force, and free torque (T,) [N m],
-    in the plane of motion.
+    in the plane of motion; the body; and the force to the right [N] and the moment about the forward axis through the
+    origin [N m], (T, 2).
     """
 
     force: np.ndarray
     point: np.ndarray
     torque: np.ndarray
+    body: str
+    across: np.ndarray
+
+    def frontal_moment(self, point: np.ndarray) -> np.ndarray:
+        """Return the moment (T,) about the forward axis through points (T, 3) [N m]."""
+        right, moment = self.across.T
+        return np.asarray(moment - (point[:, 1] * right - point[:, 2] * self.force[:, 1]))
 
 
 @dataclass(frozen=True)
@@ -253,22 +261,25 @@ def _load(
     Bisseling and A. L. Hof, J. Biomech. 39 (2006) 2438-2444; E. Kristianslund, T. Krosshaug and A. J. van den Bogert,
     J. Biomech. 45 (2012) 666-671).
     """
-    columns = np.zeros((len(time), 5))  # force forward and up, free torque, moment, and height times force
+    columns = np.zeros((len(time), 7))  # force forward and up, free torque, moment, and height times force; `across`
     for plate, contact in zip(plates, contacts, strict=True):
         own = np.s_[contact.first : contact.end]
-        f, p = plate.force[own, :2], np.nan_to_num(plate.point[own, :2])
-        columns[own, :2] += f
+        f, p = plate.force[own], np.nan_to_num(plate.point[own])
+        columns[own, :2] += f[:, :2]
         columns[own, 2] += plate.torque[own, 2]
         columns[own, 3] += p[:, 0] * f[:, 1] - p[:, 1] * f[:, 0]
         columns[own, 4] += f[:, 1] * p[:, 1]
+        columns[own, 5] += f[:, 2]
+        columns[own, 6] += p[:, 1] * f[:, 2] - p[:, 2] * f[:, 1] + plate.torque[own, 0]
     columns = low_passed(time, later(time, columns, late), smooth)
     columns[columns[:, 1] <= UNLOADED] = 0.0
-    force, (torque, moment, height) = columns[:, :2], columns[:, 2:].T
+    force, (torque, moment, height) = columns[:, :2], columns[:, 2:5].T
     acts = force[:, 1] > 0
     with np.errstate(divide="ignore", invalid="ignore"):
         y = height / force[:, 1]
         x = (moment + y * force[:, 0]) / force[:, 1]
-    return PlateLoad(force, np.where(acts[:, None], np.stack([x, y], axis=1), np.nan), torque)
+    point = np.where(acts[:, None], np.stack([x, y], axis=1), np.nan)
+    return PlateLoad(force, point, torque, contacts[0].body, columns[:, 5:])
 
 
 def _offset(time: np.ndarray, contacts: Sequence[tuple[_Plate, PlateContact, FootMotion]]) -> Offset | None:

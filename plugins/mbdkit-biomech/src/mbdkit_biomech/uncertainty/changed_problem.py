@@ -225,7 +225,12 @@ class Changer:
     def _recruiter(self, problem: InverseProblem, change: Change) -> Recruiter:
         asked = self.problem.recruiter.asked  # type: ignore[union-attr]
         moved = {key: getattr(asked, key) + change[key,] for key in ("exponent", "minimum") if (key,) in change}
-        recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators)
+        targets, own = self.problem.recruiter.targets, list(problem.names.mechanism.muscles)  # type: ignore[union-attr]
+        targets = targets.changed(
+            [change.get(("across", one.joint), 0.0) for one in targets.knees],
+            [factor(change, "emg", own[one.muscle]) for one in targets.emg],
+        )
+        recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators, targets)
         muscles = {}
         for name, muscle in recruiter.muscles.items():
             changed = {key: getattr(muscle, key) * factor(change, key, name) for key in PROPERTIES}

@@ -7,8 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbdkit.plugin import Finding
-from mbdkit.plugin.equations import elementary
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
+from mbdkit_biomech.inverse_dynamics.compute import (
+    Inverse,
+    compression,
+    reaction_forces_without_muscles,
+    recorded_states,
+)
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.persons.landmarks import LEFT
 
@@ -18,6 +22,9 @@ STANCE = 0.5
 LESS, FRAMES = 0.05, 0.05
 """Compression is doubtful if it is smaller than without muscles by more than the first share of the ground's force in
 more than the second share of the rows in single stance."""
+
+PULLED = 0.01
+"""A knee is pulled if muscles leave a tension of more than this share of its largest force."""
 
 
 def compression_doubts(result: Inverse) -> Iterator[Finding]:
@@ -37,9 +44,8 @@ def compression_doubts(result: Inverse) -> Iterator[Finding]:
             continue
         mine = np.sum(size[:, own], axis=1)
         alone = (mine > STANCE * np.max(size)) & (np.sum(size, axis=1) - mine <= 0)
-        angle = result.motion.q[:, 3 * names.body(f"shank{leg}", "model") + 2]
-        down = np.column_stack([elementary.sin(angle), -elementary.cos(angle)])
-        less = np.sum(down * (without - reactions)[:, joints.index(knee)], axis=1)
+        shank = names.body(f"shank{leg}", "model")
+        less = compression((without - reactions)[:, joints.index(knee)], result.motion.q, shank)
         wrong = np.flatnonzero(alone & (less > LESS * mine))
         if wrong.size > FRAMES * max(1, int(np.sum(alone))):
             row = wrong[int(np.argmax(less[wrong]))]
@@ -49,3 +55,26 @@ def compression_doubts(result: Inverse) -> Iterator[Finding]:
                 f"{result.motion.time[row]:.6g} s), below the force of the ground less weight and inertia of the "
                 "segments beneath; muscles pull, and can only add to it: check the paths of the muscles that cross it",
             )
+
+
+def pulled_knees(result: Inverse) -> Iterator[Finding]:
+    """Yield a finding for each knee that muscles pull apart, beyond what weight and inertia of the segments beneath do
+    without muscles; it makes the result bad.
+    """
+    names, joints = result.problem.names, list(result.problem.prepared.workspace.mechanism.joints)
+    legs = [leg for leg in ("", LEFT) if f"knee{leg}" in joints and f"shank{leg}" in names.mechanism.bodies]
+    if result.recruited is None or not legs:
+        return
+    reactions, without = recorded_states(result).reactions[:, :, :2], reaction_forces_without_muscles(result)
+    for leg in legs:
+        index, shank = joints.index(f"knee{leg}"), names.body(f"shank{leg}", "model")
+        pushed, alone = (compression(one[:, index], result.motion.q, shank) for one in (reactions, without))
+        row = int(np.argmin(pushed - np.minimum(alone, 0.0)))
+        largest = float(np.max(np.linalg.norm(reactions[:, index], axis=1)))
+        if pushed[row] < min(alone[row], 0.0) - PULLED * largest:
+            sentence = (
+                f"knee{leg} is pulled: muscles leave a tension of {-pushed[row]:.4g} N along the shank at t = "
+                f"{result.motion.time[row]:.6g} s, which cartilage cannot carry: give the muscles of the quadriceps a "
+                "`patella`, and check the paths of the muscles that cross the knee"
+            )
+            yield Finding("compression", "bad", sentence)

@@ -28,7 +28,7 @@ Kind: TypeAlias = Literal["person", "muscles", "devices"]
 
 DEFAULTS: Mapping[str, Any] = {
     "masses": 0.1, "inertias": 0.2, "pressure": 0.005, "plate_gain": 0.01, "max_force": 0.2, "optimal_length": 0.05,
-    "tendon_length": 0.02, "muscle_points": 0.005, "exponent": (2.0, 3.0), "minimum": (0.01, 0.05),
+    "tendon_length": 0.02, "muscle_points": 0.005, "exponent": (2.0, 4.0), "minimum": (0.01, 0.05),
 }  # fmt: skip
 """Values of keys that are left out with `subject`; the page `persons` of the guide gives the source of each."""
 
@@ -66,6 +66,8 @@ ADVICE = {
     "least": "compare activations with EMG",
     "misfit": "measure where the device is on the limbs, for example with markers",
     "tissue": "measure the stiffness under the cuffs",
+    "place": "measure medial and lateral landmarks of the knee",
+    "EMG": "measure maximal contractions",
 }
 """What reduces the uncertainty of a source, by the first word of its name."""
 
@@ -224,6 +226,13 @@ class _Sources:
         for key in keys[:3]:
             if size := self._size(key):
                 yield from (self._scalar(key, name, size, "muscles") for name in recruiter.muscles)
+        names = list(recruiter.muscles)
+        for knee in recruiter.targets.knees:
+            place: Place = ("across", knee.joint)
+            yield UncertainScalar(f"place across of the {knee.joint.replace('_', ' ')}", "person", {place: knee.deviation})
+        for channel in recruiter.targets.emg:
+            name = names[channel.muscle]
+            yield UncertainScalar(f"EMG of {name.replace('_', ' ')}", "muscles", {("emg", name): channel.deviation})
         if size := self._size("muscle_points"):
             for name, muscle in recruiter.muscles.items():
                 group = f"points of {name.replace('_', ' ')}"

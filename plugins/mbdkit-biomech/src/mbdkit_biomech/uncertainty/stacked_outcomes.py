@@ -19,12 +19,13 @@ import numpy as np
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.plugin import MbdkitError, RunError
 from mbdkit.plugin.equations import JointSums, elementary
-from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, compression
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import solve_dynamics
 from mbdkit_biomech.inverse_dynamics.loads.followers import loads_of
 from mbdkit_biomech.inverse_dynamics.muscles.fibers import fibers_of_length
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared, share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Axial, share_softly
 from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
 from mbdkit_biomech.uncertainty.changed_problem import (
     OF_DYNAMICS,
@@ -47,7 +48,7 @@ SHORTEST = 1e-3
 SMOOTH = "length", "rate", "optimal_length", "tendon_length"
 """Quantities of muscles that are taken to first order; lengths of fibres and tendons follow the scaled segments."""
 
-EXACT = (*PROPERTIES, "exponent", "minimum")
+EXACT = (*PROPERTIES, "exponent", "minimum", "across", "emg")
 """Keys of places that are not taken to first order."""
 
 
@@ -200,10 +201,11 @@ class StackedOutcomes:
         programme, capacity, passive = self._programme(recruiter, driven, values, own)
         if exponent not in self._starts:
             none, base = np.zeros((1, values.shape[1])), self._base.view(self._layout)
-            shared = share_loads(self._programme(recruiter, driven, none, base)[0], exponent)
+            shared = self._shared(self._programme(recruiter, driven, none, base), none, base, exponent)
             solved = np.isfinite(shared.certificate)[:, None]
             self._starts[exponent] = np.where(solved, shared.multipliers, 0.0)
-        shared = share_loads(programme, exponent, np.repeat(self._starts[exponent], count, axis=0))
+        starts = np.repeat(self._starts[exponent], count, axis=0)
+        shared = self._shared((programme, capacity, passive), values, own, exponent, starts)
         solved = np.isfinite(shared.certificate)[:, None]
         force = np.where(solved, capacity * shared.value[:, : capacity.shape[1]] + passive, np.nan)
         beside = flat["value"] - products(flat["arms"], force)
@@ -214,6 +216,34 @@ class StackedOutcomes:
         actuators = np.hstack([np.where(driven, flat["value"], beside), reserve])
         for target, found in ((out.actuators, actuators), (out.reactions, joint), (out.muscles, force)):
             target[rows] = found.reshape(frames, count, *target.shape[2:]).swapaxes(0, 1)
+
+    def _shared(
+        self,
+        own: tuple[Programme, np.ndarray, np.ndarray],
+        values: np.ndarray,
+        smooth: np.ndarray,
+        exponent: float,
+        start: np.ndarray | None = None,
+    ) -> Shared:
+        """Return the solutions of T * S programmes `own`, see `_programme`, with their soft targets."""
+        programme, capacity, passive = own
+        assert self.result.recruited is not None
+        targets, q, frames = self.result.recruited.targets, self.result.motion.q, len(smooth)
+        if not targets:
+            return share_loads(programme, exponent, start)
+        shape = (len(capacity), len(targets.knees))
+        without, unit = np.zeros(shape), np.zeros((*shape, capacity.shape[1]))
+        for k, knee in enumerate(targets.knees):
+            without[:, k] = compression(smooth["reactions"][:, :, knee.index], q, knee.shank).ravel()
+            units = np.moveaxis(smooth["unit"][:, :, knee.index], 2, -1)  # (T, S, M, 3)
+            unit[:, k] = compression(units, q, knee.shank).reshape(unit[:, k].shape)
+        shifts = [np.tile(self._total(values, ("across", knee.joint)), frames) for knee in targets.knees]
+        gains = [
+            np.tile(elementary.exp(self._total(values, ("emg", self._names[one.muscle]))), frames)
+            for one in targets.emg
+        ]
+        soft = targets.soft(Axial(without, unit), np.nan_to_num(capacity), np.nan_to_num(passive), shifts, gains)
+        return share_softly(programme, exponent, soft, start)[1]
 
     def _programme(
         self, recruiter: Recruiter, driven: np.ndarray, values: np.ndarray, smooth: np.ndarray

@@ -54,7 +54,7 @@ class Uncertainty(Section):
     """Zero of each observed angle [rad]. The default for a person is the scatter in the static trial or on the flat
     foot, and 0.05 for a trunk without static trial."""
     exponent: tuple[Exponent, Exponent] | None = None
-    """Range of the exponent of recruitment; default [2, 3] if it contains `recruitment.exponent`."""
+    """Range of the exponent of recruitment; default [2, 4] if it contains `recruitment.exponent`."""
     minimum: tuple[Activation, Activation] | None = None
     """Range of the smallest activation; default [0.01, 0.05] if it contains `recruitment.minimum`."""
     devices: dict[str, Annotated[float, Field(ge=0)]] | None = None

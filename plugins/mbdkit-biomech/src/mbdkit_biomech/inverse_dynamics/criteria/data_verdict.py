@@ -22,7 +22,8 @@ from mbdkit_biomech.inverse_dynamics.criteria.smoothing_criteria import cutoff_d
 from mbdkit_biomech.inverse_dynamics.criteria.turn_criteria import knee_doubts, turn_doubts, uncertain_turns
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.errors.stated_deviations import large_deviations
-from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
+from mbdkit_biomech.inverse_dynamics.muscles.knees import noisy_channels
+from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts, pulled_knees
 
 
 class DataDoubts(NamedTuple):
@@ -36,11 +37,14 @@ class DataDoubts(NamedTuple):
         Doubts that the spec accepts.
     remarks
         Sentences on the data that do not change the verdict.
+    faults
+        Findings that make the result bad, and that the spec does not accept.
     """
 
     open: tuple[str, ...] = ()
     accepted: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
 
 
 def doubts_about_data(result: Inverse, bars: ResultBars | None) -> DataDoubts:
@@ -72,12 +76,14 @@ def doubts_of_model(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the model, about forces without a point, and about turns and signs of angles."""
     mechanism = result.problem.names.mechanism
     remarks = [*uncertain_turns(result), *large_deviations(result, bars), *inertias_about_joints(mechanism)]
+    remarks += noisy_channels(result)
     return [
         *model_doubts(result),
         *missing_points(result.problem),
         *turn_doubts(result),
         *knee_doubts(result),
         *compression_doubts(result),
+        *pulled_knees(result),
         *_remarks(remarks),
     ]
 
@@ -117,7 +123,8 @@ def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
 
 def _sorted(found: Sequence[Finding], accepted: Sequence[str]) -> DataDoubts:
     """Separate open doubts from accepted ones; remarks are left out."""
-    return DataDoubts(open_doubts(found, accepted), accepted_doubts(found, accepted))
+    faults = open_doubts(found, accepted, "bad")
+    return DataDoubts(open_doubts(found, accepted), accepted_doubts(found, accepted), faults=faults)
 
 
 def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubts) -> Judgement:
@@ -139,6 +146,7 @@ def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubt
             misalignment=float(np.max(misalignment, initial=0.0)),
             joint=joints[worst] if misalignment.size else "",
             warnings=doubts.open,
+            faults=doubts.faults,
             accepted=doubts.accepted,
         )
     )

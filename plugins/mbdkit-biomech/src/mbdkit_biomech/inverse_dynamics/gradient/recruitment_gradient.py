@@ -58,6 +58,8 @@ def require_derivatives_of(recruiter: Recruiter) -> None:
         )
     if recruiter.is_elastic:
         raise SpecError("gradients are not available with elastic tendons", key="recruitment")
+    if recruiter.targets:
+        raise SpecError("gradients do not include the compartments of knees and EMG", key="recruitment")
     if recruiter.exponent == 1 or math.isinf(recruiter.exponent):
         raise SpecError(
             f"gradients need an exponent of 2 or more, not {recruiter.asked.exponent}: the solution of a linear "

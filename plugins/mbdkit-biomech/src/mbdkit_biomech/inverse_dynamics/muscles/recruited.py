@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared
+from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Targets
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Sharing:
         (U,) whether muscles act on an actuator that is not residual, so that muscles and reserves replace it.
     programme
         The convex programmes. The unknowns are the activations of the M muscles and the shares of the reserves; the
-        equations are those of the driven actuators.
+        equations are those of the driven actuators. Soft targets add equations and unknowns after these.
     """
 
     arms: np.ndarray
@@ -62,6 +63,8 @@ class Recruited:
     ----------
     contraction, sharing, shared
         The muscles, the programmes that determine their shares, and the solution.
+    targets
+        Soft targets, without channels of EMG that count as noise.
     activation, force, power
         (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
     beside
@@ -78,6 +81,7 @@ class Recruited:
     contraction: Contraction
     sharing: Sharing
     shared: Shared
+    targets: Targets
     activation: np.ndarray
     force: np.ndarray
     power: np.ndarray

@@ -13,7 +13,7 @@ infinite exponent, they minimise the largest ``a / weight`` or ``|r / optimal fo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -32,10 +32,12 @@ from mbdkit_biomech.inverse_dynamics.muscles.loads_over_time import (
 )
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Contraction, Recruited, Sharing
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared, share_loads, smallest_supplement
+from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Axial, Targets, share_softly
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Recruitment
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import NamedActuator, reserves_of
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
+from mbdkit_biomech.muscles.patella import PatellaPath
 
 NO_ARM = 1e-9
 """A muscle does not act on a coordinate if its moment arm is at most this [m for angles, 1 for lengths]."""
@@ -54,6 +56,8 @@ class Recruiter:
         Quantities of the mechanism by name.
     actuators
         The U actuators of the spec.
+    targets
+        What is known beside the moments.
 
     Attributes
     ----------
@@ -67,11 +71,17 @@ class Recruiter:
         other.
     """
 
-    def __init__(self, asked: Recruitment, names: QuantityNames, actuators: Sequence[NamedActuator]):
+    def __init__(
+        self,
+        asked: Recruitment,
+        names: QuantityNames,
+        actuators: Sequence[NamedActuator],
+        targets: Targets | None = None,
+    ):
         own = names.mechanism.muscles
         if not own:
             raise SpecError("needs muscles, but the model has none", key="recruitment")
-        self.asked, self._actuators = asked, actuators
+        self.asked, self._actuators, self.targets = asked, actuators, targets or Targets()
         self.muscles: Mapping[str, Muscle] = own
         self._paths = {name: MusclePath(name, muscle, names) for name, muscle in own.items()}
         uses_fibers = asked.capacity == "full" or asked.passive
@@ -93,6 +103,12 @@ class Recruiter:
 
     def _require_simple(self, name: str) -> None:
         """Raise SpecError if recruitment has options that need rigid tendons; `name` is that of an elastic muscle."""
+        if self.targets:
+            raise SpecError(
+                f"bounds by the compartments of knees and EMG need rigid tendons; the tendon of muscle '{name}' is "
+                "elastic: use `frontal: none`, and leave out `emg`",
+                key="recruitment",
+            )
         wrong = {
             "exponent": self.asked.exponent in (1, "inf"),
             "dynamics": self.asked.dynamics == "activation",
@@ -104,6 +120,12 @@ class Recruiter:
                 f"'{name}' is elastic",
                 key=f"recruitment.{key}",
             )
+
+    @property
+    def patellas(self) -> dict[int, PatellaPath]:
+        """The patellas by index of the muscle."""
+        paths = (self._paths[name].patella for name in self.muscles)
+        return {index: patella for index, patella in enumerate(paths) if patella is not None}
 
     @property
     def is_elastic(self) -> bool:
@@ -127,7 +149,14 @@ class Recruiter:
         return [reserve.actuator for reserve in self._reserves]
 
     def recruited(
-        self, motion: Motion, dynamics: Dynamics, balance: Balance, needed: np.ndarray, *, strict: bool = True
+        self,
+        motion: Motion,
+        dynamics: Dynamics,
+        balance: Balance,
+        needed: np.ndarray,
+        axial: Callable[[np.ndarray], Axial],
+        *,
+        strict: bool = True,
     ) -> Recruited:
         """Return the forces of muscles and reserves that produce a motion.
 
@@ -137,6 +166,8 @@ class Recruiter:
             The forces that produce the motion without muscles.
         balance, needed
             Balance of forces of the motion, and the generalized forces (T, n) that actuators and joints supply.
+        axial
+            Returns the compressions of the knees of `targets`, given the generalized forces (T, n, M) of unit tensions.
         strict
             Whether to raise an error for frames that muscles and reserves cannot produce; otherwise, forces in them are
             nan.
@@ -166,6 +197,11 @@ class Recruiter:
         failed = ~np.isfinite(shared.certificate)
         if strict and failed.any():
             raise self._impossible(sharing, motion.time, failed)
+        targets = self.targets.without_noise(shared.value)
+        if targets:
+            soft = targets.soft(axial(own.pull), own.capacity, own.passive)
+            programme, shared = share_softly(sharing.programme, self.exponent, soft)
+            sharing, failed = replace(sharing, programme=programme), ~np.isfinite(shared.certificate)
         if self.asked.dynamics == "activation" and len(motion.time) > 1:
             shared = self._over_time(sharing, shared, motion.time, strict=strict)
             failed = ~np.isfinite(shared.certificate)
@@ -182,6 +218,7 @@ class Recruiter:
             contraction=own,
             sharing=sharing,
             shared=shared,
+            targets=targets,
             activation=activation,
             force=force,
             power=-force * own.rate,

@@ -138,6 +138,6 @@ def compute_run(
         bars = error_bars(result)
         doubts = doubts_about_data(result, bars)
         errors = {} if bars is None else errors_of_measures(result)
-    for warning in (*result.warnings, *doubts.remarks, *doubts.open):
+    for warning in (*result.warnings, *doubts.remarks, *doubts.faults, *doubts.open):
         _LOG.warning("%s", warning)
     return run_of(result, bars, doubts, path, overwrite=overwrite, timings=timings, errors=errors)

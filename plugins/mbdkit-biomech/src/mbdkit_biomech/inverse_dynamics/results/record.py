@@ -32,6 +32,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import DataDoubts, ve
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import long_gaps
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.motion.fit import raw_misalignment
+from mbdkit_biomech.inverse_dynamics.muscles.knees import knee_names
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
 from mbdkit_biomech.quantities import INVERSE_GROUPS, MUSCLES_OF_RUNS
 
@@ -80,7 +81,7 @@ def run_of(
         timings or dict.fromkeys(TIMINGS, 0.0),
         misalignment,
         judgement=verdict_on_data(result, misalignment, doubts),
-        warnings=(*result.warnings, *doubts.remarks, *doubts.open),
+        warnings=(*result.warnings, *doubts.remarks, *doubts.faults, *doubts.open),
         accuracy=None if bars is None else bars.accuracy,
     )
     return finish_states(
@@ -125,6 +126,7 @@ def _names(result: Inverse) -> ArchiveNames:
         motion=[(name, (unit,)) for name, unit in zip(measured.names, units, strict=True)],
         actuators=members_of_actuators(problem.recorded_actuators),
         muscles=[(name, ()) for name in ({} if problem.recruiter is None else problem.recruiter.muscles)],
+        knees=[(name, ()) for name in knee_names(problem)],
         loads=[(name, (body,)) for name, body in zip(result.loads.names, result.loads.bodies, strict=True)],
         followers=[(name, ()) for name in problem.followers],
     )

@@ -412,6 +412,37 @@ class Recruitment(Section):
     By default, the properties count as exact."""
 
 
+class Frontal(Section):
+    """The two compartments of each knee, which carry the moment of the ground's force about its forward axis.
+
+    Neither compartment can pull, so that recruitment finds forces of muscles with which the compression of the knee is
+    at least twice this moment, divided by the width. The bound is soft: its standard deviation follows from that of the
+    place of the knee.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviation",)
+
+    width: Positive = 0.046
+    """Distance of the middles of the medial and the lateral compartment [m]."""
+    deviation: Annotated[float, Field(ge=0, le=0.1)] | None = None
+    """Standard deviation of the centre of the knee across the plane of motion [m]; by default, that of its
+    calibration."""
+
+
+class Emg(Section):
+    """A column with the EMG of a muscle."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("maximum",)
+
+    column: Annotated[str, Field(min_length=1)]
+    """Heading of the column, in the table of the motion: an envelope, or a raw signal, which also has negative values
+    and is rectified and filtered at 6 Hz."""
+    maximum: Positive | None = None
+    """Envelope in a maximal contraction, in the unit of the column; by default, the column is divided by it already."""
+    deviation: Annotated[float, Field(gt=0, le=10)] = 0.3
+    """Standard deviation of the activation that the EMG shows, relative to it."""
+
+
 class Span(Section):
     """The part of the motion that is used; all of it by default."""
 

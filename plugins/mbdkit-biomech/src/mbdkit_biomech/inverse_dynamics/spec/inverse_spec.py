@@ -24,6 +24,8 @@ from mbdkit.plugin.specs import (
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     Actuator,
     Criterion,
+    Emg,
+    Frontal,
     Load,
     MeasuredMotion,
     Recruitment,
@@ -66,6 +68,8 @@ class InverseSpec(ModelSpec):
         "loads",
         "actuators",
         "recruitment",
+        "frontal",
+        "emg",
         "uncertainty",
         "follows",
         "measures",
@@ -85,6 +89,11 @@ class InverseSpec(ModelSpec):
     model gives to these coordinates."""
     recruitment: Recruitment | None = None
     """How the muscles of the model share the moments of the actuators; without it, muscles exert no force."""
+    frontal: Frontal | Literal["none"] | None = None
+    """The compartments of knees, for recruitment and its results; on by default with `subject` and force plates, if
+    landmarks show where the knees are across the plane of motion, and `none` to leave them out."""
+    emg: dict[str, Emg | Annotated[str, Field(min_length=1)]] = Field(default_factory=dict)
+    """EMG by muscle: a column, or a column with its maximum and deviation. Activations keep near it."""
     uncertainty: Uncertainty | Literal["none"] | None = None
     """How well the person, its loads and its muscles are known, for the error bars; on by default with `subject`, and
     `none` to leave it out."""
@@ -141,6 +150,8 @@ class InverseSpec(ModelSpec):
             if motion.is_run:
                 raise SpecError("should be a file of markers with `subject`, not a run", key="motion.file")
             return
+        if isinstance(self.frontal, Frontal):
+            raise SpecError("needs `subject`: only markers show where the knees are", key="frontal")
         for key in OF_PERSONS:
             if getattr(motion, key):
                 raise SpecError("needs `subject`, the person with these markers", key=f"motion.{key}")

@@ -1,0 +1,64 @@
+"""Forces in knees beside those of the joint: of the patella on the thigh, and of both compartments."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import FOLLOWS
+from mbdkit_biomech.muscles.patella import contact_share
+
+if TYPE_CHECKING:
+    from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
+
+
+def knee_names(problem: InverseProblem) -> list[str]:
+    """Return the joints with a patella or with compartments, in the order of the model."""
+    recruiter = problem.recruiter
+    if recruiter is None:
+        return []
+    own = {one.joint for one in (*recruiter.targets.knees, *recruiter.patellas.values())}
+    return [name for name in problem.names.mechanism.joints if name in own]
+
+
+def noisy_channels(result: Inverse) -> list[str]:
+    """Return a sentence for each channel of EMG that counts as noise, and is not used."""
+    recruiter, recruited = result.problem.recruiter, result.recruited
+    if recruiter is None or recruited is None:
+        return []
+    names, used = list(recruiter.muscles), {one.muscle for one in recruited.targets.emg}
+    return [
+        f"the EMG of {names[one.muscle]} does not follow the activation that the moments of the joints need "
+        f"(correlation below {FOLLOWS:g}), so that it counts as noise and is not used"
+        for one in recruiter.targets.emg
+        if one.muscle not in used
+    ]
+
+
+def knee_forces(result: Inverse, axial: np.ndarray) -> np.ndarray:
+    """Return the force of the patella on the thigh, and those of the medial and the lateral compartment [N].
+
+    Parameters
+    ----------
+    axial
+        (T, C) compressions of the C knees with compartments.
+
+    Returns
+    -------
+    ndarray
+        (T, K, 3); nan for knees without patella or without compartments. A negative force of a compartment means that
+        muscles which can close it are lacking.
+    """
+    recruiter, recruited = result.problem.recruiter, result.recruited
+    names, q = knee_names(result.problem), result.motion.q
+    found = np.full((len(q), len(names), 3), np.nan)
+    if recruiter is None or recruited is None:
+        return found
+    for index, patella in recruiter.patellas.items():
+        own = found[:, names.index(patella.joint), 0]
+        own[:] = np.nan_to_num(own) + contact_share(patella.flexion(q)) * recruited.force[:, index]
+    for column, knee in enumerate(recruiter.targets.knees):
+        pair = knee.moment / knee.width
+        found[:, names.index(knee.joint), 1:] = 0.5 * axial[:, [column]] + np.stack([pair, -pair], axis=1)
+    return found

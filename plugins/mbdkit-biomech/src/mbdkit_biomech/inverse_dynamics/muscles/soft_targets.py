@@ -1,0 +1,179 @@
+"""Soft targets of recruitment: forces that the compartments of a knee need at least, and activations that EMG shows.
+
+The ground's force on a foot has a moment M about the forward axis of the knee, which two compartments, a width w apart,
+carry: their forces are N / 2 + M / w and N / 2 - M / w, where N is the compression of the knee. Neither can pull, so
+that N is at least ``2 |M| / w``. The frontal moments of muscles, and of the weight of shank and foot, are left out.
+
+A target t of a linear function ``A a`` of the activations, with the standard deviation s, adds the cost
+``|(t - A a) / s|^p`` to that of recruitment: an equation ``A a + s r = t`` with an unknown r like the share of a reserve.
+For a bound, the equation holds only in frames whose solution without it is below the bound; since the problem is
+convex, and a bound depends on the muscles of its own leg, this is the solution of the problem with inequalities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.stacked_matrices import products
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared, share_loads
+
+LEAST_DEVIATION = 0.03
+"""Smallest standard deviation of an activation by EMG: that of a muscle at rest."""
+
+FOLLOWS = 0.5
+"""A channel of EMG counts as noise if its correlation with the activation that recruitment finds without EMG is
+smaller."""
+
+
+@dataclass(frozen=True)
+class Compartments:
+    """The compartments of a knee in T frames."""
+
+    joint: str
+    index: int
+    """Name of the joint, and its index."""
+    shank: int
+    """Index of the shank among the bodies."""
+    width: float
+    """Distance of the compartments [m]."""
+    deviation: float
+    """Standard deviation of the place of the knee across the plane of motion [m]."""
+    moment: np.ndarray
+    """(T,) moment of the ground's force about the forward axis of the knee, positive if it presses the medial side."""
+    load: np.ndarray
+    """(T,) vertical force of the ground [N]."""
+
+
+@dataclass(frozen=True)
+class EmgTarget:
+    """Activations (T,) of a muscle by its EMG, with their relative standard deviation."""
+
+    muscle: int
+    activation: np.ndarray
+    deviation: float
+
+
+class Axial(NamedTuple):
+    """Compression of K knees in T frames without muscles (T, K) [N], and by unit tensions of M muscles (T, K, M)."""
+
+    without: np.ndarray
+    unit: np.ndarray
+
+
+@dataclass(frozen=True)
+class SoftTargets:
+    """Targets (T, S) of linear functions (T, S, M) of activations with standard deviations (T, S), of which some (S,) are
+    lower bounds.
+    """
+
+    matrix: np.ndarray
+    right: np.ndarray
+    deviation: np.ndarray
+    is_bound: np.ndarray
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What is known of knees and muscles beside the moments of joints."""
+
+    knees: tuple[Compartments, ...] = ()
+    emg: tuple[EmgTarget, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.knees or self.emg)
+
+    def soft(
+        self,
+        axial: Axial,
+        capacity: np.ndarray,
+        passive: np.ndarray,
+        shifts: Sequence[np.ndarray | float] = (),
+        gains: Sequence[np.ndarray | float] = (),
+    ) -> SoftTargets:
+        """Return the targets of N = T * S programmes, S samples of each frame.
+
+        Parameters
+        ----------
+        axial, capacity, passive
+            Compressions, and capacities and passive forces (N, M) of the muscles.
+        shifts, gains
+            By knee, the change (N,) of its place across [m]; by channel of EMG, the factor (N,) of its activation.
+        """
+        rows, muscles = capacity.shape
+        right, deviation = np.empty((2, rows, len(self.knees) + len(self.emg)))
+        matrix = np.zeros((*right.shape, muscles))
+        for k, knee in enumerate(self.knees):
+            moment, load = (np.repeat(x, rows // len(x)) for x in (knee.moment, knee.load))
+            least = 2.0 * np.abs(moment + (shifts[k] if shifts else 0.0) * load) / knee.width
+            matrix[:, k] = axial.unit[:, k] * capacity
+            right[:, k] = least - axial.without[:, k] - np.sum(axial.unit[:, k] * passive, axis=1)
+            deviation[:, k] = np.maximum(2.0 * knee.deviation * load / knee.width, 1.0)
+        for k, channel in enumerate(self.emg, len(self.knees)):
+            matrix[:, k, channel.muscle] = 1.0
+            value = np.repeat(channel.activation, rows // len(channel.activation))
+            right[:, k] = value * (gains[k - len(self.knees)] if gains else 1.0)
+            deviation[:, k] = np.hypot(channel.deviation * value, LEAST_DEVIATION)
+        return SoftTargets(matrix, right, deviation, np.arange(right.shape[1]) < len(self.knees))
+
+    def changed(self, shifts: Sequence[float], gains: Sequence[float]) -> Targets:
+        """Return the targets with knees at other places across, and EMG multiplied by factors; see `soft`."""
+        knees = [replace(one, moment=one.moment + x * one.load) for one, x in zip(self.knees, shifts, strict=True)]
+        emg = [replace(one, activation=x * one.activation) for one, x in zip(self.emg, gains, strict=True)]
+        return Targets(tuple(knees), tuple(emg))
+
+    def without_noise(self, activation: np.ndarray) -> Targets:
+        """Return the targets without channels that do not follow the activations (T, M) of recruitment without EMG."""
+        kept = [one for one in self.emg if correlation(one.activation, activation[:, one.muscle]) >= FOLLOWS]
+        return replace(self, emg=tuple(kept))
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the correlation of two series (T,); 0 if one is constant."""
+    known = np.isfinite(a) & np.isfinite(b)
+    a, b = (x[known] - np.mean(x[known]) for x in (a, b))
+    size = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
+    return float(np.sum(a * b)) / size if size > 0 else 0.0
+
+
+def share_softly(
+    programme: Programme, exponent: float, soft: SoftTargets, start: np.ndarray | None = None
+) -> tuple[Programme, Shared]:
+    """Return the programmes with soft targets, and their solutions; `start` as in `share_loads`, for all equations."""
+    rows, targets = soft.right.shape
+    active = np.broadcast_to(~soft.is_bound, soft.right.shape)
+    whole = _softened(programme, soft, active)
+    if start is not None and start.shape[1] < whole.right.shape[1]:
+        start = np.hstack([start, np.zeros((rows, targets))])
+    shared = share_loads(whole, exponent, start)
+    reached = products(soft.matrix, shared.value[:, : soft.matrix.shape[2]])
+    below = soft.is_bound & (reached < soft.right) & np.isfinite(shared.certificate)[:, None]
+    again = np.flatnonzero(below.any(axis=1))
+    if not again.size:
+        return whole, shared
+    whole = _softened(programme, soft, active | below)
+    found = share_loads(whole.only(again), exponent)  # multipliers without bounds are too far away for a start
+    for name in ("value", "certificate", "multipliers"):
+        getattr(shared, name)[again] = getattr(found, name)
+    return whole, shared
+
+
+def _softened(programme: Programme, soft: SoftTargets, active: np.ndarray) -> Programme:
+    """Return programmes with an equation and an unknown for each target; where not `active` (T, S), both are zero."""
+    (rows, equations, unknowns), targets = programme.matrix.shape, soft.right.shape[1]
+    matrix = np.zeros((rows, equations + targets, unknowns + targets))
+    matrix[:, :equations, :unknowns] = programme.matrix
+    matrix[:, equations:, : soft.matrix.shape[2]] = soft.matrix * active[..., None]
+    places = np.arange(targets)
+    matrix[:, equations + places, unknowns + places] = soft.deviation
+    free = np.where(active, np.inf, 0.0)
+    return Programme(
+        matrix,
+        np.hstack([programme.right, soft.right * active]),
+        np.hstack([programme.low, -free]),
+        np.hstack([programme.high, free]),
+        np.concatenate([programme.weight, np.ones(targets)]),
+    )

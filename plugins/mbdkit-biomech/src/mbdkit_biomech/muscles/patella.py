@@ -1,0 +1,113 @@
+"""The patella: it leads the pull of the quadriceps around the knee, by the planar model of van Eijden et al.
+
+The path of a muscle with a patella ends at the patella on the thigh. From there to the shank, by knee flexion x [deg],
+
+- the length increases with the integral of the effective lever arm r, so that the moment is the tension times r;
+- the patellar ligament pulls the shank with a share of the tension, at an angle to its axis that is positive forward;
+- the patella presses on the thigh with another share of the tension.
+
+The lever arm and the last share are polynomials by J. H. Brechter and C. M. Powers, Med. Sci. Sports Exerc. 34 (2002)
+1582-1593, of the data and the model of T. M. G. J. van Eijden et al., J. Biomech. 19 (1986) 219-229. The data of the
+lever arm end at 90 degrees; where it would increase again, it is constant, as that of a tendon on the round condyles.
+The angle is that of van Eijden et al., Acta Morphol. Neerl.-Scand. 23 (1985) 27-37. The share of the ligament is within
+10 % of the measured ones: 1.16 at 10 and 0.65 at 70 degrees (H.-U. Buff et al., J. Biomech. 21 (1988) 17-23), more than
+1 up to 20 degrees (F. T. Sheehan et al., in living persons), and half of the largest one in flexion (M. I. Ellis et
+al., Eng. Med. 9 (1980) 189-194).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.mechanism.mechanism_quantities import GROUND, Point
+from mbdkit.plugin import Positive, QuantityNames, Revolute, SpecError, StrictModel
+from mbdkit.plugin.equations import elementary
+
+FLEXION = np.radians(np.arange(0.0, 121.0, 10.0))
+ANGLE = np.radians([20.6, 19.2, 15.9, 13.7, 11.6, 8.3, 5.0, 1.9, -1.9, -6.6, -9.7, -13.7, -17.3])
+"""Angle of the ligament [rad]."""
+SHARE = np.array([1.05, 1.05, 1.0, 0.95, 0.88, 0.81, 0.74, 0.67, 0.62, 0.58, 0.56, 0.55, 0.55])
+"""Force of the ligament, as a share of the tension of the quadriceps."""
+ARM = (0.046, 2.8e-4, -1.3e-5, 8e-8)
+"""Coefficients of the powers of x in the lever arm [m]."""
+FARTHEST = 100.0
+"""Flexion from which the lever arm is constant [deg]."""
+
+
+class Patella(StrictModel):
+    """The patella and its ligament, to which the last point of the path of a muscle belongs."""
+
+    joint: str = "knee"
+    """Name of the joint, a pin from the thigh to the shank. In the frame of the shank, the knee is on the positive y
+    axis, and x points forward."""
+    flexion: str = "knee_flexion"
+    """Name of the coordinate of the model that is the flexion of the knee [rad]."""
+    scale: Positive = 1.0
+    """Factor of the lever arm, which is that of an adult of average size."""
+
+
+def contact_share(flexion: np.ndarray) -> np.ndarray:
+    """Return the force of the patella on the thigh, as a share of the tension, for flexions (T,) [rad]."""
+    x = np.clip(np.degrees(flexion), 0.0, 120.0)
+    below = 1.0 + x * (-0.0162 + x * (1.55e-4 - 6.98e-7 * x))
+    return np.asarray((0.462 + x * (0.00147 - 3.84e-5 * x)) / below)
+
+
+def lever_arm(flexion: np.ndarray) -> np.ndarray:
+    """Return the effective lever arm (T,) [m] for flexions (T,) [rad]."""
+    x = np.clip(np.degrees(flexion), 0.0, FARTHEST)
+    return np.asarray(np.polynomial.polynomial.polyval(x, ARM))
+
+
+def path_length(flexion: np.ndarray) -> np.ndarray:
+    """Return the integral (T,) [m] of the lever arm from 0 to flexions (T,) [rad]."""
+    x = np.clip(np.degrees(flexion), 0.0, FARTHEST)
+    within = np.radians(np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyint(ARM)))
+    return np.asarray(within + lever_arm(flexion) * (flexion - np.radians(x)))
+
+
+class PatellaPath:
+    """The part of a path from the patella to the shank.
+
+    Raises
+    ------
+    SpecError
+        If there is no such joint or coordinate, or the joint is not a pin on whose first body the path ends.
+    """
+
+    def __init__(self, patella: Patella, last: str, names: QuantityNames, key: str):
+        joints = names.mechanism.joints
+        names.joint(patella.joint, f"{key}.joint")
+        joint = joints[patella.joint]
+        if not isinstance(joint, Revolute) or joint.bodies[0] != last:
+            raise SpecError(
+                f"should be a revolute joint whose first body is '{last}', on which the path ends", key=f"{key}.joint"
+            )
+        self.joint, self._scale = patella.joint, patella.scale
+        self._flexion = names.find(patella.flexion, f"{key}.flexion")
+        self._ends = [
+            Point(GROUND if body == names.mechanism.ground else names.body(body, f"{key}.joint"), *point)
+            for body, point in zip(joint.bodies, joint.points, strict=True)
+        ]
+
+    def flexion(self, q: np.ndarray) -> np.ndarray:
+        """Return the flexion of the knee (T,) [rad] at positions (T, n)."""
+        return np.asarray(self._flexion.value(q))
+
+    def add(self, q: np.ndarray, length: np.ndarray, gradient: np.ndarray) -> None:
+        """Add this part to the length (T,) of a path and its derivatives (T, n).
+
+        The derivatives contain the pull of the ligament on the shank, and the opposite force on the thigh, at the
+        centre of the joint. They do no work, but the joint carries them.
+        """
+        flexion = self.flexion(q)
+        length += self._scale * path_length(flexion)
+        turn = np.zeros_like(gradient)
+        self._flexion.add_gradient(q, turn)
+        gradient += (self._scale * lever_arm(flexion))[:, None] * turn
+        thigh, shank = self._ends
+        angle = q[:, 3 * shank.body + 2] - np.interp(flexion, FLEXION, ANGLE)
+        share = np.interp(flexion, FLEXION, SHARE)
+        x, y = share * elementary.sin(angle), -share * elementary.cos(angle)
+        shank.add_force(q, x, y, gradient)
+        thigh.add_force(q, -x, -y, gradient)

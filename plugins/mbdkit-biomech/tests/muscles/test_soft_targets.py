@@ -1,0 +1,91 @@
+"""Soft targets of recruitment against a general optimizer, and EMG of a muscle that recruitment leaves out."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from tests.muscles.shared_loads import problems
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import SoftTargets, share_softly
+
+DEVIATION = 0.2
+
+
+@pytest.mark.parametrize("p", [2, 3])
+def test_bounds_and_targets_are_those_of_the_problem_with_inequalities(p):
+    programme = problems(20.0)
+    rows, _, count = programme.matrix.shape
+    random = np.random.default_rng(76)
+    matrix = np.abs(random.standard_normal((rows, 2, count - programme.matrix.shape[1])))
+    right = np.stack([random.uniform(0.2, 4.0, rows), np.full(rows, 0.4)], axis=1)
+    soft = SoftTargets(matrix, right, np.full((rows, 2), DEVIATION), np.array([True, False]))
+    whole, found = share_softly(programme, float(p), soft)
+    assert np.max(found.certificate) < 1e-9
+    assert whole.matrix.shape == (rows, programme.matrix.shape[1] + 2, count + 2)
+    muscles = matrix.shape[2]
+    below = 0
+    for row in range(0, rows, 5):
+
+        def cost(x, row=row):
+            lacking = right[row] - matrix[row] @ x[:muscles]
+            lacking[0] = max(lacking[0], 0.0)
+            return np.sum(np.abs(x / programme.weight) ** p) + np.sum(np.abs(lacking / DEVIATION) ** p)
+
+        equal = {"type": "eq", "fun": lambda x, row=row: programme.matrix[row] @ x - programme.right[row]}
+        bounds = list(zip(programme.low[row], programme.high[row], strict=True))
+        own = found.value[row, :count]
+        other = minimize(cost, own, bounds=bounds, constraints=equal, method="SLSQP", options={"ftol": 1e-12})
+        assert np.max(np.abs(equal["fun"](own))) < 1e-8 * np.max(programme.size)
+        assert cost(own) <= other.fun * (1 + 1e-6)
+        below += right[row, 0] > matrix[row, 0] @ own[:muscles]
+    assert below  # some of the bounds act
+
+
+def arm(**sections):
+    """Return inverse dynamics of a forearm that holds changing loads with two flexors and an extensor."""
+    m = mbdkit.Mechanism()
+    forearm = m.body("forearm", mass=1.5, inertia=0.02, position=(0.15, 0.0))
+    m.revolute("elbow", m.ground, forearm, at=(0, 0))
+    for name, x, y, force in (("biceps", 0.04, 0.04, 600.0), ("brachialis", 0.02, 0.03, 900.0), ("triceps", -0.03, -0.02, 900.0)):  # fmt: skip
+        path = [{"body": "ground", "point": (x, 0.3)}, {"body": forearm, "point": (y - 0.15, 0.0)}]
+        m.muscle(name, path, max_force=force, optimal_length=0.12, tendon_length=0.18)
+    time = np.linspace(0.0, 2.0, 81)
+    emg = 0.3 + 0.2 * np.sin(3 * time)
+    noise = 0.2 + 0.2 * np.random.default_rng(1).random(81)
+    data = {"time": time, "a": 0.4 * np.sin(3 * time), "emg": emg, "noise": noise, "raw": emg - 0.3}
+    motion = {"data": data, "columns": {"elbow.angle": "a"}, "errors": "none"}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "recruitment": {"capacity": "isometric"}}
+    return mbdkit.inverse({**spec, **sections})
+
+
+def test_activations_keep_near_emg_and_the_moment_stays():
+    with arm() as alone:
+        activation = alone.muscles["biceps"].activation
+        motion = dict(alone.spec["motion"])
+        data = {**motion["data"], "emg": (activation + 0.1).tolist()}
+        with arm(motion={**motion, "data": data}, emg={"biceps": {"column": "emg", "deviation": 0.01}}) as run:
+            reached = run.muscles["biceps"].activation - activation
+            assert np.all((reached > 0.05) & (reached < 0.1001))
+            np.testing.assert_allclose(run.actuators["elbow"].value, alone.actuators["elbow"].value, atol=1e-9)
+
+
+def test_noise_is_left_out_by_name_and_changes_nothing():
+    with arm() as alone, arm(emg={"biceps": "noise"}) as run:
+        for name in ("biceps", "triceps"):
+            np.testing.assert_array_equal(run.muscles[name].force, alone.muscles[name].force)
+        assert any("the EMG of biceps does not follow" in warning for warning in run.warnings)
+
+
+@pytest.mark.parametrize(
+    ("emg", "key"),
+    [
+        ({"bicep": "emg"}, "emg.bicep"),
+        ({"biceps": "emgs"}, "emg.biceps.column"),
+        ({"biceps": {"column": "emg", "maximum": 0.1}}, "emg.biceps.maximum"),
+    ],
+)
+def test_wrong_emg_is_refused(emg, key):
+    with pytest.raises(SpecError) as error:
+        arm(emg=emg)
+    assert error.value.key == key

@@ -1,0 +1,70 @@
+"""Moments of the ground's force about the forward axes of knees, and the compartments that carry them."""
+
+import numpy as np
+import pytest
+from tests.persons.walkers import FUNCTIONAL, data_of, loaded, person_spec
+
+import mbdkit
+from mbdkit import SpecError
+from tests.benchmarks.person_markers import HIP, Walker, columns_of, in_laboratory
+
+INWARD, SIDEWAYS = 0.04, 0.05
+"""Distance of the points of application inward from the knees [m], and inward force as a share of the vertical one."""
+HEADING = 2.0
+MIDPOINTS = {"knee": {"midpoint": ["RKNE", "RKNM"]}, "knee_left": {"midpoint": ["LKNE", "LKNM"]}}
+
+
+def walking():
+    """Return a person with exact markers whose feet push inward of the knees, and its data."""
+    walker = Walker.of_example(2)
+    columns = columns_of(walker, walker.markers(), HEADING)
+    for number, ((foot, *_), (force, point)) in enumerate(zip(walker.contacts(), walker.plates(), strict=True), 1):
+        side = 1.0 if foot == "foot" else -1.0
+        force[:, 2], point[:, 2] = -side * SIDEWAYS * force[:, 1], side * (HIP[2] - INWARD)
+        columns[f"plate{number}.force"] = in_laboratory(force, HEADING)
+        columns[f"plate{number}.point"] = in_laboratory(point, HEADING)
+    return walker, data_of(walker, columns)
+
+
+def test_moments_about_the_forward_axis_follow_from_plates_and_landmarks():
+    walker, data = walking()
+    person = loaded(data, motion={"centers": MIDPOINTS, "smooth": {"name": "butterworth", "cutoff": 10}}).person
+    for leg in ("", "_left"):
+        knee, force = person.knees[f"knee{leg}"], walker.loads[f"foot{leg}"][0][:, 1]
+        exact = force * (INWARD + SIDEWAYS * walker.joints[f"knee{leg}"][:, 1])
+        inside = force > 200.0
+        assert knee.deviation == pytest.approx(0.007)
+        np.testing.assert_allclose(knee.moment[inside], exact[inside], rtol=0.0, atol=0.05 * np.max(exact))
+
+
+def test_knees_across_the_plane_are_unknown_without_landmarks():
+    person = loaded(motion={"centers": FUNCTIONAL}).person
+    assert not person.knees
+    assert any("where knees are across the plane of motion is not known" in str(one) for one in person.findings)
+
+
+def test_compartments_hardly_pull():
+    _, data = walking()
+    model = {"name": "leg", "legs": 2, "root": "trunk", "symmetric_muscles": True, "muscles": "walking-two-legs"}
+    given = {"motion": {"centers": MIDPOINTS}, "model": model, "recruitment": {"reserves": 1.0}, "uncertainty": "none"}
+    with (
+        mbdkit.inverse(person_spec(data, **given)) as run,
+        mbdkit.inverse(person_spec(data, frontal="none", **given)) as alone,
+    ):
+        knee, force, angle = run.knees["knee"], run.joints["knee"].reaction_force, run["shank"].angle
+        along = np.sin(angle) * force[:, 0] - np.cos(angle) * force[:, 1]
+        np.testing.assert_allclose(knee.medial_force + knee.lateral_force, along, atol=1e-9)
+        without = np.sin(angle) * (other := alone.joints["knee"].reaction_force)[:, 0] - np.cos(angle) * other[:, 1]
+        half = 0.5 * (knee.medial_force - knee.lateral_force)
+        pulled = 0.5 * without - np.abs(half)  # force of the compartment that opens, without the bound
+        least = np.minimum(knee.medial_force, knee.lateral_force)
+        assert np.min(pulled) < -150.0
+        assert np.min(least) > 0.4 * np.min(pulled)
+        np.testing.assert_allclose(least[pulled > 0], pulled[pulled > 0], atol=1e-6)
+        assert np.all(np.isnan(alone.knees["knee"].medial_force))
+
+
+def test_compartments_need_a_person():
+    with pytest.raises(SpecError) as error:
+        mbdkit.inverse({"mbdkit": 1, "model": {"name": "single-pendulum"}, "motion": {"data": {"time": [0.0, 0.1], "a": [0.0, 0.1]}, "columns": {"J1.angle": "a"}}, "frontal": {"width": 0.05}})  # fmt: skip
+    assert error.value.key == "frontal"
