@@ -267,7 +267,8 @@ class StackedOutcomes:
             active = passive = np.broadcast_to(force, length.shape)
             if asked.capacity == "full" or asked.passive:
                 along = length - tendon * by_tendon
-                fibers = fibers_of_length(muscle, np.maximum(along, SHORTEST), rate, (force, optimal * by_optimal))
+                own = force, optimal * by_optimal
+                fibers = fibers_of_length(muscle, np.maximum(along, SHORTEST), rate, own, with_passive=asked.passive)
                 passive = np.where(along > SHORTEST, fibers.passive, np.nan)
                 active = np.where(along > SHORTEST, fibers.active, np.nan) if asked.capacity == "full" else active
             columns.append((active, passive if asked.passive else np.zeros_like(passive)))

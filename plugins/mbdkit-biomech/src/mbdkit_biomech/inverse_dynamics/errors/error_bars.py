@@ -16,7 +16,7 @@ on which a long gap has an effect are nan (see `mbdkit_biomech.inverse_dynamics.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,7 +24,8 @@ import numpy as np
 
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.plugin import Accuracy, RunError, listed
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, recorded_states
+from mbdkit.plugin.equations import JointSums
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
     LongGap,
     changes_at_ends,
@@ -42,6 +43,9 @@ from mbdkit_biomech.uncertainty.uncertain_result import UncertainResult, uncerta
 
 HIDDEN = 0.1
 """An error is unknown if a long gap may hide a change that exceeds this share of the other errors."""
+
+FRAMES = 10_000
+"""Number of frames that are computed together."""
 
 NAMED = 6
 """Largest number of columns and coordinates that are named."""
@@ -111,17 +115,34 @@ class _Response:
         self.result, self.independent = result, independent
 
     def __call__(self, series: Smoothed) -> _Outcome:
-        base = self.result
-        fitter, q = base.problem.fitter, base.motion.q
-        motion = motion_of_series(fitter, self.independent, base.motion.time, q, series)
-        return _outcome(forces_of(base.problem, base.fitted, self.independent, motion, strict=False))
+        return next(self.each([series]))
+
+    def each(self, every: Sequence[Smoothed]) -> Iterator[_Outcome]:
+        """Yield the outcomes of several series; many frames are computed together, because they are independent."""
+        base, time, q = self.result, self.result.motion.time, self.result.motion.q
+        own, frames = self.independent, len(time)
+        for begin in range(0, len(every), most := max(1, FRAMES // frames)):
+            count = len(block := every[begin : begin + most])
+            shifts = range(0, count * frames, frames)
+            intervals = tuple((a + at, b + at, places) for at in shifts for a, b, places in own.intervals)
+            if len(own.intervals) == 1:
+                intervals = ((0, count * frames, own.intervals[0][2]),)
+            independent = replace(own, intervals=intervals)
+            series = Smoothed(*(np.concatenate(parts) for parts in zip(*block, strict=True)))
+            motion = motion_of_series(
+                base.problem.fitter, independent, np.tile(time, count), np.tile(q, (count, 1)), series
+            )
+            found = _outcome(forces_of(base.problem, base.fitted, independent, motion, strict=False))
+            yield from (_Outcome(*(part[at : at + frames] for part in found.parts)) for at in shifts)
 
 
 def _outcome(result: Inverse) -> _Outcome:
-    states, count = recorded_states(result), len(result.motion.time)
-    q, v = (x.reshape(count, -1, 3) for x in (result.motion.q, result.motion.v))
-    muscles = np.zeros((count, 0)) if result.recruited is None else result.recruited.force
-    return _Outcome(result.actuators[:, :, 0], states.reactions, q, v, muscles)
+    motion, manifold = result.motion, result.problem.fitter.manifold
+    q, v = (x.reshape(len(x), -1, 3) for x in (motion.q, motion.v))
+    muscles = np.zeros((len(q), 0)) if result.recruited is None else result.recruited.force
+    rows = manifold.reactions(motion.time, motion.q, motion.v, result.lam).reactions
+    reactions = JointSums(result.problem.prepared.workspace.mechanism).sum(rows)
+    return _Outcome(result.actuators[:, :, 0], reactions, q, v, muscles)
 
 
 def error_bars(result: Inverse) -> ResultBars | None:
@@ -206,16 +227,16 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
     """
     count = series.value.shape[1]
     typical = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
-    found: list[list[np.ndarray]] = []
+    steps, moves = [], []
     for index in range(3 * count):
         order, column = divmod(index, count)
-        step = typical[index] or 1e-6 * max(1.0, float(np.max(np.abs(series[order][:, column]))))
-        sides = []
+        steps.append(typical[index] or 1e-6 * max(1.0, float(np.max(np.abs(series[order][:, column])))))
         for sign in (1.0, -1.0):
             moved = [part.copy() for part in series]
-            moved[order][:, column] += sign * step
-            sides.append(response(Smoothed(*moved)))
-        found.append([part / (2 * step) for part in sides[0].minus(sides[1]).parts])
+            moved[order][:, column] += sign * steps[-1]
+            moves.append(Smoothed(*moved))
+    sides = response.each(moves)
+    found = [[part / (2 * step) for part in next(sides).minus(next(sides)).parts] for step in steps]
     return [np.array(one) for one in zip(*found, strict=True)]
 
 

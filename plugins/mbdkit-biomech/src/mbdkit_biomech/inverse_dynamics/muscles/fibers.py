@@ -70,7 +70,12 @@ def fibers_on_rigid_tendon(name: str, muscle: Muscle, time: np.ndarray, length: 
 
 
 def fibers_of_length(
-    muscle: Muscle, along: np.ndarray, rate: np.ndarray, properties: tuple[float | np.ndarray, float | np.ndarray]
+    muscle: Muscle,
+    along: np.ndarray,
+    rate: np.ndarray,
+    properties: tuple[float | np.ndarray, float | np.ndarray],
+    *,
+    with_passive: bool = True,
 ) -> Fibers:
     """Return the fibres of a muscle with a rigid tendon, whose length along the tendon is known.
 
@@ -83,6 +88,8 @@ def fibers_of_length(
     properties
         Largest isometric force [N] and optimal length of the fibres [m] in place of those of the muscle; numbers or
         arrays like `along`.
+    with_passive
+        Whether the passive force is computed; otherwise it is 0.
     """
     max_force, optimal = properties
     own = elementary.hypot(along, optimal * float(elementary.sin(muscle.pennation)))
@@ -92,6 +99,6 @@ def fibers_of_length(
     normal = own / optimal
     by_velocity = np.maximum(curves.velocity(velocity / (muscle.max_velocity * optimal))[0], 0.0)
     active = np.maximum(curves.active(normal)[0], 0.0) * by_velocity
-    passive = np.maximum(curves.passive(normal)[0], 0.0)
+    passive = np.maximum(curves.passive(normal)[0], 0.0) if with_passive else np.zeros_like(normal)
     force = max_force * cosine
     return Fibers(own, velocity, cosine, force * active, force * passive)
