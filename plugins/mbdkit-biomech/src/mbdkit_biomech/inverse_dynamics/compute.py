@@ -24,7 +24,7 @@ from mbdkit_biomech.inverse_dynamics.loads.dynamics import (
     solve_dynamics,
 )
 from mbdkit_biomech.inverse_dynamics.loads.followers import followers_of, loads_of, remarks_of
-from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, LoadSeries, loads_on, read_loads
+from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, LoadSeries, read_loads
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured, read_motion
@@ -38,9 +38,9 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import (
 )
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
 from mbdkit_biomech.inverse_dynamics.motion.unused_data import UnusedData
-from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.muscles.knees import knee_forces
 from mbdkit_biomech.inverse_dynamics.muscles.measured_targets import measured_targets
+from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Axial, Compartments
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec

@@ -229,7 +229,9 @@ class _Sources:
         names = list(recruiter.muscles)
         for knee in recruiter.targets.knees:
             place: Place = ("across", knee.joint)
-            yield UncertainScalar(f"place across of the {knee.joint.replace('_', ' ')}", "person", {place: knee.deviation})
+            yield UncertainScalar(
+                f"place across of the {knee.joint.replace('_', ' ')}", "person", {place: knee.deviation}
+            )
         for channel in recruiter.targets.emg:
             name = names[channel.muscle]
             yield UncertainScalar(f"EMG of {name.replace('_', ' ')}", "muscles", {("emg", name): channel.deviation})
