@@ -16,6 +16,7 @@ from mbdkit.plugin import (
     ModelKey,
     ModelPlugin,
     QuantityKind,
+    StudyPlugin,
     SummaryLine,
     Target,
     hookimpl,
@@ -70,6 +71,14 @@ def mbdkit_models() -> list[ModelPlugin]:
         ModelPlugin(name, summary, *(Target(f"mbdkit_wearable.orthoses:{one}") for one in targets), order=80 + place)
         for place, (name, summary, *targets) in enumerate(_DEVICES)
     ]
+
+
+@hookimpl
+def mbdkit_studies() -> list[StudyPlugin]:
+    """Return the study of misfit."""
+    from mbdkit_wearable.misfit import STUDIES
+
+    return list(STUDIES)
 
 
 @hookimpl
