@@ -9,6 +9,7 @@ from mbdkit.archive.history import ForceHistory
 from mbdkit.archive.history import InputHistory
 from mbdkit.archive.history import MarkerHistory
 from mbdkit.archive.history import StateHistory
+from mbdkit.archive.named_columns import CuffHistory
 from mbdkit_biomech.histories import ActuatorHistory
 from mbdkit_biomech.histories import LoadHistory
 from mbdkit_biomech.histories import MuscleHistory
@@ -219,6 +220,21 @@ class Loads(View, of="loads"):
     """power that the load supplies to the body, (T,), W"""
     body: str
 
+class Cuffs(View, of="cuffs"):
+    displacement: np.ndarray
+    """displacement of the device's point in the frame of the limb, (T, 2), m"""
+    rotation: np.ndarray
+    """rotation of the device in the limb, (T,), rad"""
+    normal_force: np.ndarray
+    """force of the device on the limb, along the axis of the cuff, (T,), N"""
+    shear_force: np.ndarray
+    """force of the device on the limb, along the axis turned by 90 degrees, (T,), N"""
+    moment: np.ndarray
+    """moment of the device on the limb about the device's point, counter-clockwise, (T,), N m"""
+    power: np.ndarray
+    """power that the cuff supplies to both bodies, (T,), W"""
+    bodies: tuple[str, str]
+
 class FurtherKinds:
     @property
     def forces(self) -> Histories[ForceHistory]:
@@ -256,3 +272,6 @@ class FurtherKinds:
     @property
     def loads(self) -> Histories[LoadHistory]:
         """One measured load, in inverse dynamics; force and point of application are in the global frame."""
+    @property
+    def cuffs(self) -> Histories[CuffHistory]:
+        """None"""
