@@ -9,13 +9,13 @@ from mbdkit.archive.history import ForceHistory
 from mbdkit.archive.history import InputHistory
 from mbdkit.archive.history import MarkerHistory
 from mbdkit.archive.history import StateHistory
-from mbdkit.archive.named_columns import CuffHistory
 from mbdkit_biomech.histories import ActuatorHistory
 from mbdkit_biomech.histories import LoadHistory
 from mbdkit_biomech.histories import MuscleHistory
 from mbdkit_biomech.histories import ObservedHistory
 from mbdkit_contact.histories import ContactHistory
 from mbdkit_contact.histories import GroundReactionHistory
+from mbdkit_wearable.histories import CuffHistory
 
 class Trajectory(View, of="trajectory"):
     position: np.ndarray
@@ -274,4 +274,4 @@ class FurtherKinds:
         """One measured load, in inverse dynamics; force and point of application are in the global frame."""
     @property
     def cuffs(self) -> Histories[CuffHistory]:
-        """None"""
+        """Displacement of a cuff in the frame of the limb, (normal, tangential) [m] and rotation [rad], and the forces of"""

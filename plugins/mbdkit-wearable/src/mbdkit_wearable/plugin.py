@@ -125,6 +125,7 @@ def mbdkit_items() -> Iterable[Item]:
             target=Target("mbdkit_wearable.quantities:CUFFS"),
             word="cuffs",
             peaks=("normal_force", "shear_force"),
+            history=Target("mbdkit_wearable.histories:CuffHistory"),
         ),
         SummaryLine(
             name="cuffs",
