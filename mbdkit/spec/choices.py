@@ -65,6 +65,8 @@ class Choice:
         return core_schema.with_info_plain_validator_function(self._validated)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        if not self.has_keys:  # a reference to the union of all models in one of them would double the schema
+            return {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]}
         items = self.registry.of_kind(self.kind)
         union = _union((item, self._keys(item, model_keys(item))) for item in items)
         return handler(core_schema.nullable_schema(union) if self.optional else union) if items else {}
@@ -72,7 +74,11 @@ class Choice:
     def _validated(self, data: object, info: core_schema.ValidationInfo) -> object:
         if data is None and self.optional:
             return None
-        item = self.registry.get(self.kind, self._name(data))
+        name = self._name(data)
+        try:
+            item = self.registry.get(self.kind, name)
+        except SpecError as error:  # its key is that of the section which usually has such a choice
+            raise SpecError(error.message, key="name") from None
         validator = _validator(item, self._keys(item, cast("Mapping[str, object]", data)))
         if info.mode == "json":  # strict mode accepts a list for a tuple, or a text for a path, only in JSON
             return validator.validate_json(json.dumps(data), context=info.context)

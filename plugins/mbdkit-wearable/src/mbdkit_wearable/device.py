@@ -120,7 +120,7 @@ def add_devices(devices: Mapping[str, Device], mechanism: Mechanism) -> None:
             with blaming(f"model {item.id} failed to build"):
                 own = item.plugin.build(device.mechanism)
         except SpecError as error:
-            raise error.located(prefix=f"{key}.mechanism") from None
+            raise SpecError(error.message, key=f"{key}.mechanism.{error.key.removeprefix('model.')}") from None
         assert isinstance(own, Mechanism)
         _Worn(name, device, own, mechanism, key).add()
 
@@ -233,7 +233,8 @@ class _Worn:
         try:
             _, start = workspace_at_start(neutral)
         except SpecError as error:
-            raise error.located(prefix=f"{self.key}.mechanism") from None
+            inner = error.key.removeprefix("model.")
+            raise SpecError(error.message, key=f"{self.key}.mechanism.{inner}") from None
         neutral.bodies = _moved(neutral.bodies, start.q, start.v)
         search = LeastChange(compile_mechanism(neutral), 0.0, np.zeros(3 * len(bodies), dtype=bool))
         q = np.array([[*body.position, body.angle] for body in bodies.values()]).ravel()
