@@ -15,6 +15,7 @@ from mbdkit_biomech.histories import MuscleHistory
 from mbdkit_biomech.histories import ObservedHistory
 from mbdkit_contact.histories import ContactHistory
 from mbdkit_contact.histories import GroundReactionHistory
+from mbdkit_wearable.histories import CuffHistory
 
 class Trajectory(View, of="trajectory"):
     position: np.ndarray
@@ -219,6 +220,21 @@ class Loads(View, of="loads"):
     """power that the load supplies to the body, (T,), W"""
     body: str
 
+class Cuffs(View, of="cuffs"):
+    displacement: np.ndarray
+    """displacement of the device's point in the frame of the limb, (T, 2), m"""
+    rotation: np.ndarray
+    """rotation of the device in the limb, (T,), rad"""
+    normal_force: np.ndarray
+    """force of the device on the limb, along the axis of the cuff, (T,), N"""
+    shear_force: np.ndarray
+    """force of the device on the limb, along the axis turned by 90 degrees, (T,), N"""
+    moment: np.ndarray
+    """moment of the device on the limb about the device's point, counter-clockwise, (T,), N m"""
+    power: np.ndarray
+    """power that the cuff supplies to both bodies, (T,), W"""
+    bodies: tuple[str, str]
+
 class FurtherKinds:
     @property
     def forces(self) -> Histories[ForceHistory]:
@@ -256,3 +272,6 @@ class FurtherKinds:
     @property
     def loads(self) -> Histories[LoadHistory]:
         """One measured load, in inverse dynamics; force and point of application are in the global frame."""
+    @property
+    def cuffs(self) -> Histories[CuffHistory]:
+        """Displacement of a cuff in the frame of the limb, (normal, tangential) [m] and rotation [rad], and the forces of"""

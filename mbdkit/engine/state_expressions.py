@@ -119,9 +119,9 @@ class _Terms:
                 return self._coordinate(name)
             case further if (own := element_kinds().get(further)) is not None:
                 codes = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "tension": TENSION_INPUT}
-                part, _, code = own.in_expressions[attribute].rpartition(".")
-                force = f"{further}.{name}.{part}" if part else f"{further}.{name}"
-                return self._input(codes[code], self.numbering.springs[force])
+                part, _, value = own.in_expressions[attribute].rpartition(".")
+                spring = f"{further}.{name}.{part}" if part else f"{further}.{name}"
+                return self._input(codes[value], self.numbering.springs[spring])
             case "forces" if f"forces.{name}" in self.numbering.springs:
                 code = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "value": TENSION_INPUT}[attribute]
                 text, force = self._input(code, self.numbering.springs[f"forces.{name}"]), mechanism.forces[name]

@@ -25,6 +25,8 @@ from mbdkit_transmissions.cams import Follower
 from mbdkit_transmissions.cams import SlotCurve
 from mbdkit_wearable.cuff import Cuff
 from mbdkit_wearable.cuff import CuffDamping
+from mbdkit_wearable.cuff import CuffLimits
+from mbdkit_wearable.cuff import CuffSlip
 from mbdkit_wearable.cuff import CuffStiffness
 from mbdkit_wearable.cuff import ExponentialTissue
 
@@ -677,6 +679,8 @@ class ElementMethods(NamedElements):
         self: 'Any', name: str, *, axis: Sequence[float] = (1.0, 0.0), stiffness: Mapping[str, Any] | CuffStiffness,
         damping: Mapping[str, Any] | CuffDamping = CuffDamping(normal=0.0, tangential=0.0, rotation=0.0),
         law: Literal["linear"] | Mapping[str, Any] | ExponentialTissue = 'linear', clearance: float = 0.0,
+        slip: Mapping[str, Any] | CuffSlip | None = None, area: float | None = None,
+        limits: Mapping[str, Any] | CuffLimits = CuffLimits(normal_force=230.0, shear_force=250.0, pressure=17300.0, slip=0.01),
         at: Sequence[float], on: Sequence[float] | None = None, angle: float | None = None
     ) -> None:
         """Add an element of kind cuff.
@@ -700,6 +704,14 @@ class ElementMethods(NamedElements):
             `ExponentialTissue`: name, length, angle.
         clearance
             Normal displacement up to which the cuff does not touch the limb, in both directions [m].
+        slip
+            Friction between cuff and skin, {friction, preload}; by default, the cuff does not slide. Keys of
+            `CuffSlip`: friction, preload.
+        area
+            Area of the cuff on each side of the limb, on which its normal force is distributed [m^2].
+        limits
+            Forces beyond which the verdict is doubtful: `normal_force`, `shear_force`, `pressure`, `slip`. Keys of
+            `CuffLimits`: normal_force, shear_force, pressure, slip.
         at
             Point of the limb [m], in its frame: where the device's point is while the tissue is at rest.
         on

@@ -65,6 +65,8 @@ class Choice:
         return core_schema.with_info_plain_validator_function(self._validated)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        if not self.has_keys:  # a reference to the union of all models in one of them would double the schema
+            return {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]}
         items = self.registry.of_kind(self.kind)
         union = _union((item, self._keys(item, model_keys(item))) for item in items)
         return handler(core_schema.nullable_schema(union) if self.optional else union) if items else {}

@@ -12,7 +12,7 @@ from typing import Any, cast, get_args
 from pydantic import BaseModel
 
 from mbdkit.mechanism.pathways import Coordinate, RelativeAngle
-from mbdkit.plugin import Body, Joint, JointKind, SpecKind, Table
+from mbdkit.plugin import Body, ElementKind, Joint, JointKind, ModelKey, SpecKind, Table
 from mbdkit.plugin.mechanisms import (
     AngleTable,
     Assembly,
@@ -75,8 +75,8 @@ def page(installed: Registry) -> str:
         "\n".join([_version("mbdkit", run), *first, _keys(_without(run, PARTS))]),
         "## The model `mechanism`",
         (
-            "Bodies, beams, joints, forces, markers, muscles and contacts have names, under which the archive records "
-            "their results."
+            "Bodies, beams, joints, forces, markers, muscles, cuffs and contacts have names, under which the archive "
+            "records their results."
         ),
         _keys(MechanismData.model_json_schema(), 0),
         *_model("### `bodies`", Body),
@@ -84,9 +84,7 @@ def page(installed: Registry) -> str:
         "### `joints`",
         "`type` selects the type of the joint. `bodies` are the first body a and the second body b.",
         *_types(get_args(get_args(Joint)[0])),
-        *_types(
-            cast("type[BaseModel]", cast(JointKind, item.plugin).model()) for item in installed.of_kind("joint-kind")
-        ),
+        *_types(_model_of(item) for item in installed.of_kind("joint-kind")),
         "### `forces`",
         "`type` selects the type of the force element; with `type: law`, `law` selects the force law.",
         *_types((SpringDamper, TorsionSpring, Torque, PointForce)),
@@ -108,11 +106,14 @@ def page(installed: Registry) -> str:
         *_model("#### Items of `shapes`", Shape),
         *_model("#### `friction`", Friction),
         *_model("#### `compliance`", Compliance),
+        *_model("### `cuffs`", _model_of(installed.get("element-kind", "cuff"))),
         *_model("### `coordinates`", NamedCoordinate),
         *_model("### `states`", FirstOrderState),
         *_model("### `inputs`", Input),
         *_model("### `controllers`", Controller),
         *_model("### `assembly`", Assembly),
+        "## Keys of every model",
+        *(part for item in installed.of_kind("model-key") for part in _model(f"### `{item.name}`", _model_of(item))),
         "## Other models",
         *(part for item in installed.of_kind("model") if item.name != "mechanism" for part in _item(item)),
         "## Integrators",
@@ -155,6 +156,11 @@ def _identify_schema(installed: Registry) -> dict[str, Any]:
     schema: dict[str, Any] = spec_schema.of(kind.schema)(installed)
     schema["properties"]["base"] |= {"anyOf": [{"type": "string"}, {"type": "object"}]}
     return schema
+
+
+def _model_of(item: Registered) -> type[BaseModel]:
+    """Return the class of the elements, joints or values of an item."""
+    return cast("type[BaseModel]", cast(JointKind | ElementKind | ModelKey, item.plugin).model())
 
 
 def _without(schema: dict[str, Any], keys: Sequence[str]) -> dict[str, object]:

@@ -16,60 +16,76 @@ from mbdkit.plugin import (
     ModelKey,
     ModelPlugin,
     QuantityKind,
+    StudyPlugin,
     SummaryLine,
     Target,
     hookimpl,
 )
 
 _HERE = Path(__file__).parent
-_DEVICES = (
-    (
-        "hinge-orthosis",
-        "An orthosis of the knee with one hinge, a spring and a motor.",
-        "OrthosisOptions",
-        "hinge",
-        "REFERENCES",
-    ),
-    (
-        "four-bar-orthosis",
-        "An orthosis of the knee with a crossed four-bar linkage.",
-        "FourBarOrthosisOptions",
-        "four_bar",
-        "FOUR_BAR",
-    ),
-    (
-        "geared-orthosis",
-        "An orthosis of the knee with two pivots and toothed sectors.",
-        "GearedOrthosisOptions",
-        "geared",
-        "REFERENCES",
-    ),
-    (
-        "self-aligning-orthosis",
-        "An orthosis of the knee whose hinge moves on two passive slides.",
-        "SelfAligningOrthosisOptions",
-        "self_aligning",
-        "SELF_ALIGNING",
-    ),
-    (
-        "hip-knee-exoskeleton",
-        "An exoskeleton with springs and motors at hip and knee.",
-        "ExoskeletonOptions",
-        "hip_knee",
-        "REFERENCES",
-    ),
-    ("passive-strut", "A spring behind the knee between two shells.", "StrutOptions", "strut", "REFERENCES"),
-)
-"""Name and summary of each device, and the names of its options, of its builder and of its references."""
 
 
 @hookimpl
 def mbdkit_models() -> list[ModelPlugin]:
     """Return devices for legs."""
     return [
-        ModelPlugin(name, summary, *(Target(f"mbdkit_wearable.orthoses:{one}") for one in targets), order=80 + place)
-        for place, (name, summary, *targets) in enumerate(_DEVICES)
+        ModelPlugin(
+            "hinge-orthosis",
+            "An orthosis of the knee with one hinge, a spring and a motor.",
+            Target("mbdkit_wearable.orthoses:OrthosisOptions"),
+            Target("mbdkit_wearable.orthoses:hinge"),
+            Target("mbdkit_wearable.orthoses:REFERENCES"),
+            order=80,
+        ),
+        ModelPlugin(
+            "four-bar-orthosis",
+            "An orthosis of the knee with a crossed four-bar linkage.",
+            Target("mbdkit_wearable.orthoses:FourBarOrthosisOptions"),
+            Target("mbdkit_wearable.orthoses:four_bar"),
+            Target("mbdkit_wearable.orthoses:FOUR_BAR"),
+            order=81,
+        ),
+        ModelPlugin(
+            "geared-orthosis",
+            "An orthosis of the knee with two pivots and toothed sectors.",
+            Target("mbdkit_wearable.orthoses:GearedOrthosisOptions"),
+            Target("mbdkit_wearable.orthoses:geared"),
+            Target("mbdkit_wearable.orthoses:REFERENCES"),
+            order=82,
+        ),
+        ModelPlugin(
+            "self-aligning-orthosis",
+            "An orthosis of the knee whose hinge moves on two passive slides.",
+            Target("mbdkit_wearable.orthoses:SelfAligningOrthosisOptions"),
+            Target("mbdkit_wearable.orthoses:self_aligning"),
+            Target("mbdkit_wearable.orthoses:SELF_ALIGNING"),
+            order=83,
+        ),
+        ModelPlugin(
+            "hip-knee-exoskeleton",
+            "An exoskeleton with springs and motors at hip and knee.",
+            Target("mbdkit_wearable.orthoses:ExoskeletonOptions"),
+            Target("mbdkit_wearable.orthoses:hip_knee"),
+            Target("mbdkit_wearable.orthoses:REFERENCES"),
+            order=84,
+        ),
+        ModelPlugin(
+            "passive-strut",
+            "A spring behind the knee between two shells.",
+            Target("mbdkit_wearable.orthoses:StrutOptions"),
+            Target("mbdkit_wearable.orthoses:strut"),
+            Target("mbdkit_wearable.orthoses:REFERENCES"),
+            order=85,
+        ),
     ]
+
+
+@hookimpl
+def mbdkit_studies() -> list[StudyPlugin]:
+    """Return the study of misfit."""
+    from mbdkit_wearable.misfit import STUDIES
+
+    return list(STUDIES)
 
 
 @hookimpl
@@ -119,6 +135,7 @@ def mbdkit_items() -> Iterable[Item]:
             target=Target("mbdkit_wearable.quantities:CUFFS"),
             word="cuffs",
             peaks=("normal_force", "shear_force"),
+            history=Target("mbdkit_wearable.histories:CuffHistory"),
         ),
         SummaryLine(
             name="cuffs",

@@ -1,0 +1,207 @@
+"""The runs of the packaged study `misfit`: a leg without mass moves as in a packaged example and wears a device.
+
+Because thigh and shank have hardly any mass, the force in the knee is that which the device adds: the device's weight,
+inertia and spring, and what the misfit of its axis presses through the cuffs. The torque of the driver at the knee is
+the help that arrives there. In a person, both are added to the force and the moment without the device, while motion
+and ground force stay as they are.
+
+Each coordinate of the limbs is a Fourier series in time that is fitted to the motion of the example, so that it has no
+discontinuities at which steps would have to end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import mbdkit
+from mbdkit.plugin import Mechanism
+from mbdkit.plugin.specs import load_spec, read_source
+
+DEVICES: Mapping[str, str] = {
+    "hinge": "hinge-orthosis", "four-bar": "four-bar-orthosis", "self-aligning": "self-aligning-orthosis",
+}  # fmt: skip
+"""Models of devices by the name in families of the study."""
+
+SPRING = 10.0
+"""Stiffness of the spring at the joint of each device, which extends the knee [N m/rad]."""
+
+STIFFNESS: Mapping[str, float] = {"normal": 20e3, "tangential": 10e3, "rotation": 200.0}
+"""Stiffness of a cuff [N/m, N m/rad]; that against rotation is that of two straps 0.2 m apart with this normal stiffness."""
+
+DAMPING: Mapping[str, float] = {"normal": 60.0, "tangential": 40.0, "rotation": 0.2}
+
+VARIABLES: Mapping[str, object] = {
+    "parameters.forward": {"uniform": [-0.03, 0.03]},
+    "parameters.upward": {"uniform": [-0.03, 0.03]},
+    "parameters.turn": {"uniform": [-np.pi / 18, np.pi / 18]},
+    "parameters.tissue": {"loguniform": {"a": 1 / 3, "b": 3.0}},
+}
+"""Misfit of the device forward and upward [m] and its rotation [rad], and factor of the stiffness of the cuffs."""
+
+MEMBERS, FEW = 64, 4
+"""Number of members of each sample, and that of the short form."""
+
+HARMONICS, STEPS = 8, 100
+"""Number of harmonics of the series, and number of steps in which a motion is computed."""
+
+HEIGHT = 1.8
+"""Height of the persons of the examples [m]."""
+
+SETTLING = 0.25
+"""Time before the motion in which vibrations of the start decay [s]; measures do not contain them."""
+
+
+@dataclass(frozen=True)
+class LimbSeries:
+    """The motion of a leg: duration [s], position and angle (T, 3) of the thigh, and angle (T,) of the shank, at times
+    (T,), and the mechanism of the leg.
+    """
+
+    duration: float
+    time: np.ndarray
+    thigh: np.ndarray
+    shank: np.ndarray
+    leg: Mechanism
+
+    def series(self, values: np.ndarray) -> tuple[str, float, float]:
+        """Return a Fourier series with a linear term as an expression of time, and its value and rate at the start of
+        runs, before the motion of the example.
+        """
+        w = 2 * np.pi / self.duration
+        columns = [np.ones_like(self.time), self.time / self.duration]
+        texts = ["1", f"t/{self.duration!r}"]
+        for k in range(1, HARMONICS + 1):
+            columns += [np.cos(k * w * self.time), np.sin(k * w * self.time)]
+            texts += [f"{name}({k}*2*pi*t/{self.duration!r})" for name in ("cos", "sin")]
+        factors = np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0]
+        text = " + ".join(f"({factor:.8g})*{text}" for factor, text in zip(factors, texts, strict=True))
+        k, (a, b) = np.arange(1, HARMONICS + 1), (factors[2::2], factors[3::2])
+        c, s = np.cos(-k * w * SETTLING), np.sin(-k * w * SETTLING)
+        value = factors[0] - factors[1] * SETTLING / self.duration + np.sum(a * c + b * s)
+        return text, float(value), float(factors[1] / self.duration + w * np.sum(k * (b * c - a * s)))
+
+
+def squat() -> LimbSeries:
+    """Return the motion of the example `squat`."""
+    spec = load_spec("squat")
+    run = mbdkit.run(spec)
+    return _limbs(run, spec.mechanism(), np.arange(len(run.time)))
+
+
+def walking() -> LimbSeries:
+    """Return the first stride of the example `walking`."""
+    document = read_source("walking")
+    motion = document.data["motion"]
+    motion |= {"errors": "none", "file": str(document.folder / motion["file"])}
+    run = mbdkit.inverse(document.data)
+    time, height = np.asarray(run.time), run["thigh"].angle
+    # a stride is the time after which the motion is most like that at its beginning, between 0.8 and 1.5 s
+    lags = np.flatnonzero((time - time[0] > 0.8) & (time - time[0] < 1.5))
+    differences = [np.sum((height[lag:] - height[: len(height) - lag]) ** 2) / (len(height) - lag) for lag in lags]
+    return _limbs(run, load_spec("squat").mechanism(), np.arange(int(lags[int(np.argmin(differences))]) + 1))
+
+
+def _limbs(run: Any, leg: Mechanism, rows: np.ndarray) -> LimbSeries:
+    time = np.asarray(run.time)[rows]
+    thigh = np.column_stack([np.asarray(run["thigh"].position), run["thigh"].angle])[rows]
+    return LimbSeries(float(time[-1] - time[0]), time - time[0], thigh, np.asarray(run["shank"].angle)[rows], leg)
+
+
+MOTIONS = {"squat": squat, "walking": walking}
+
+
+def base(motion: LimbSeries, device: str) -> dict[str, Any]:
+    """Return the run spec of a leg without mass that wears a device."""
+    knee = motion.leg.joints["knee"]
+    thigh_point, shank_point = knee.points
+    series = [motion.series(values) for values in motion.thigh.T]
+    flexion, bent, bending = motion.series(motion.shank - motion.thigh[:, 2])
+    (x, y, angle), (vx, vy, spin) = ([one[k] for _, *one in series] for k in range(2))
+    bend, turning = angle + bent, spin + bending
+    arms = _turned(angle, thigh_point), _turned(bend, shank_point)
+    shank = x + arms[0][0] - arms[1][0], y + arms[0][1] - arms[1][1]
+    rate = vx - spin * arms[0][1] + turning * arms[1][1], vy + spin * arms[0][0] - turning * arms[1][0]
+    tissue = {
+        "axis": [1, 0],
+        "stiffness": {key: f"{value!r}*tissue" for key, value in STIFFNESS.items()},
+        "damping": dict(DAMPING),
+    }
+    arm, flexed = 0.09 * HEIGHT, "joints.flexion.angle"
+    torque = f"{SPRING!r}*mean({flexed}**2)"
+    settled = "max(0, t/max(abs(t), 1e-9))"  # 0 before the motion, then 1
+    drivers = {
+        axis: {"type": "driver", "bodies": ["ground", "thigh"], "coordinate": axis, "motion": text}
+        for axis, (text, *_) in zip(("x", "y", "angle"), series, strict=True)
+    }
+    body = {"mass": 1e-3, "inertia": 1e-5}
+    return {
+        "mbdkit": 1,
+        "parameters": {"forward": 0.0, "upward": 0.0, "turn": 0.0, "tissue": 1.0},
+        "model": {
+            "name": "mechanism",
+            "bodies": {
+                "thigh": body | {"position": [x, y], "angle": angle, "velocity": [vx, vy], "angular_velocity": spin},
+                "shank": body | {"position": list(shank), "angle": bend, "velocity": list(rate),
+                                 "angular_velocity": turning},
+            },
+            "joints": {
+                **{f"thigh_{axis}": driver for axis, driver in drivers.items()},
+                "knee": {"type": "revolute", "bodies": ["thigh", "shank"],
+                         "points": [list(thigh_point), list(shank_point)]},
+                "flexion": {"type": "driver", "bodies": ["thigh", "shank"], "coordinate": "angle", "motion": flexion},
+            },
+            "devices": {
+                "brace": {
+                    "mechanism": {"name": DEVICES[device], "height": HEIGHT, "stiffness": SPRING, "damping": 0.1},
+                    "attach": {
+                        "upper": {"limb": "thigh", "at": [thigh_point[0], thigh_point[1] + arm], "cuff": tissue},
+                        "lower": {"limb": "shank", "at": [shank_point[0], shank_point[1] - arm], "cuff": tissue},
+                    },
+                    "offset": ["forward", "upward", "turn"],
+                }
+            },
+        },
+        "measures": {
+            "added": {"value": f"max({settled}*abs(joints.knee.force))", "unit": "N"},
+            "shear_thigh": {"value": f'max({settled}*abs(cuffs["brace.upper"].shear_force))', "unit": "N"},
+            "shear_shank": {"value": f'max({settled}*abs(cuffs["brace.lower"].shear_force))', "unit": "N"},
+            "transmitted": {"value": f"mean(joints.flexion.torque*{flexed})/({torque})"},
+        },
+        "integrator": {"name": "radau-iia", "stages": 3},
+        "time": {"start": -SETTLING, "end": motion.duration, "step": motion.duration / STEPS},
+        "accept": ["cuff-loads"],
+    }  # fmt: skip
+
+
+def _turned(angle: float, point: Any) -> tuple[float, float]:
+    """Return a point (x, y), turned by an angle [rad]."""
+    c, s = float(np.cos(angle)), float(np.sin(angle))
+    return c * point[0] - s * point[1], s * point[0] + c * point[1]
+
+
+def study(quick: bool) -> dict[str, object]:
+    """Return the spec of the study; `quick`: with few members."""
+    sample = {
+        "n": FEW if quick else MEMBERS,
+        "method": "sobol",
+        "seed": 1,
+        "design": "saltelli",
+        "variables": VARIABLES,
+    }
+    motions = {name: make() for name, make in MOTIONS.items()}
+    return {
+        "mbdkit_study": 1,
+        "verdict": "misfit",
+        "title": "Misfit of three orthoses of the knee" + (", short form" if quick else ""),
+        "sample": sample,
+        "store": "summary",
+        "families": {
+            f"{name}-{device}": {"title": f"{device} orthosis, {name}", "base": base(motion, device)}
+            for name, motion in motions.items()
+            for device in DEVICES
+        },
+    }

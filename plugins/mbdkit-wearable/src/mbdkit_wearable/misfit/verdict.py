@@ -1,0 +1,210 @@
+"""Verdict on the packaged study `misfit`: which misfit matters, where self-alignment pays, and what tissue costs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.plugin import MbdkitError
+from mbdkit_report import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict
+from mbdkit_wearable.misfit.study import DEVICES, MOTIONS, VARIABLES
+
+if TYPE_CHECKING:
+    from mbdkit_studies import Study
+
+WORDS = {
+    "parameters.forward": "forward",
+    "parameters.upward": "upward",
+    "parameters.turn": "rotation",
+    "parameters.tissue": "tissue",
+}
+BINS = 8
+"""Number of intervals of a variable in which figures show the median of a measure."""
+
+LARGE, SMALL = 0.02, 0.01
+"""Offsets [m] count as large above the first distance, and as small below the second one."""
+
+
+def verdict(study: Study) -> Verdict:
+    """Return the verdict on the packaged study `misfit`, complete or not."""
+    samples = {(motion, device): Sample(study, f"{motion}-{device}") for motion in MOTIONS for device in DEVICES}
+    rows = [(motion, device, *sample.row()) for (motion, device), sample in samples.items()]
+    columns = (
+        Column("motion"),
+        Column("device"),
+        Column("median added force", "N"),
+        Column("95 % quantile", "N"),
+        Column("median shear", "N"),
+        Column("median help transmitted", "%"),
+        *(Column(f"S_T {word}") for word in WORDS.values()),
+    )
+    note = (
+        "Added force: the largest force in the knee that the device causes. Help transmitted: the moment that arrives at "
+        "the knee, relative to that of the spring of the device at the angle of the knee. S_T: total Sobol indices of "
+        "the added force; empty where unknown."
+    )
+    table = Table("misfit", "Misfit by motion and device", columns, tuple(rows), note, headline=True)
+    claims = (_growth(samples), _direction(samples), _self_alignment(samples), _tissue(samples))
+    summary = " ".join(claim.sentence for claim in claims if claim.answer is not Answer.OPEN)
+    return Verdict("misfit", "Misfit of orthoses of the knee", summary, claims, (table,), tuple(_figures(samples)), ())
+
+
+class Sample:
+    """The runs of one device in one motion."""
+
+    def __init__(self, study: Study, family: str):
+        self.study, self.family = study, family
+        columns = study.columns()
+        own = (columns["family"] == family) & (columns["status"] == "complete")
+        self.values = {name: np.asarray(columns[name], float)[own] for name in (*VARIABLES, "added", "transmitted")}
+        shears = [np.asarray(columns[f"shear_{limb}"], float)[own] for limb in ("thigh", "shank")]
+        self.values["shear"] = np.maximum(*shears) if np.any(own) else np.zeros(0)
+
+    @property
+    def count(self) -> int:
+        """Number of complete runs."""
+        return len(self.values["added"])
+
+    def median(self, measure: str, rows: np.ndarray | None = None) -> float:
+        """Return the median of a measure in a selection of runs, nan without runs."""
+        values = self.values[measure] if rows is None else self.values[measure][rows]
+        return float(np.median(values)) if len(values) else np.nan
+
+    @property
+    def offset(self) -> np.ndarray:
+        """Distance of the device from where it fits [m]."""
+        return np.hypot(self.values["parameters.forward"], self.values["parameters.upward"])
+
+    def totals(self) -> dict[str, float]:
+        """Return the total Sobol indices of the added force by variable; nan where unknown."""
+        try:
+            found = self.study.sensitivity("added", where={"family": self.family})
+        except MbdkitError:
+            return dict.fromkeys(VARIABLES, np.nan)
+        return dict(zip(found.variables, found.total.tolist(), strict=True))
+
+    def row(self) -> tuple[float | None, ...]:
+        """Return the cells of the table."""
+        if not self.count:
+            return (None,) * (4 + len(WORDS))
+        totals = [self.totals()[name] for name in WORDS]
+        numbers = (
+            float(f"{self.median('added'):.3g}"),
+            float(f"{np.quantile(self.values['added'], 0.95):.3g}"),
+            float(f"{self.median('shear'):.3g}"),
+            float(f"{100 * self.median('transmitted'):.3g}"),
+        )
+        return (*numbers, *(None if np.isnan(one) else float(f"{one:.2f}") for one in totals))
+
+
+Samples = Mapping[tuple[str, str], Sample]
+
+
+def _claim(name: str, statement: str, published: str, pairs: Mapping[str, tuple[float, float]], more: str) -> Claim:
+    """Return a claim that the first of two numbers is smaller than the second in all cases."""
+    known = {case: pair for case, pair in pairs.items() if np.isfinite(pair).all()}
+    holding = sum(low < high for low, high in known.values())
+    answers = {0: Answer.NO, len(known): Answer.YES}
+    answer = answers.get(holding, Answer.PARTLY) if known else Answer.OPEN
+    computed = "; ".join(f"{low:.3g} and {high:.3g} ({case})" for case, (low, high) in known.items()) or "unknown"
+    return Claim(name, statement, published, computed, answer, f"{more}: {computed}.")
+
+
+def _growth(samples: Samples) -> Claim:
+    pairs = {}
+    for (motion, device), sample in samples.items():
+        if device == "hinge":
+            small, large = (sample.median("added", rows) for rows in (sample.offset < SMALL, sample.offset > LARGE))
+            pairs[f"{motion}, {device}"] = (small, large)
+    return _claim(
+        "growth",
+        "The force that a hinge adds to the knee grows with its offset.",
+        "loads increase with misalignment (Bessler-Etten et al. 2022)",
+        pairs,
+        f"Median added force in N with offsets below {1e3 * SMALL:.0f} mm and above {1e3 * LARGE:.0f} mm",
+    )
+
+
+def _direction(samples: Samples) -> Claim:
+    pairs = {}
+    for (motion, device), sample in samples.items():
+        if device == "hinge":
+            totals = sample.totals()
+            others = max(totals[name] for name in VARIABLES if name not in ("parameters.upward", "parameters.tissue"))
+            pairs[f"{motion}, {device}"] = (others, totals["parameters.upward"])
+    return _claim(
+        "direction",
+        "Of the misfits of a hinge, that along the limb matters most.",
+        "proximal and distal offsets raise the forces in the knee in the plane of motion (Bessler-Etten et al. 2022)",
+        pairs,
+        "Total Sobol indices of the added force, of the larger of forward offset and rotation, and of the offset along "
+        "the limb",
+    )
+
+
+def _self_alignment(samples: Samples) -> Claim:
+    pairs = {}
+    for motion in MOTIONS:
+        hinge, own = samples[motion, "hinge"], samples[motion, "self-aligning"]
+        for words, most in (("all offsets", np.inf), ("small offsets", SMALL)):
+            values = [one.median("added", one.offset < most) for one in (own, hinge)]
+            pairs[f"{motion}, {words}"] = (values[0], values[1])
+    return _claim(
+        "self-alignment",
+        "A self-aligning orthosis adds less force than a hinge.",
+        "forces of misfit vanish if the hinge can move (Stienen et al. 2009)",
+        pairs,
+        "Median added force in N of the self-aligning orthosis and of the hinge",
+    )
+
+
+def _tissue(samples: Samples) -> Claim:
+    pairs = {}
+    for (motion, device), sample in samples.items():
+        tissue = sample.values["parameters.tissue"]
+        soft, stiff = (sample.median("transmitted", rows) for rows in (tissue < 0.6, tissue > 1.6))
+        pairs[f"{motion}, {device}"] = (soft, stiff)
+    return _claim(
+        "tissue",
+        "Soft tissue under the cuffs takes a part of the help.",
+        "about 75 % of the work of an ankle exosuit arrives (Yandell et al. 2017)",
+        pairs,
+        "Median share of the help that arrives, with soft and with stiff tissue",
+    )
+
+
+def _figures(samples: Samples) -> list[Figure]:
+    axes = {
+        "parameters.forward": ("offset forward", "mm", 1e3),
+        "parameters.upward": ("offset upward", "mm", 1e3),
+        "parameters.turn": ("rotation", "deg", 180 / np.pi),
+        "parameters.tissue": ("stiffness of tissue relative to the usual one", "1", 1.0),
+    }
+    measures = {
+        "added": ("added knee force", "N", 1.0),
+        "shear": ("shear of a cuff", "N", 1.0),
+        "transmitted": ("help transmitted", "%", 100.0),
+    }
+    figures = []
+    for motion in MOTIONS:
+        for measure, (what, unit, scale) in measures.items():
+            for variable, (word, own_unit, factor) in axes.items():
+                lines = []
+                for device in DEVICES:
+                    sample = samples[motion, device]
+                    if sample.count:
+                        x, y = _medians(factor * sample.values[variable], scale * sample.values[measure])
+                        lines.append(Line(device, x, y, "both"))
+                name = f"{measure}-{WORDS[variable]}-{motion}"
+                caption = f"Medians of {BINS} intervals of equal numbers of runs; the other misfits vary as well."
+                title = f"{what[0].upper()}{what[1:]} in {motion} against {word}"
+                figures.append(Figure(name, title, caption, Axis(word, own_unit), Axis(what, unit), tuple(lines)))
+    return figures
+
+
+def _medians(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return medians of x and y in intervals of x with equal numbers of values."""
+    parts = np.array_split(np.argsort(x, kind="stable"), min(BINS, len(x)))
+    return tuple(np.array([float(np.median(one[part])) for part in parts]) for one in (x, y))  # type: ignore[return-value]
