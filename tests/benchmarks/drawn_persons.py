@@ -45,6 +45,8 @@ CUTOFF = 6.0
 has no impact at heel strike; loads that have it would contradict Newton's law."""
 GAIN, MASS, INERTIA, STRENGTH, FIBER, TENDON = 0.01, 0.1, 0.2, 0.2, 0.05, 0.02
 """Standard deviations of logarithms; `STRENGTH` is that of a common factor and that of one for each muscle."""
+DELAY = 0.02
+"""Standard deviation of the time by which the forces of all muscles are late [s]."""
 TRUNK_ZERO, FOOT_ZERO = 0.05, 0.06
 """Standard deviations of the zeros of the angles of trunk and foot [rad]; the second is found for the flat foot."""
 EXPONENT, MINIMUM = (2.0, 3.0), (0.01, 0.05)
@@ -64,6 +66,8 @@ class Drawn:
 
     measured: dict[str, Any]
     truth: InverseSpec
+    late: float
+    """Time by which the forces of the muscles are late [s]."""
 
 
 @dataclass
@@ -146,15 +150,34 @@ def _spec(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
     }
 
 
-def drawn_person(random: np.random.Generator, **sections: Any) -> Drawn:
-    """Return a person drawn at random; `sections` are added to the spec of what was measured."""
-    return Drawn(_spec(_measured(random), **sections), _truth(random))
+class Wider:
+    """Random numbers whose deviations are multiplied by a factor."""
+
+    def __init__(self, random: np.random.Generator, factor: float):
+        self.random, self.factor = random, factor
+
+    def standard_normal(self, size: Any = None) -> Any:
+        """Return Gaussian numbers with a mean of 0."""
+        return self.factor * self.random.standard_normal(size)
+
+    def uniform(self, low: float, high: float) -> float:
+        """Return a number that is uniform in a range."""
+        middle, half = (low + high) / 2, self.factor * (high - low) / 2
+        return float(self.random.uniform(middle - half, middle + half))
 
 
-def _measured(random: np.random.Generator) -> dict[str, Array]:
+def drawn_person(random: np.random.Generator, factor: float = 1.0, **sections: Any) -> Drawn:
+    """Return a person drawn at random, whose deviations are `factor` times those that are stated; `sections` are added
+    to the spec of what was measured.
+    """
+    wider = Wider(random, factor)
+    return Drawn(_spec(_measured(wider), **sections), _truth(wider), DELAY * wider.standard_normal())
+
+
+def _measured(random: Wider) -> dict[str, Array]:
     """Return the columns of markers and plates."""
     walker = _walker()
-    markers = walker.markers(random)
+    markers = walker.markers(random.random)  # artefacts are estimated from the markers, not stated
     shift = HIP * random.standard_normal(3)
     for name in CLUSTERS["trunk"]:
         markers[name] = markers[name] + walker.turned("trunk", tuple(shift))
@@ -165,7 +188,7 @@ def _measured(random: np.random.Generator) -> dict[str, Array]:
         x, y = (IN_STEP * random.standard_normal(2)).tolist()
         walker.move_in_step(markers, joint, (x, y))
     for body, (along, about) in TOGETHER.items():
-        slide, turn = along * walker.skin(random), about * walker.skin(random)
+        slide, turn = along * walker.skin(random.random), about * walker.skin(random.random)
         middle = np.mean([markers[name] for name in CLUSTERS[body]], axis=0)
         for name in (*CLUSTERS[body], *(("RANK", "RANM") if body == "shank" else ())):
             markers[name] = markers[name] + slide + np.cross(turn, markers[name] - middle)
@@ -189,7 +212,7 @@ def _later(at: Array, values: Array, late: float) -> Array:
     return np.stack([np.interp(at - late, at, column) for column in values.T], axis=1)
 
 
-def _truth(random: np.random.Generator) -> InverseSpec:
+def _truth(random: Wider) -> InverseSpec:
     """Return the spec of the drawn person with its own motion, loads and muscles."""
     walker, data = _walker(), json.loads(json.dumps(_expanded()))
     muscles = data["model"]["muscles"]
@@ -217,12 +240,12 @@ def _truth(random: np.random.Generator) -> InverseSpec:
     data |= {
         "motion": {"data": {"time": walker.time, **columns}, "smooth": "quintic", "errors": "none"},
         "loads": {"ground": {"body": "foot", "force": ["fx", "fy"], "point": ["px", "py"], "data": load}},
-        "recruitment": RECRUITMENT | {"minimum": float(random.uniform(*MINIMUM))},
+        "recruitment": RECRUITMENT | {"minimum": max(0.0, random.uniform(*MINIMUM))},
     }
     data["model"] = _weighed(data, random)
     spec = load_inverse_spec(data)
     assert spec.recruitment is not None
-    recruitment = spec.recruitment.model_copy(update={"exponent": float(random.uniform(*EXPONENT))})
+    recruitment = spec.recruitment.model_copy(update={"exponent": max(2.0, random.uniform(*EXPONENT))})
     return spec.model_copy(update={"recruitment": recruitment})
 
 
@@ -231,7 +254,7 @@ def _moved(value: Any, by: float) -> Any:
     return f"{value} + ({by!r})" if isinstance(value, str) else value + by
 
 
-def _weighed(data: Mapping[str, Any], random: np.random.Generator) -> dict[str, Any]:
+def _weighed(data: Mapping[str, Any], random: Wider) -> dict[str, Any]:
     """Return the model with other masses and moments of inertia, as a model of its elements."""
     own = load_inverse_spec(dict(data)).mechanism()
     whole = {name: getattr(own, name) for name in ("bodies", "joints", "markers", "muscles", "coordinates")}

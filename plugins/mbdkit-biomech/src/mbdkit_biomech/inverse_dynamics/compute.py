@@ -10,7 +10,7 @@ from scipy.integrate import cumulative_simpson
 from mbdkit.kernels import Observed
 from mbdkit.plugin import QuantityNames, RunError, SpecError, States, counted, listed
 from mbdkit.plugin.doubts import LawRanges
-from mbdkit.plugin.equations import GivenForces, StateObserver
+from mbdkit.plugin.equations import GivenForces, JointSums, StateObserver
 from mbdkit.plugin.methods import Nodes
 from mbdkit.plugin.runs import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Dynamics, largest_unbalanced, require_driven, solve_dynamics
@@ -354,6 +354,13 @@ def _muscles(result: Inverse) -> Muscles | None:
     return Muscles(own.length, own.rate, *fibers, one.activation, one.force, one.power, muscles)
 
 
+def reaction_forces(result: Inverse) -> np.ndarray:
+    """Return the reaction forces (T, J, 2) [N]."""
+    motion, problem = result.motion, result.problem
+    rows = problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, result.lam).reactions
+    return np.asarray(JointSums(problem.prepared.workspace.mechanism).sum(rows)[:, :, :2])
+
+
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:
     """Return the reaction forces (T, J, 2) [N] for the same motion without muscles, produced by the actuators alone."""
-    return recorded_states(replace(result, recruited=None)).reactions[:, :, :2]
+    return reaction_forces(replace(result, recruited=None))

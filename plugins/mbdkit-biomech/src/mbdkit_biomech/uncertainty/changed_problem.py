@@ -219,6 +219,7 @@ class Changer:
         asked = self.problem.recruiter.asked  # type: ignore[union-attr]
         moved = {key: getattr(asked, key) + change[key,] for key in ("exponent", "minimum") if (key,) in change}
         recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators)
+        recruiter.late = change.get(("muscle_delay",), 0.0)
         muscles = {}
         for name, muscle in recruiter.muscles.items():
             changed = {key: getattr(muscle, key) * factor(change, key, name) for key in PROPERTIES}
