@@ -1,11 +1,11 @@
-"""`python -m tests.benchmarks persons --count N`: do the error bars of persons from markers contain the truth?
+"""`python -m tests.benchmarks persons --count N [--doubled]`: do error bars of persons from markers contain the truth?
 
 Persons are drawn around one who walks with known joints (`person_markers`) from the distributions that the guide page
 `persons` states: markers with artefacts of the skin, one by one, all of a segment together, and in step with joints,
 hips beside the place of the regression, landmarks of the ankle beside its centre, plates with an offset in time, a
-wrong gain and a wrong point, an unknown zero of the trunk, and masses, muscles and recruitment unlike those of the
-model. The forces of the drawn person, computed from its own motion, are the truth. The generic model, the markers and
-the plates are what mbdkit gets. The draws do not use its own ones.
+wrong gain and a wrong point, an unknown zero of the trunk, and masses, muscles, their timing and recruitment unlike
+those of the model. The forces of the drawn person, computed from its own motion, are the truth. The generic model, the
+markers and the plates are what mbdkit gets. The draws do not use its own ones.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from mbdkit import InverseSpec
 from mbdkit.base.errors import MbdkitError
 from mbdkit.spec.loading import read_source
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.persons.plate_contacts import later
 
 from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
 
@@ -74,9 +75,14 @@ class Drawn:
 class Tally:
     """Errors and bars of persons, and what failed."""
 
+    count: int = 0
+    named: int = 0
+    """Number of persons, and of those whose contradictions are named."""
     failed: list[str] = field(default_factory=list)
     errors: dict[str, list[Array]] = field(default_factory=dict)
     bars: dict[str, list[Array]] = field(default_factory=dict)
+    excess: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    """Excess of the largest force over the true one by joint, before and after the correction of its bias [N]."""
     seconds: float = 0.0
 
     def add(self, name: str, error: Array, bar: Array) -> None:
@@ -84,10 +90,12 @@ class Tally:
         self.errors.setdefault(name, []).append(np.atleast_1d(np.abs(error)))
         self.bars.setdefault(name, []).append(np.atleast_1d(bar))
 
-    def show(self, console: Console, count: int) -> None:
-        """Print the table of `count` persons."""
+    def show(self, console: Console, deviations: str) -> None:
+        """Print the table of persons whose deviations are as stated or other ones."""
+        count = self.count
         table = Table(
-            title=f"{count - len(self.failed)} of {count} persons, {self.seconds / count:.1f} s of processor time each"
+            title=f"deviations {deviations}: {count - len(self.failed)} of {count} persons, "
+            f"{self.seconds / count:.1f} s of processor time each; contradictions named for {self.named}"
         )
         for heading in ("quantity", "covered [%]", "+- [%]", "bar / 95 % quantile of errors"):
             table.add_column(heading)
@@ -95,6 +103,9 @@ class Tally:
             covered, scatter, ratio = self.row(name)
             table.add_row(name, f"{100 * covered:.1f}", f"{100 * scatter:.1f}", f"{ratio:.2f}")
         console.print(table)
+        for joint, pairs in self.excess.items():
+            before, after = np.mean(pairs, axis=0)
+            console.print(f"largest force of the {joint}: mean excess {before:.0f} N, corrected {after:.0f} N")
         console.file.flush()
 
     def row(self, name: str) -> tuple[float, float, float]:
@@ -268,39 +279,57 @@ def _weighed(data: Mapping[str, Any], random: Wider) -> dict[str, Any]:
     return {"name": "mechanism", "gravity": list(own.gravity), **model}
 
 
-def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200) -> None:
-    """Print the shares of values that the bars contain, for `count` drawn persons and after each `SHOWN` of them."""
-    tally, begin = Tally(), time.process_time()
+def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200, *, doubled: bool = False) -> None:
+    """Print the shares of values that the bars contain, for `count` drawn persons and after each `SHOWN` of them.
+
+    If `doubled`, the deviations of every second person are twice those that are stated.
+    """
+    tallies = [Tally(), Tally()] if doubled else [Tally()]
     for number in range(count):
+        tally, begin = tallies[number % len(tallies)], time.process_time()
+        tally.count += 1
         try:
-            add_person(tally, np.random.default_rng([seed, number]), samples)
+            add_person(tally, np.random.default_rng([seed, number]), samples, 1.0 + number % len(tallies))
         except MbdkitError as error:
             tally.failed.append(f"{number}: {error}")
+        tally.seconds += time.process_time() - begin
         if number + 1 == count or (number + 1) % SHOWN == 0:
-            tally.seconds = time.process_time() - begin
-            tally.show(console, number + 1)
-    for text in tally.failed:
+            for of, factor in zip(tallies, ("as stated", "doubled"), strict=False):
+                of.show(console, factor)
+    for text in (text for tally in tallies for text in tally.failed):
         console.print(f"failed: {text}")
 
 
-def add_person(tally: Tally, random: np.random.Generator, samples: int) -> None:
-    """Add a person; raise MbdkitError if there is no result."""
-    person = drawn_person(random, uncertainty={"samples": samples})
+def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: float = 1.0) -> None:
+    """Add a person, whose deviations are `factor` times those that are stated; raise MbdkitError if there is no
+    result.
+    """
+    person = drawn_person(random, factor, uncertainty={"samples": samples})
     with redirect_stderr(io.StringIO()):
         found, truth = mbdkit.inverse(person.measured), mbdkit.inverse(person.truth)
     assert found.accuracy is not None
-    parts = found.accuracy.parts
+    parts, at_time = found.accuracy.parts, np.asarray(truth.time)
+    tally.named += any("misfit:" in text for text in found.warnings)
+    without = truth.array("muscles/reaction_force_without")
     for joint in JOINTS:
-        own, other = (run.joints[joint].reaction_force for run in (found, truth))
         place = list(found.joint_names).index(joint)
-        tally.add(f"force of the {joint}", np.linalg.norm(own - other, axis=1), found.accuracy.reaction_error[:, place])
+        own, other = found.joints[joint].reaction_force, truth.joints[joint].reaction_force
+        other = without[:, place] + later(at_time, other - without[:, place], -person.late)
+        error, bars = np.linalg.norm(own - other, axis=1), found.accuracy.reaction_error[:, place]
+        tally.add(f"force of the {joint}", error, bars)
         sizes = [np.linalg.norm(one, axis=1) for one in (own, other)]
         at = int(np.argmax(sizes[0]))
+        tally.add(f"{joint}, at the instant of the computed peak", error[at], bars[at])
         bar = np.hypot(parts["reaction_error_data"][at, place], parts["reaction_peak_error"][place])
-        tally.add(f"peak of the {joint}", sizes[0][at] - np.max(sizes[1]), bar)
+        excess = sizes[0][at] - np.max(sizes[1])
+        tally.add(f"peak of the {joint}", excess, bar)
+        corrected = excess - parts["reaction_peak_bias"][place]
+        tally.add(f"peak of the {joint}, corrected", corrected, bar)
+        tally.excess.setdefault(joint, []).append((excess, corrected))
     errors, peaks, bars, bars_of_peaks = [], [], [], []
     for name, muscle in found.muscles.items():
-        tension, at = truth.muscles[name].force, int(np.argmax(muscle.force))
+        tension = later(at_time, truth.muscles[name].force, -person.late)
+        at = int(np.argmax(muscle.force))
         errors.append(muscle.force - tension)
         peaks.append(muscle.force[at] - np.max(tension))
         bars.append(muscle.force_error)
