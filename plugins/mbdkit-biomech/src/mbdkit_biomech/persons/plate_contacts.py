@@ -66,7 +66,7 @@ class PlateContact:
 
     def when(self, time: np.ndarray) -> str:
         """Return the time of the contact as a phrase."""
-        return f"from t = {time[self.first]:.3f} to {time[self.end - 1]:.3f} s"
+        return f"from t = {time[self.first]:.4f} to {time[self.end - 1]:.4f} s"
 
 
 class PlateLoad(NamedTuple):
