@@ -24,6 +24,7 @@ from . import (
     executors,
     gradients,
     inverse_frames,
+    person_times,
     plugins,
     predictions,
     python_steps,
@@ -47,6 +48,7 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
     "implicit": chain.implicit,
     "inverse": inverse_frames.inverse_frames,
     "memory": chain.memory,
+    "person-times": person_times.person_times,
     "persons": drawn_persons.persons,
     "plugins": plugins.plugins,
     "precision": precision,
@@ -78,6 +80,9 @@ def main() -> None:
         help="print the calls of Python functions a step of `contacts` instead of times",
     )
     parser.add_argument("--count", type=int, default=20, metavar="N", help="number of persons of `persons`")
+    parser.add_argument(
+        "--doubled", action="store_true", help="double the deviations of every second person of `persons`"
+    )
     asked = parser.parse_args()
     chosen = asked.sections or list(SECTIONS)
     unknown = sorted(set(chosen) - set(SECTIONS))
@@ -89,7 +94,7 @@ def main() -> None:
     sections = {
         **SECTIONS,
         "contacts": functools.partial(contacts.contacts, **of_contacts),
-        "persons": functools.partial(drawn_persons.persons, count=asked.count),
+        "persons": functools.partial(drawn_persons.persons, count=asked.count, doubled=asked.doubled),
     }
     if asked.output is not None:
         drawing = [name for name in chosen if name in ("precision", "scale")]

@@ -1,11 +1,11 @@
-"""`python -m tests.benchmarks persons --count N`: do the error bars of persons from markers contain the truth?
+"""`python -m tests.benchmarks persons --count N [--doubled]`: do error bars of persons from markers contain the truth?
 
 Persons are drawn around one who walks with known joints (`person_markers`) from the distributions that the guide page
 `persons` states: markers with artefacts of the skin, one by one, all of a segment together, and in step with joints,
 hips beside the place of the regression, landmarks of the ankle beside its centre, plates with an offset in time, a
-wrong gain and a wrong point, an unknown zero of the trunk, and masses, muscles and recruitment unlike those of the
-model. The forces of the drawn person, computed from its own motion, are the truth. The generic model, the markers and
-the plates are what mbdkit gets. The draws do not use its own ones.
+wrong gain and a wrong point, an unknown zero of the trunk, and masses, muscles, their timing and recruitment unlike
+those of the model. The forces of the drawn person, computed from its own motion, are the truth. The generic model, the
+markers and the plates are what mbdkit gets. The draws do not use its own ones.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import mbdkit
 from mbdkit import InverseSpec
 from mbdkit.base.errors import MbdkitError
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.persons.plate_contacts import later
 
 from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
 
@@ -44,6 +45,8 @@ CUTOFF = 6.0
 has no impact at heel strike; loads that have it would contradict Newton's law."""
 GAIN, MASS, INERTIA, STRENGTH, FIBER, TENDON = 0.01, 0.1, 0.2, 0.2, 0.05, 0.02
 """Standard deviations of logarithms; `STRENGTH` is that of a common factor and that of one for each muscle."""
+DELAY = 0.02
+"""Standard deviation of the time by which the forces of all muscles are late [s]."""
 TRUNK_ZERO, FOOT_ZERO = 0.05, 0.06
 """Standard deviations of the zeros of the angles of trunk and foot [rad]; the second is found for the flat foot."""
 EXPONENT, MINIMUM = (2.0, 4.0), (0.01, 0.05)
@@ -63,15 +66,22 @@ class Drawn:
 
     measured: dict[str, Any]
     truth: InverseSpec
+    late: float
+    """Time by which the forces of the muscles are late [s]."""
 
 
 @dataclass
 class Tally:
     """Errors and bars of persons, and what failed."""
 
+    count: int = 0
+    named: int = 0
+    """Number of persons, and of those whose contradictions are named."""
     failed: list[str] = field(default_factory=list)
     errors: dict[str, list[Array]] = field(default_factory=dict)
     bars: dict[str, list[Array]] = field(default_factory=dict)
+    excess: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    """Excess of the largest force over the true one by joint, before and after the correction of its bias [N]."""
     seconds: float = 0.0
 
     def add(self, name: str, error: Array, bar: Array) -> None:
@@ -79,10 +89,12 @@ class Tally:
         self.errors.setdefault(name, []).append(np.atleast_1d(np.abs(error)))
         self.bars.setdefault(name, []).append(np.atleast_1d(bar))
 
-    def show(self, console: Console, count: int) -> None:
-        """Print the table of `count` persons."""
+    def show(self, console: Console, deviations: str) -> None:
+        """Print the table of persons whose deviations are as stated or other ones."""
+        count = self.count
         table = Table(
-            title=f"{count - len(self.failed)} of {count} persons, {self.seconds / count:.1f} s of processor time each"
+            title=f"deviations {deviations}: {count - len(self.failed)} of {count} persons, "
+            f"{self.seconds / count:.1f} s of processor time each; contradictions named for {self.named}"
         )
         for heading in ("quantity", "covered [%]", "+- [%]", "bar / 95 % quantile of errors"):
             table.add_column(heading)
@@ -90,6 +102,9 @@ class Tally:
             covered, scatter, ratio = self.row(name)
             table.add_row(name, f"{100 * covered:.1f}", f"{100 * scatter:.1f}", f"{ratio:.2f}")
         console.print(table)
+        for joint, pairs in self.excess.items():
+            before, after = np.mean(pairs, axis=0)
+            console.print(f"largest force of the {joint}: mean excess {before:.0f} N, corrected {after:.0f} N")
         console.file.flush()
 
     def row(self, name: str) -> tuple[float, float, float]:
@@ -145,15 +160,34 @@ def _spec(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
     }
 
 
-def drawn_person(random: np.random.Generator, **sections: Any) -> Drawn:
-    """Return a person drawn at random; `sections` are added to the spec of what was measured."""
-    return Drawn(_spec(_measured(random), **sections), _truth(random))
+class Wider:
+    """Random numbers whose deviations are multiplied by a factor."""
+
+    def __init__(self, random: np.random.Generator, factor: float):
+        self.random, self.factor = random, factor
+
+    def standard_normal(self, size: Any = None) -> Any:
+        """Return Gaussian numbers with a mean of 0."""
+        return self.factor * self.random.standard_normal(size)
+
+    def uniform(self, low: float, high: float) -> float:
+        """Return a number that is uniform in a range."""
+        middle, half = (low + high) / 2, self.factor * (high - low) / 2
+        return float(self.random.uniform(middle - half, middle + half))
 
 
-def _measured(random: np.random.Generator) -> dict[str, Array]:
+def drawn_person(random: np.random.Generator, factor: float = 1.0, **sections: Any) -> Drawn:
+    """Return a person drawn at random, whose deviations are `factor` times those that are stated; `sections` are added
+    to the spec of what was measured.
+    """
+    wider = Wider(random, factor)
+    return Drawn(_spec(_measured(wider), **sections), _truth(wider), DELAY * wider.standard_normal())
+
+
+def _measured(random: Wider) -> dict[str, Array]:
     """Return the columns of markers and plates."""
     walker = _walker()
-    markers = walker.markers(random)
+    markers = walker.markers(random.random)  # artefacts are estimated from the markers, not stated
     shift = HIP * random.standard_normal(3)
     for name in CLUSTERS["trunk"]:
         markers[name] = markers[name] + walker.turned("trunk", tuple(shift))
@@ -164,7 +198,7 @@ def _measured(random: np.random.Generator) -> dict[str, Array]:
         x, y = (IN_STEP * random.standard_normal(2)).tolist()
         walker.move_in_step(markers, joint, (x, y))
     for body, (along, about) in TOGETHER.items():
-        slide, turn = along * walker.skin(random), about * walker.skin(random)
+        slide, turn = along * walker.skin(random.random), about * walker.skin(random.random)
         middle = np.mean([markers[name] for name in CLUSTERS[body]], axis=0)
         for name in (*CLUSTERS[body], *(("RANK", "RANM") if body == "shank" else ())):
             markers[name] = markers[name] + slide + np.cross(turn, markers[name] - middle)
@@ -188,7 +222,7 @@ def _later(at: Array, values: Array, late: float) -> Array:
     return np.stack([np.interp(at - late, at, column) for column in values.T], axis=1)
 
 
-def _truth(random: np.random.Generator) -> InverseSpec:
+def _truth(random: Wider) -> InverseSpec:
     """Return the spec of the drawn person with its own motion, loads and muscles."""
     walker, data = _walker(), json.loads(json.dumps(_expanded()))
     muscles = data["model"]["muscles"]
@@ -216,12 +250,12 @@ def _truth(random: np.random.Generator) -> InverseSpec:
     data |= {
         "motion": {"data": {"time": walker.time, **columns}, "smooth": "quintic", "errors": "none"},
         "loads": {"ground": {"body": "foot", "force": ["fx", "fy"], "point": ["px", "py"], "data": load}},
-        "recruitment": RECRUITMENT | {"minimum": float(random.uniform(*MINIMUM))},
+        "recruitment": RECRUITMENT | {"minimum": max(0.0, random.uniform(*MINIMUM))},
     }
     data["model"] = _weighed(data, random)
     spec = load_inverse_spec(data)
     assert spec.recruitment is not None
-    recruitment = spec.recruitment.model_copy(update={"exponent": float(random.uniform(*EXPONENT))})
+    recruitment = spec.recruitment.model_copy(update={"exponent": max(2.0, random.uniform(*EXPONENT))})
     return spec.model_copy(update={"recruitment": recruitment})
 
 
@@ -230,7 +264,7 @@ def _moved(value: Any, by: float) -> Any:
     return f"{value} + ({by!r})" if isinstance(value, str) else value + by
 
 
-def _weighed(data: Mapping[str, Any], random: np.random.Generator) -> dict[str, Any]:
+def _weighed(data: Mapping[str, Any], random: Wider) -> dict[str, Any]:
     """Return the model with other masses and moments of inertia, as a model of its elements."""
     own = load_inverse_spec(dict(data)).mechanism()
     whole = {name: getattr(own, name) for name in ("bodies", "joints", "markers", "muscles", "coordinates")}
@@ -244,39 +278,57 @@ def _weighed(data: Mapping[str, Any], random: np.random.Generator) -> dict[str, 
     return {"name": "mechanism", "gravity": list(own.gravity), **model}
 
 
-def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200) -> None:
-    """Print the shares of values that the bars contain, for `count` drawn persons and after each `SHOWN` of them."""
-    tally, begin = Tally(), time.process_time()
+def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200, *, doubled: bool = False) -> None:
+    """Print the shares of values that the bars contain, for `count` drawn persons and after each `SHOWN` of them.
+
+    If `doubled`, the deviations of every second person are twice those that are stated.
+    """
+    tallies = [Tally(), Tally()] if doubled else [Tally()]
     for number in range(count):
+        tally, begin = tallies[number % len(tallies)], time.process_time()
+        tally.count += 1
         try:
-            add_person(tally, np.random.default_rng([seed, number]), samples)
+            add_person(tally, np.random.default_rng([seed, number]), samples, 1.0 + number % len(tallies))
         except MbdkitError as error:
             tally.failed.append(f"{number}: {error}")
+        tally.seconds += time.process_time() - begin
         if number + 1 == count or (number + 1) % SHOWN == 0:
-            tally.seconds = time.process_time() - begin
-            tally.show(console, number + 1)
-    for text in tally.failed:
+            for of, factor in zip(tallies, ("as stated", "doubled"), strict=False):
+                of.show(console, factor)
+    for text in (text for tally in tallies for text in tally.failed):
         console.print(f"failed: {text}")
 
 
-def add_person(tally: Tally, random: np.random.Generator, samples: int) -> None:
-    """Add a person; raise MbdkitError if there is no result."""
-    person = drawn_person(random, uncertainty={"samples": samples})
+def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: float = 1.0) -> None:
+    """Add a person, whose deviations are `factor` times those that are stated; raise MbdkitError if there is no
+    result.
+    """
+    person = drawn_person(random, factor, uncertainty={"samples": samples})
     with redirect_stderr(io.StringIO()):
         found, truth = mbdkit.inverse(person.measured), mbdkit.inverse(person.truth)
     assert found.accuracy is not None
-    parts = found.accuracy.parts
+    parts, at_time = found.accuracy.parts, np.asarray(truth.time)
+    tally.named += any("misfit:" in text for text in found.warnings)
+    without = truth.array("muscles/reaction_force_without")
     for joint in JOINTS:
-        own, other = (run.joints[joint].reaction_force for run in (found, truth))
         place = list(found.joint_names).index(joint)
-        tally.add(f"force of the {joint}", np.linalg.norm(own - other, axis=1), found.accuracy.reaction_error[:, place])
+        own, other = found.joints[joint].reaction_force, truth.joints[joint].reaction_force
+        other = without[:, place] + later(at_time, other - without[:, place], -person.late)
+        error, bars = np.linalg.norm(own - other, axis=1), found.accuracy.reaction_error[:, place]
+        tally.add(f"force of the {joint}", error, bars)
         sizes = [np.linalg.norm(one, axis=1) for one in (own, other)]
         at = int(np.argmax(sizes[0]))
+        tally.add(f"{joint}, at the instant of the computed peak", error[at], bars[at])
         bar = np.hypot(parts["reaction_error_data"][at, place], parts["reaction_peak_error"][place])
-        tally.add(f"peak of the {joint}", sizes[0][at] - np.max(sizes[1]), bar)
+        excess = sizes[0][at] - np.max(sizes[1])
+        tally.add(f"peak of the {joint}", excess, bar)
+        corrected = excess - parts["reaction_peak_bias"][place]
+        tally.add(f"peak of the {joint}, corrected", corrected, bar)
+        tally.excess.setdefault(joint, []).append((excess, corrected))
     errors, peaks, bars, bars_of_peaks = [], [], [], []
     for name, muscle in found.muscles.items():
-        tension, at = truth.muscles[name].force, int(np.argmax(muscle.force))
+        tension = later(at_time, truth.muscles[name].force, -person.late)
+        at = int(np.argmax(muscle.force))
         errors.append(muscle.force - tension)
         peaks.append(muscle.force[at] - np.max(tension))
         bars.append(muscle.force_error)

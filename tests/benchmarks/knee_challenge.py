@@ -5,7 +5,7 @@ published markers, force plates and the force in the knee implant of persons who
 https://github.com/AnyBody/knee-grand-challenge-4th, or a folder with the files of one trial: `TRIAL.c3d` and
 `TRIAL_knee_forces.csv`. The table of forces has the loads of four cells below the plate on the tibia in pounds, the
 angle of a goniometer (GON) in degrees, and the vertical force of the plate under the left foot (GRFz). Its rows are the
-frames of the C3D file.
+frames of the C3D file. Without the column GON, the angle is not compared; without GRFz, the frames are not checked.
 """
 
 from __future__ import annotations
@@ -109,21 +109,24 @@ def file_of(folder: Path, name: str) -> Path:
 
 
 def measured_of(file: Path, markers: Path) -> dict[str, np.ndarray]:
-    """Return the columns of a table of forces, (T,) each: ``force`` [N], ``GON`` [deg] and ``GRFz`` [N]; raise
-    SpecError if one is missing, or the rows are not the frames of the C3D file.
+    """Return the columns of a table of forces, (T,) each: ``force`` [N], and those it has of ``GON`` [deg] and ``GRFz``
+    [N]; raise SpecError if a load cell is missing, or the rows are not the frames of the C3D file.
     """
     try:
         lines = [line.strip().rstrip(",") for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
         names, rows = lines[0].split(","), np.array([line.split(",") for line in lines[1:]], dtype=float)
         own = {name: rows[:, column] for column, name in enumerate(names)}
         force = POUND * np.sum([own[name] for name in CELLS], axis=0)
-        found = {"force": force, "GON": own["GON"], "GRFz": GRF_UNIT * own["GRFz"]}
+        units = {"GON": 1.0, "GRFz": GRF_UNIT}
+        found = {"force": force} | {name: unit * own[name] for name, unit in units.items() if name in own}
     except (UnicodeDecodeError, ValueError, IndexError, KeyError):
-        needed = ", ".join((*CELLS, "GON", "GRFz"))
+        needed = ", ".join(CELLS)
         raise SpecError(f"should be a table of numbers with the columns {needed}", file=file) from None
     table = read_table(markers, "motion.file")
     if len(rows) != len(table.cells):
         raise SpecError(f"has {len(rows)} rows, but {markers.name} has {len(table.cells)} frames", file=file)
+    if "GRFz" not in found:
+        return found
     vertical = (name for name in table.headings if name.endswith(".force.z"))
     forces = (np.abs(table.column(name, "motion.file")) for name in vertical)
     mismatches = [float(np.sqrt(np.mean((one - found["GRFz"]) ** 2))) for one in forces]
@@ -189,7 +192,7 @@ def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray], rows: slice) -
     bar = np.degrees(np.sqrt(sum(one * one for one in errors)))
     return (
         Comparison(along, accuracy.reaction_error[rows, joint], measured["force"]),
-        Comparison(np.degrees(thigh - shank), bar, measured["GON"]),
+        Comparison(np.degrees(thigh - shank), bar, measured.get("GON", np.full(len(bar), np.nan))),
     )
 
 
@@ -219,23 +222,23 @@ def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run
             f"{phase.name:<12}{len(own.error):>7}{own.rms:>9.0f}{own.rms / WEIGHT:>10.3f}{np.mean(own.error):>10.0f}"
             f"{own.covered:>9.0%}{np.nanmedian(own.bar) / WEIGHT:>17.2f}"
         )
-    lines += ["", f"{'peak':<22}{'measured [N]':>13}{'computed [N]':>13}{'bar [N]':>9}{'bar [BW]':>10}  inside"]
+    heads = f"{'peak':<22}{'measured [N] at [s]':>21}{'computed [N] at [s]':>21}{'then measured':>15}{'bar [N]':>9}"
+    lines += ["", f"{heads}{'bar [BW]':>10}  inside then"]
     sources = []
     for stance in (one for one in phases if one.name.startswith("stance")):
         first, middle, end = (frame - start for frame in (stance.first, (stance.first + stance.end) // 2, stance.end))
         for name, half in {"first": slice(first, middle), "second": slice(middle, end)}.items():
             label, at = f"{stance.name}, {name}", largest_peak(force.computed, half)
-            measured, computed, bar = (
-                force.measured[largest_peak(force.measured, half)],
-                force.computed[at],
-                force.bar[at],
-            )
+            other, time, bar = largest_peak(force.measured, half), run.time[rows], force.bar[at]
             lines.append(
-                f"{label:<22}{measured:>13.0f}{computed:>13.0f}{bar:>9.0f}{bar / WEIGHT:>10.2f}  "
-                f"{'yes' if abs(measured - computed) <= bar else 'no'}"
+                f"{label:<22}{force.measured[other]:>13.0f}{time[other]:>8.3f}{force.computed[at]:>13.0f}{time[at]:>8.3f}"
+                f"{force.measured[at]:>15.0f}{bar:>9.0f}{bar / WEIGHT:>10.2f}  "
+                f"{'yes' if abs(force.error[at]) <= bar else 'no'}"
             )
             if has_contributions(run):
                 sources.append(f"{label:<22}{contributions(run, 'knee', float(run.time[rows][at])).sentence}")
+    if np.isnan(angle.measured).all():
+        return [*(*lines, "", *sources)]
     both = angle._replace(bar=np.hypot(angle.bar, quantile(1.0) ** 0.5 * GONIOMETER))
     return [
         *(*lines, "", *sources, ""),

@@ -307,7 +307,7 @@ def mbdkit_items() -> Iterable[Item]:
             stage="data",
             find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_person"),
             of=frozenset({"inverse"}),
-            criteria=("plane", "centers", "lengths", "plates"),
+            criteria=("plane", "centers", "lengths", "plates", "misfit"),
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide"),

@@ -443,6 +443,13 @@ def without_followers(result: Inverse) -> Inverse:
     return forces_of(problem, result.fitted, result.independent, result.motion, strict=False)
 
 
+def reaction_forces(result: Inverse) -> np.ndarray:
+    """Return the reaction forces (T, J, 2) [N]."""
+    motion, problem = result.motion, result.problem
+    rows = problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, result.lam).reactions
+    return np.asarray(JointSums(problem.prepared.workspace.mechanism).sum(rows)[:, :, :2])
+
+
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:
     """Return the reaction forces (T, J, 2) [N] for the same motion without muscles, produced by the actuators alone."""
-    return recorded_states(replace(result, recruited=None)).reactions[:, :, :2]
+    return reaction_forces(replace(result, recruited=None))

@@ -182,8 +182,21 @@ class Segments:
                 return functional_center(moving, other)
             except SpecError:  # the motion does not determine it
                 return other
-        if method is None or method == "functional":
+        if method == "functional":
             return functional_center(moving)
+        if method is None:
+            try:
+                return functional_center(moving)
+            except SpecError as error:
+                lacking = "both anterior iliac spines, and the posterior ones or the sacrum"
+                if kind != "hip":
+                    known = zip(("medial", "lateral"), sides, strict=True)
+                    lacking = listed([f"the {one} side" for one, marker in known if marker is None], "and")
+                raise SpecError(
+                    f"the markers do not determine the centre of the joint '{joint}': they lack {lacking} of it, and "
+                    f"the motion alone does not suffice: a centre that {error.message}",
+                    key=key,
+                ) from None
         if method == "hip-regression":
             if kind != "hip":
                 raise SpecError("is for hips; this joint takes functional, static or a midpoint", key=key)

@@ -102,6 +102,9 @@ class JointCenter:
     """Range of the angle between both segments in these frames [rad]."""
     misfit: float = 0.0
     """Root mean square difference of two combined centres, relative to what their covariances explain; 0 for others."""
+    square: float = 0.0
+    """Square of this difference in the plane of motion, relative to its covariance: chi-square with two degrees of
+    freedom."""
 
     @property
     def deviation(self) -> tuple[float, float]:
@@ -230,8 +233,12 @@ def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> Jo
     covariance = product(product(inverse, birge * spread + across[:, None] * across), inverse)
     common = np.concatenate([one.T for one in pair.reference])  # a shift of both points in the laboratory
     covariance = covariance + IN_STEP * IN_STEP * product(common, common.T)
-    misfit = 0.0
+    misfit = square = 0.0
     if other is not None:
+        to_plane = product(pair.axes, pair.reference[0])[:2]
+        gap = product(to_plane, other.proximal - found[:3])
+        both = product(product(to_plane, covariance[:3, :3] + other.covariance), to_plane.T)
+        square = float(np.sum(gap * product(inverse_of(both), gap)))
         found, covariance, misfit = _combined(found, covariance, other)
         points = found[:3], found[3:]
     fit = pair.fit(points)
@@ -241,7 +248,7 @@ def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> Jo
     deviation = float(np.sqrt(np.max(np.diag(own)[:2])))
     if not deviation <= LARGEST_DEVIATION:
         raise _turn_together(pair, turn, deviation)
-    return JointCenter("functional" if other is None else "combined", *points, own, fit, radians, misfit)
+    return JointCenter("functional" if other is None else "combined", *points, own, fit, radians, misfit, square)
 
 
 def _combined(points: np.ndarray, covariance: np.ndarray, other: JointCenter) -> tuple[np.ndarray, np.ndarray, float]:

@@ -39,7 +39,7 @@ def person_of_spec(spec: InverseSpec) -> tuple[Person, InverseSpec]:
             static = MarkerFile.of(read_table(spec.folder / motion.static, "motion.static"), motion.time)
     segments = Segments.of(motion.clusters, legs_of(model.legs), file, static)
     plane = motion.plane if motion.plane != "fit" else None
-    skeleton = Skeleton.of(subject, segments, plane, motion.centers or {})
+    skeleton = Skeleton.of(subject, segments, plane, motion.centers or {}, motion.belt)
     person = skeleton.person(_plates(spec, file, skeleton))
     return person, _expanded(spec, person)
 

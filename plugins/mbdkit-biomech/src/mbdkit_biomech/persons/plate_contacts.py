@@ -38,8 +38,8 @@ LARGEST_OFFSET = 0.1
 
 
 class FootMotion(NamedTuple):
-    """Middle of the markers of a foot (T, 3) [m] and its velocity (T, 3) [m/s], as (forward, up, right), and rate
-    of the angle of the foot (T,) [rad/s], counter-clockwise.
+    """Middle of the markers of a foot (T, 3) [m], its velocity over the ground or the belt of a treadmill (T, 3) [m/s],
+    as (forward, up, right), and rate of the angle of the foot (T,) [rad/s], counter-clockwise.
     """
 
     middle: np.ndarray
@@ -66,7 +66,7 @@ class PlateContact:
 
     def when(self, time: np.ndarray) -> str:
         """Return the time of the contact as a phrase."""
-        return f"from t = {time[self.first]:.3f} to {time[self.end - 1]:.3f} s"
+        return f"from t = {time[self.first]:.4f} to {time[self.end - 1]:.4f} s"
 
 
 class PlateLoad(NamedTuple):

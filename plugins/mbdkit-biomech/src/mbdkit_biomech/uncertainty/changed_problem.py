@@ -231,6 +231,7 @@ class Changer:
             [factor(change, "emg", own[one.muscle]) for one in targets.emg],
         )
         recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators, targets)
+        recruiter.late = change.get(("muscle_delay",), 0.0)
         muscles = {}
         for name, muscle in recruiter.muscles.items():
             changed = {key: getattr(muscle, key) * factor(change, key, name) for key in PROPERTIES}

@@ -70,7 +70,7 @@ class Contributions:
         """Return the table as text."""
         shown = {name: share for name, share in self.shares.items() if abs(share) >= SHOWN}
         rows = [["source", "share"], *([name, f"{share:.1%}"] for name, share in shown.items())]
-        head = f"{self.joint} at {self.time:.4g} s: {plus_minus(self.force, self.error)} N (95 %)"
+        head = f"{self.joint} at {self.time:.4f} s: {plus_minus(self.force, self.error)} N (95 %)"
         less = len(self.shares) - len(shown)
         return f"{head}\n{table(rows, '  ')}" + (f"\n  and {less} with less than {SHOWN:.1%}" if less else "")
 

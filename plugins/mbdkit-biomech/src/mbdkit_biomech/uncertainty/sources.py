@@ -28,7 +28,8 @@ Kind: TypeAlias = Literal["person", "muscles", "devices"]
 
 DEFAULTS: Mapping[str, Any] = {
     "masses": 0.1, "inertias": 0.2, "pressure": 0.005, "plate_gain": 0.01, "max_force": 0.2, "optimal_length": 0.05,
-    "tendon_length": 0.02, "muscle_points": 0.005, "exponent": (2.0, 4.0), "minimum": (0.01, 0.05),
+    "tendon_length": 0.02, "muscle_points": 0.005, "muscle_delay": 0.02, "exponent": (2.0, 4.0),
+    "minimum": (0.01, 0.05),
 }  # fmt: skip
 """Values of keys that are left out with `subject`; the page `persons` of the guide gives the source of each."""
 
@@ -58,6 +59,7 @@ ADVICE = {
     "fibre": "measure the fibres, for example by ultrasound",
     "tendon": "measure the tendon, for example by ultrasound",
     "points": "take the attachments from images",
+    "timing": "compare activations with EMG",
     "pressure": "calibrate the positions of the plates",
     "gain": "calibrate the plates",
     "zero": "record a static trial",
@@ -215,7 +217,7 @@ class _Sources:
 
     def _of_muscles(self) -> Iterator[UncertainScalar]:
         recruiter = self.problem.recruiter
-        keys = ("max_force", "optimal_length", "tendon_length", "muscle_points", "exponent", "minimum")
+        keys = ("max_force", "optimal_length", "tendon_length", "muscle_points", "muscle_delay", "exponent", "minimum")
         if recruiter is None:
             for key in keys:
                 self._require(key, "needs `recruitment`: without it, muscles exert no force")
@@ -240,6 +242,8 @@ class _Sources:
                 group = f"points of {name.replace('_', ' ')}"
                 for place in product(["muscle_points"], [name], dict.fromkeys(item.on for item in muscle.path), "xy"):
                     yield UncertainScalar(group, "muscles", {place: size})
+        if size := self._size("muscle_delay"):
+            yield UncertainScalar("timing of muscles", "muscles", {("muscle_delay",): size})
         for key, name, value in (
             ("exponent", "exponent of recruitment", recruiter.exponent),
             ("minimum", "least activation", recruiter.asked.minimum),

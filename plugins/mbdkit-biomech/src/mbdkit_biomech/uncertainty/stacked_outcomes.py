@@ -27,6 +27,7 @@ from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared, share_loads
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Axial, share_softly
 from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
+from mbdkit_biomech.persons.plate_contacts import later
 from mbdkit_biomech.uncertainty.changed_problem import (
     OF_DYNAMICS,
     PROPERTIES,
@@ -48,7 +49,7 @@ SHORTEST = 1e-3
 SMOOTH = "length", "rate", "optimal_length", "tendon_length"
 """Quantities of muscles that are taken to first order; lengths of fibres and tendons follow the scaled segments."""
 
-EXACT = (*PROPERTIES, "exponent", "minimum", "across", "emg")
+EXACT = (*PROPERTIES, "muscle_delay", "exponent", "minimum", "across", "emg")
 """Keys of places that are not taken to first order."""
 
 
@@ -211,6 +212,11 @@ class StackedOutcomes:
         beside = flat["value"] - products(flat["arms"], force)
         beside[:, recruiter.is_taken_over(driven)] = 0.0
         reserve = np.where(driven, beside, 0.0)[:, recruiter.reserve_places]
+        late = self._total(values, ("muscle_delay",))
+        if np.any(late):
+            time, own = self.result.motion.time, force.reshape(frames, count, -1)
+            pairs = enumerate(late.tolist())
+            force = np.stack([later(time, own[:, k], -delay) for k, delay in pairs], axis=1).reshape(force.shape)
         joint = flat["reactions"].reshape(frames * count, -1)
         joint = joint + products(flat["unit"].reshape(frames * count, joint.shape[1], -1), force)
         actuators = np.hstack([np.where(driven, flat["value"], beside), reserve])

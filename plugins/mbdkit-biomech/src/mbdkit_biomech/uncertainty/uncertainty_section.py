@@ -12,6 +12,7 @@ from mbdkit.plugin.specs import Count, Section
 Distance = Annotated[float, Field(ge=0, le=0.1)]
 Angle = Annotated[float, Field(ge=0, le=0.5)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Duration = Annotated[float, Field(ge=0, le=0.2)]
 Exponent = Annotated[float, Field(ge=2, le=20)]
 Activation = Annotated[float, Field(ge=0, lt=1)]
 
@@ -26,7 +27,7 @@ class Uncertainty(Section):
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         *("centers", "lengths", "masses", "inertias", "max_force", "optimal_length", "tendon_length"),
-        *("muscle_points", "pressure", "plate_gain", "angles", "exponent", "minimum", "devices"),
+        *("muscle_points", "muscle_delay", "pressure", "plate_gain", "angles", "exponent", "minimum", "devices"),
     )
 
     centers: Distance | dict[str, Distance] | None = None
@@ -46,6 +47,8 @@ class Uncertainty(Section):
     """Length of the tendon of each muscle; default 0.02."""
     muscle_points: Distance | None = None
     """Points of each muscle on each body, which move together, along both axes of the body [m]; default 0.005."""
+    muscle_delay: Duration | None = None
+    """Time by which the forces of all muscles are early or late [s]; default 0.02."""
     pressure: Distance | None = None
     """Point of application of each load with a point in the global frame, along x [m]; default 0.005."""
     plate_gain: Share | None = None

@@ -24,6 +24,8 @@ from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.errors.stated_deviations import large_deviations
 from mbdkit_biomech.inverse_dynamics.muscles.knees import noisy_channels
 from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts, pulled_knees
+from mbdkit_biomech.uncertainty.misfit_criterion import misfit_doubts
+from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
 
 
 class DataDoubts(NamedTuple):
@@ -49,7 +51,7 @@ class DataDoubts(NamedTuple):
 
 def doubts_about_data(result: Inverse, bars: ResultBars | None) -> DataDoubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
-    found = findings("data", result, bars, kind="inverse")
+    found = ranked_doubts(result, bars, findings("data", result, bars, kind="inverse"))
     remarks = tuple(str(finding) for finding in found if finding.level is None)
     return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
 
@@ -98,8 +100,8 @@ def doubts_of_record(result: Inverse, bars: ResultBars | None) -> list[Finding]:
 def doubts_of_person(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the person and remarks on it."""
     uncertain = None if bars is None else bars.uncertain
-    failures = [uncertain.failures] if uncertain is not None and uncertain.failed else []
-    return [*person_findings(result.problem), *_remarks(failures)]
+    remarks = [] if uncertain is None else [uncertain.failures if uncertain.failed else "", uncertain.too_few]
+    return [*person_findings(result.problem), *misfit_doubts(result, bars), *_remarks(filter(None, remarks))]
 
 
 def person_findings(problem: InverseProblem) -> list[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -20,6 +20,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import (
     spans,
 )
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import centre_of_pressure, in_body, load_point_doubts
+from mbdkit_biomech.inverse_dynamics.criteria.unmeasured_contacts import unmeasured_frames
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
@@ -256,10 +257,21 @@ def _balance(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     largest = max(load, weight)
     if len(roots) != 1 or not largest > 0:
         return
-    residual, noise = _residual_wrench(result, roots[0], bars, only_residuals=load == 0)
+    residual, noise = residual_wrench(result, roots[0], bars, only_residuals=load == 0)
     height = limits[2] / (MOMENT * largest)
-    ends = len(residual) // 20  # derivatives are inaccurate at the ends
-    inside = slice(ends, len(residual) - ends)
+    unmeasured = unmeasured_frames(result)
+    inside = judged_frames(len(residual), unmeasured)
+    if unmeasured:
+        told = [f"{body} {spans(result.motion.time, rows)}" for body, rows in unmeasured.items()]
+        left = "" if inside.any() else ", which is never"
+        yield Finding(
+            "residuals",
+            None,
+            f"the force of the ground is not measured on {listed(told, 'and')}: forces of joints lack it then, and "
+            f"residual forces are judged only where all loads are measured{left}",
+        )
+    if not inside.any():
+        return
     beyond = np.mean(residual[inside] ** 2, axis=0) > NOISY**2 * np.mean(noise[inside] ** 2, axis=0)
     over = beyond & (np.quantile(np.abs(residual)[inside], 0.95, axis=0) > limits)
     carried = float(np.max(np.linalg.norm(residual[inside, :2], axis=1)))
@@ -296,7 +308,7 @@ def _balance(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
         )
 
 
-def _peaks(residual: np.ndarray, noise: np.ndarray, limits: np.ndarray, inside: slice) -> np.ndarray:
+def _peaks(residual: np.ndarray, noise: np.ndarray, limits: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Return where residual forces and moments (T, 3) rise for a few rows by more than their limits and their noise.
 
     The motion is smoothed, so that it causes no such peaks; a load with a glitch does.
@@ -304,11 +316,19 @@ def _peaks(residual: np.ndarray, noise: np.ndarray, limits: np.ndarray, inside: 
     off = np.abs(residual - median_filter(residual, (2 * LONGEST + 1, 1), mode="nearest"))
     usual = TO_DEVIATION * np.median(off[inside], axis=0)
     peaks = off > np.maximum(limits, PEAK * np.maximum(usual, noise / 2))  # error bars are two standard deviations
-    peaks[: inside.start], peaks[inside.stop :] = False, False
-    return np.asarray(peaks)
+    return np.asarray(peaks & inside[:, None])
 
 
-def _residual_wrench(
+def judged_frames(count: int, unmeasured: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the frames (T,) in which residuals are judged: those in which all loads are measured, without both ends,
+    where derivatives are inaccurate.
+    """
+    inside, ends = np.zeros(count, dtype=bool), count // 20
+    inside[ends : count - ends] = True
+    return np.asarray(inside & ~np.any(list(unmeasured.values()), axis=0)) if unmeasured else inside
+
+
+def residual_wrench(
     result: Inverse, root: str, bars: ResultBars | None, *, only_residuals: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the forces x, y and the moment of the actuators of a root, and their error bars, (T, 3) each.
@@ -331,7 +351,7 @@ def _residual_wrench(
     return values, noise
 
 
-def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) -> str:
+def _cause(result: Inverse, residual: np.ndarray, height: float, inside: np.ndarray) -> str:
     """Return a sentence that names the change of the loads that explains most of the residual forces and moments.
 
     Parameters
@@ -339,7 +359,7 @@ def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) 
     residual
         (T, 3) residual forces, and residual moment about the root divided by the height of the mechanism.
     inside
-        The rows without those at the start and the end of the motion.
+        (T,) whether a row is judged.
     """
     time, loads = result.motion.time, result.loads
     root = result.problem.names.body(free_roots(result.problem.names.mechanism)[0], "model")

@@ -38,6 +38,7 @@ from mbdkit_biomech.inverse_dynamics.spec.named_actuators import NamedActuator, 
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
 from mbdkit_biomech.muscles.patella import PatellaPath
+from mbdkit_biomech.persons.plate_contacts import later
 
 NO_ARM = 1e-9
 """A muscle does not act on a coordinate if its moment arm is at most this [m for angles, 1 for lengths]."""
@@ -98,6 +99,7 @@ class Recruiter:
             raise SpecError(
                 f"activation dynamics need an exponent of 2 or more, not {asked.exponent}", key="recruitment.exponent"
             )
+        self.late = 0.0  # time by which muscles act later than recruitment says [s]
         self._joined = np.array([not actuator.is_residual for actuator in actuators], dtype=bool)
         self._reserves = reserves_of(asked, actuators)
 
@@ -209,11 +211,14 @@ class Recruiter:
         force = own.capacity * activation + own.passive
         beside = dynamics.value - products(sharing.arms, force)
         beside[:, self.is_taken_over(driven)] = 0.0
+        places = self.reserve_places
+        reserve = np.where(driven, beside, 0.0)[:, places]
+        if self.late:  # what the muscles then lack is no force of the reserves
+            force = later(motion.time, force, -self.late)
+            beside = dynamics.value - products(sharing.arms, force)
         pushed = products(balance.columns, beside) + products(own.pull, force)
         speed = products(np.swapaxes(balance.columns, 1, 2), motion.v)
         actuator = np.where(driven, dynamics.value, beside)
-        places = self.reserve_places
-        reserve = np.where(driven, beside, 0.0)[:, places]
         return Recruited(
             contraction=own,
             sharing=sharing,

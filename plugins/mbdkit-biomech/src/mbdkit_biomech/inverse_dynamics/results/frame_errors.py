@@ -72,10 +72,12 @@ class FrameErrors(RunErrors):
         error = float(errors[joint])
         loads = f"; {exact}" if (exact := exact_loads(run)) else ""
         if not math.isfinite(error):
-            known = f"{size[row, joint]:.4g} N at {run.time[row]:.4g} s, error unknown"
+            known = f"{size[row, joint]:.4g} N at {run.time[row]:.4f} s, error unknown"
             return f"largest force in {run.joint_names[joint]} {known}{loads}"
         value = plus_minus(float(size[row, joint]), error)
-        return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4g} s{loads}"
+        bias = float(accuracy.parts["reaction_peak_bias"][joint]) if "reaction_peak_bias" in accuracy.parts else 0.0
+        least = f"; without the excess of largest values, {size[row, joint] - bias:.4g} N" if bias > 0.0 else ""
+        return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
 
 
 def _why_no_error_bars(spec: Mapping[str, Any]) -> str:

@@ -123,7 +123,7 @@ def _actuators(run: Run, *, residual: bool = False) -> str:
             continue
         row = int(np.argmax(np.abs(actuator.value)))
         value = plus_minus(float(actuator.value[row]), error) if known else f"{actuator.value[row]:.4g}"
-        peaks.append((abs(float(actuator.value[row])), f"{name} {value} {actuator.units} at {run.time[row]:.4g} s"))
+        peaks.append((abs(float(actuator.value[row])), f"{name} {value} {actuator.units} at {run.time[row]:.4f} s"))
     return few(ranked(peaks))
 
 

@@ -207,7 +207,7 @@ class MeasuredMotion(Section):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        *("file", "data", "gaps", "errors"),
+        *("file", "data", "gaps", "errors", "belt"),
         *("plane", "clusters", "centers", "static"),
     )
 
@@ -239,6 +239,8 @@ class MeasuredMotion(Section):
     static: Named | None = None
     """File of a calibration trial of the person, in which the person stands upright for some time; joints that are
     bent in it are calibrated by it. Several motions of a person may share it."""
+    belt: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    """Speed with which the belt of a treadmill moves backward [m/s]; feet that rest on it move as fast."""
 
     @model_validator(mode="after")
     def _complete(self) -> MeasuredMotion:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
 
-from mbdkit.plugin import GROUND, QuantityNames, SpecError, Target, path_text, quoted
+from mbdkit.plugin import GROUND, QuantityNames, SpecError, Target, listed, path_text, quoted
 from mbdkit.plugin.mechanisms import force_of_reaction
 from mbdkit.plugin.specs import (
     Choice,
@@ -28,6 +28,7 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     Frontal,
     Load,
     MeasuredMotion,
+    Named,
     Recruitment,
     Span,
 )
@@ -66,6 +67,7 @@ class InverseSpec(ModelSpec):
         "parameters",
         "estimates",
         "loads",
+        "unmeasured",
         "actuators",
         "recruitment",
         "frontal",
@@ -83,6 +85,9 @@ class InverseSpec(ModelSpec):
     """The measured motion."""
     loads: Annotated[dict[str, Load], AfterValidator(_named)] = Field(default_factory=dict)
     """Measured loads by name, such as the force of the ground on a foot."""
+    unmeasured: list[Named] = Field(default_factory=list)
+    """Bodies, such as `foot_left`, on which the ground also acts beside the plates. Residual forces are not judged in
+    frames in which no load acts on them."""
     actuators: Annotated[dict[str, Actuator], AfterValidator(_named)] = Field(default_factory=dict)
     """Actuators by name; by default, one for each observed relative angle or travel. Bodies that no joint connects to
     the ground have residual actuators in addition: root.x, root.y and root.angle, or actuators with the names that the
@@ -166,6 +171,9 @@ class InverseSpec(ModelSpec):
         return self.follows is None or key.follow is None
 
     def _accept(self, mechanism: Mechanism) -> None:
+        if wrong := [name for name in self.unmeasured if name not in mechanism.bodies]:
+            known = listed([f"'{name}'" for name in mechanism.bodies])
+            raise SpecError(f"should list bodies of the model ({known}), not '{wrong[0]}'", key="unmeasured")
         if contacts := mechanism.elements.get("contacts"):
             raise SpecError(
                 "inverse dynamics does not support contacts: omit them, and give the forces of the ground as `loads`",

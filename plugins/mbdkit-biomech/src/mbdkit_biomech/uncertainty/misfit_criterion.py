@@ -1,0 +1,64 @@
+"""Criterion of the verdict on stated deviations: the data contradict them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mbdkit.plugin import Finding, listed
+from mbdkit_biomech.inverse_dynamics.compute import Inverse
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
+from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import judged_frames, residual_wrench
+from mbdkit_biomech.inverse_dynamics.criteria.unmeasured_contacts import unmeasured_frames
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
+from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile
+from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
+from mbdkit_biomech.persons.landmarks import LEFT
+
+NORMAL = 1.6448536269514722
+"""Quantile of 95 % of the normal distribution."""
+
+
+def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
+    """Yield a doubt if differences that should vanish are larger than the stated deviations explain.
+
+    These are the differences in the plane between centres by landmarks or regression and those by the motion, and, if
+    all loads are measured, the residual forces and the residual moment. Relative to their deviations, the sum of their
+    squares has a chi-square distribution. Residuals at different times have common causes, so that the mean square over
+    time of each counts as that of one variable.
+    """
+    person = result.problem.source.person
+    if person is None:
+        return
+    squares = {f"centre of {joint}": center.square for joint, center in person.centers.items() if center.square}
+    freedoms = 2 * len(squares)
+    roots = free_roots(result.problem.names.mechanism)
+    inside = judged_frames(len(result.motion.time), unmeasured_frames(result))
+    measured = {"foot", f"foot{LEFT}"} <= {load.body for load in result.problem.spec.loads.values()}
+    if bars is not None and bars.uncertain is not None and len(roots) == 1 and measured and inside.any():
+        residual, bar = (x[inside] for x in residual_wrench(result, roots[0], bars, only_residuals=False))
+        mean = np.mean(residual * residual, axis=0) / np.mean(bar * bar, axis=0) * quantile(1.0)
+        squares |= dict(zip(("residual force along x", "residual force along y", "residual moment"), mean, strict=True))
+        freedoms += 3
+    whole = float(sum(squares.values()))
+    if not squares or not whole > (limit := _quantile(freedoms)):
+        return
+    largest = sorted(squares, key=lambda name: -squares[name])[:3]
+    told = [f"{name} {np.sqrt(squares[name] / (2 if name.startswith('centre') else 1)):.1f}" for name in largest]
+    yield doubt(
+        "misfit",
+        f"landmarks, motion and loads contradict each other by more than the stated deviations explain: the sum of "
+        f"squares relative to them is {whole:.1f} for {freedoms} degrees of freedom (doubtful above {limit:.1f}, which "
+        f"chance exceeds in 5 % of cases); largest are {listed(told, 'and')} deviations. Error bars are too narrow: "
+        "check markers, plates and subject, or state larger deviations in `uncertainty`",
+    )
+
+
+def _quantile(freedoms: int) -> float:
+    """Return the quantile of 95 % of a chi-square distribution (E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci.
+    17 (1931) 684-688), which is within 1 % of the exact one from two degrees of freedom on.
+    """
+    spread = 2.0 / (9.0 * freedoms)
+    root = 1.0 - spread + NORMAL * spread**0.5
+    return freedoms * root * root * root
