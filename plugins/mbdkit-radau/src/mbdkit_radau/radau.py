@@ -52,8 +52,9 @@ ACCURACY, IDLE = 0.01, 1.0
 does not converge any more has reached rounding; chosen.
 """
 SHARE = 0.1
-"""The tolerance of the estimate, of order s + 1 in h, is this share of rtol^((s + 1) / (2 s)): RADAU's rule, by which
-the error, of a higher order, is about proportional to `rtol`.
+"""The tolerance of the estimate, of order s + 1 in h, is this share of rtol^((s + 1) / (2 s)) for the lowest s, the rule
+of RADAU5, by which the error, of a higher order, is about proportional to `rtol`. RADAU uses the rule with the s of each
+step, which allows errors of more than 1000 times `rtol` in steps in which a contact begins.
 """
 ROUNDING = 1e-15
 """Tolerance of the iteration in fixed steps."""
@@ -246,7 +247,7 @@ class Radau(mbdkit.StepMethod):
             along, _ = equations.solve(t, state.q, equations.mass * of_v, np.zeros(equations.m))
             of_v = along + velocity_weight(equations.formulation, h) * (of_v - along)
         error = np.concatenate([r**2 * x + gap, of_v, r * x_z])
-        scaled: np.ndarray = self.rtol ** ((s - 1) / (2 * s)) / SHARE * error
+        scaled: np.ndarray = self.rtol ** ((self.fewest - 1) / (2 * self.fewest)) / SHARE * error
         return scaled
 
 

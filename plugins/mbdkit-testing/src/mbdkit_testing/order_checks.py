@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import StepError, StepMethod
+from mbdkit.plugin import Run, StepError, StepMethod
 from mbdkit.plugin.specs import choice_of, load_spec
 from mbdkit_report import ObservedOrder, observed_order
 from mbdkit_testing.check import Check, Skip, check
@@ -304,10 +304,14 @@ def error_at_tolerance(
     integrator: IntegratorUnderTest, problem: str, rtol: float, state: np.ndarray, **sections: Any
 ) -> float:
     """Return the largest error of a run with the tolerance `rtol` at its end, where the reference is `state`."""
+    with _run_at_tolerance(integrator, problem, rtol, **sections) as run:
+        return float(np.max(np.abs(final_state(run) - state)))
+
+
+def _run_at_tolerance(integrator: IntegratorUnderTest, problem: str, rtol: float, **sections: Any) -> Run:
     options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
     time = {"end": ENDS[problem]}
-    with integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}, **sections) as run:
-        return float(np.max(np.abs(final_state(run) - state)))
+    return integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}, **sections)
 
 
 @check("order.polynomials")
@@ -344,12 +348,17 @@ def _errors_of_tolerances(integrator: IntegratorUnderTest, problem: str, **secti
         raise Skip("it has no option `rtol`")
     state, _, floor = reference(problem)
     errors = [error_at_tolerance(integrator, problem, rtol, state, **sections) for rtol in TOLERANCES]
+    return _obeys(errors, (100 * floor,) * 4, "its error does not decrease with the tolerance")
+
+
+def _obeys(errors: Sequence[float], floors: Sequence[float], cause: str) -> Result:
+    """Return whether errors of runs with `TOLERANCES` decrease to their floors; `cause` says that they do not."""
     figures = {f"error_at_{rtol:g}": error for rtol, error in zip(TOLERANCES, errors, strict=True)}
     if not np.all(np.isfinite(errors)):
         return failed("a run did not complete", **figures)
-    for coarse, fine in zip(errors, errors[2:], strict=False):
-        if fine > max(coarse / OBEYS, 100 * floor):
-            return failed("its error does not decrease with the tolerance", **figures)
+    for coarse, fine, floor in zip(errors, errors[2:], floors[2:], strict=False):
+        if fine > max(coarse / OBEYS, floor):
+            return failed(cause, **figures)
     return passed(**figures)
 
 
@@ -365,6 +374,26 @@ def projected(integrator: IntegratorUnderTest) -> Result:
         return _errors_of_tolerances(integrator, "forced-pendulum", **sections)
     found = Convergence(integrator, "forced-pendulum", **sections)
     return compare_orders(integrator.order, found.observed, found.errors)
+
+
+@check("tolerance.multipliers")
+def multipliers_at_tolerance(integrator: IntegratorUnderTest) -> Result:
+    """The multipliers that an adaptive method in Python computes itself converge as the tolerance decreases, or have an
+    error below its square root: that of iterations exceeds the one of positions by a square of the step.
+    """
+    if not integrator.claims.adaptive or not getattr(integrator.method(), "carries_multipliers", False):
+        raise Skip("it is not an adaptive method in Python with multipliers of its own")
+    exact, floors = reference("forced-pendulum")[1], np.sqrt(TOLERANCES)
+    errors = [_of_multipliers(integrator, rtol, exact) for rtol in TOLERANCES]
+    return _obeys(errors, floors, "the error of its multipliers does not decrease with the tolerance")
+
+
+def _of_multipliers(integrator: IntegratorUnderTest, rtol: float, exact: np.ndarray) -> float:
+    """Return the largest error of the method's own multipliers at the end of a run, as a share of the largest one."""
+    with _run_at_tolerance(integrator, "forced-pendulum", rtol) as run:
+        if run.status != "complete":
+            return math.nan
+        return float(np.max(np.abs(run.array("constraints/method_multiplier")[-1] - exact)) / np.max(np.abs(exact)))
 
 
 def _with_tolerance(problem: str) -> Check[IntegratorUnderTest]:
@@ -389,6 +418,8 @@ def variable_order(integrator: IntegratorUnderTest) -> Result:
     for rtol in COUNTED_TOLERANCES:
         options = {name: rtol for name in ("rtol", "atol") if name in known}
         with integrator.run(ORBIT, {"end": 40.0}, options=options, output={"every": 10**9}) as run:
+            if claims.variable_order and run.status != "complete":
+                return failed(f"it claims variable order, but a run with rtol = {rtol:g} stopped: {run.status_reason}")
             require_complete(run)
             counts.append(int(run.stats["accepted"]))
             is_explicit = not run.stats["jacobian_evaluations"]
@@ -495,6 +526,7 @@ CHECKS = (
     formulations,
     projected,
     *(_with_tolerance(problem) for problem in (*USUAL, "linear-oscillators")),
+    multipliers_at_tolerance,
     variable_order,
     states,
     own_control,

@@ -13,7 +13,7 @@ import mbdkit
 from mbdkit_testing import Result, verify
 from mbdkit_testing.check import Check
 
-from . import corpus, further_faults, overclaims, subtle, wrong_steps
+from . import corpus, further_faults, overclaims, subtle, wrong_copies, wrong_steps
 
 SUBTLE_LAWS = {
     subtle.creates_energy_at_some_rates: "law.passivity", subtle.creates_energy_in_a_corner: "law.passivity",
@@ -51,11 +51,12 @@ WRONG |= {
 WITH_CAUSES = overclaims.WRONG | wrong_steps.WRONG
 WRONG |= {name: ("integrator", installed, check) for name, (installed, check, _) in WITH_CAUSES.items()}
 WRONG |= {name: found[:3] for name, found in further_faults.WRONG.items()}
-CAUSES = {name: cause for name, (_, _, cause) in WITH_CAUSES.items()}
+WRONG |= {name: ("integrator", installed, check) for name, (installed, check, _) in wrong_copies.WRONG.items()}
+CAUSES = {name: cause for name, (_, _, cause) in (WITH_CAUSES | wrong_copies.WRONG).items()}
 CAUSES |= {name: found[3] for name, found in further_faults.WRONG.items()}
 RIGHT |= {name: ("integrator", installed) for name, installed in further_faults.RIGHT.items()}
 FIRST = {(kind, check): name for name, (kind, _, check) in reversed(WRONG.items())}.values()
-"""The first wrong plugin of each check; the others are slow tests."""
+"""The first wrong plugin of each check; the others are slow tests, but for quick copies of methods of distributions."""
 
 
 def others_slow(names: Iterable[str], chosen: Collection[str]) -> list[Any]:
@@ -73,7 +74,7 @@ def test_what_is_right_is_accused_by_no_check_that_catches_what_is_wrong(name: s
     assert {check for other, _, check in WRONG.values() if other == kind} <= {result.name for result in report.results}
 
 
-@pytest.mark.parametrize("name", others_slow(WRONG, FIRST))
+@pytest.mark.parametrize("name", others_slow(WRONG, {*FIRST, *wrong_copies.WRONG} - {*wrong_copies.SLOW}))
 def test_what_is_wrong_is_caught_by_the_check_that_says_so(name: str) -> None:
     kind, installed, expected = WRONG[name]
     found = outcome(kind, installed, expected)
