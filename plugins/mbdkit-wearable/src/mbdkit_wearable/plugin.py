@@ -128,6 +128,19 @@ def mbdkit_items() -> Iterable[Item]:
             of="Mechanism",
             target=Target("mbdkit_wearable.device:wear_method"),
         ),
+        Accessor(
+            name="added_force",
+            summary="Force in a joint with and without devices that follow a measured motion.",
+            of="Run",
+            target=Target("mbdkit_wearable.worn.added_force:added_force_of"),
+        ),
+        SummaryLine(
+            name="devices",
+            summary="What devices add to the forces of joints.",
+            order=1050,
+            text=Target("mbdkit_wearable.worn.added_force:device_lines"),
+            group="followers",
+        ),
         QuantityKind(
             name="cuffs",
             summary="Displacements, forces and power of cuffs.",
