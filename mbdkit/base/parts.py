@@ -43,6 +43,6 @@ MARKERS_OF_PARTS: Mapping[str, str] = {
 """Parts by the markers of their specs, which are not run specs where the part is not installed either."""
 
 GROUPS_OF_PARTS: Mapping[str, str] = dict.fromkeys(("contacts", "ground_reactions"), "mbdkit-contact") | dict.fromkeys(
-    ("motion", "actuators", "muscles", "loads"), "mbdkit-biomech"
+    ("motion", "actuators", "muscles", "knees", "loads"), "mbdkit-biomech"
 )
 """Parts by their groups in archives."""

@@ -37,9 +37,9 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import (
 )
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
 from mbdkit_biomech.inverse_dynamics.motion.unused_data import UnusedData
-from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.muscles.knees import knee_forces
 from mbdkit_biomech.inverse_dynamics.muscles.measured_targets import measured_targets
+from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Axial, Compartments
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec

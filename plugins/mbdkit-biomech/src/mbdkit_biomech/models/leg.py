@@ -50,7 +50,19 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
-from mbdkit.plugin import GROUND, Body, Joint, Mechanism, Number, Point, Positive, SpecError, did_you_mean, listed, quoted
+from mbdkit.plugin import (
+    GROUND,
+    Body,
+    Joint,
+    Mechanism,
+    Number,
+    Point,
+    Positive,
+    SpecError,
+    did_you_mean,
+    listed,
+    quoted,
+)
 from mbdkit.plugin.mechanisms import Force, Input, Marker, MechanismData, NamedCoordinate, PinFriction
 from mbdkit.plugin.seams import model_builder
 from mbdkit.plugin.specs import read_source
@@ -125,7 +137,9 @@ class LegOptions(LegPose):
     """Inputs by name, such as the torque of a motor."""
     muscles: Annotated[
         dict[str, Muscle],
-        BeforeValidator(_packaged, json_schema_input_type=dict[str, Muscle] | Literal["walking-muscles", "walking-two-legs"]),
+        BeforeValidator(
+            _packaged, json_schema_input_type=dict[str, Muscle] | Literal["walking-muscles", "walking-two-legs"]
+        ),
     ] = Field(default_factory=dict)
     """Muscles by name, or the name of a packaged example whose muscles the first leg has. In runs they exert forces; in
     inverse dynamics with `recruitment`, they share the moments of the actuators."""

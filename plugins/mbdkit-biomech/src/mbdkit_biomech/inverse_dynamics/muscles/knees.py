@@ -18,7 +18,7 @@ def knee_names(problem: InverseProblem) -> list[str]:
     recruiter = problem.recruiter
     if recruiter is None:
         return []
-    own = {one.joint for one in (*recruiter.targets.knees, *recruiter.patellas.values())}
+    own = {one.joint for one in recruiter.targets.knees} | {one.joint for one in recruiter.patellas.values()}
     return [name for name in problem.names.mechanism.joints if name in own]
 
 
