@@ -10,6 +10,7 @@ from mbdkit.archive.history import InputHistory
 from mbdkit.archive.history import MarkerHistory
 from mbdkit.archive.history import StateHistory
 from mbdkit_biomech.histories import ActuatorHistory
+from mbdkit_biomech.histories import KneeHistory
 from mbdkit_biomech.histories import LoadHistory
 from mbdkit_biomech.histories import MuscleHistory
 from mbdkit_biomech.histories import ObservedHistory
@@ -209,6 +210,14 @@ class Muscles(View, of="muscles"):
     force_error: np.ndarray
     """bound of the error of force that holds with a probability of 95 % at each time, nan where unknown, (T,), N"""
 
+class Knees(View, of="knees"):
+    patellofemoral_force: np.ndarray
+    """force of the patella on the thigh; nan without patella, (T,), N"""
+    medial_force: np.ndarray
+    """force in the medial compartment; nan if frontal moments are not known, (T,), N"""
+    lateral_force: np.ndarray
+    """force in the lateral compartment; nan if frontal moments are not known, (T,), N"""
+
 class Loads(View, of="loads"):
     force: np.ndarray
     """force on the body, global frame, (T, 2), N"""
@@ -269,6 +278,9 @@ class FurtherKinds:
     @property
     def muscles(self) -> Histories[MuscleHistory]:
         """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
+    @property
+    def knees(self) -> Histories[KneeHistory]:
+        """Forces [N] in one knee beside that of the joint: of the patella on the thigh, and in both compartments."""
     @property
     def loads(self) -> Histories[LoadHistory]:
         """One measured load, in inverse dynamics; force and point of application are in the global frame."""

@@ -79,9 +79,8 @@ def test_the_patella_is_in_equilibrium():
 def test_the_knee_carries_the_ligament(flexion, tendon):
     time = np.linspace(0.0, 1.0, 6)
     motion = {"data": {"time": time, "a": np.full(6, -flexion)}, "columns": {"knee.angle": "a"}, "errors": "none"}
-    with mbdkit.inverse(
-        {"mbdkit": 1, "model": leg(tendon=tendon), "motion": motion, "recruitment": {"minimum": 0.0}}
-    ) as run:
+    spec = {"mbdkit": 1, "model": leg(tendon=tendon), "motion": motion, "recruitment": {"minimum": 0.0}}
+    with mbdkit.inverse(spec) as run:
         tension = run.muscles["vasti"].force
         along = np.interp(flexion, FLEXION, ANGLE) + flexion  # angle from up, forward
         ligament = np.interp(flexion, FLEXION, SHARE) * tension[:, None] * [np.sin(along), np.cos(along)]

@@ -47,7 +47,8 @@ def arm(**sections):
     m = mbdkit.Mechanism()
     forearm = m.body("forearm", mass=1.5, inertia=0.02, position=(0.15, 0.0))
     m.revolute("elbow", m.ground, forearm, at=(0, 0))
-    for name, x, y, force in (("biceps", 0.04, 0.04, 600.0), ("brachialis", 0.02, 0.03, 900.0), ("triceps", -0.03, -0.02, 900.0)):  # fmt: skip
+    muscles = ("biceps", 0.04, 0.04, 600.0), ("brachialis", 0.02, 0.03, 900.0), ("triceps", -0.03, -0.02, 900.0)
+    for name, x, y, force in muscles:
         path = [{"body": "ground", "point": (x, 0.3)}, {"body": forearm, "point": (y - 0.15, 0.0)}]
         m.muscle(name, path, max_force=force, optimal_length=0.12, tendon_length=0.18)
     time = np.linspace(0.0, 2.0, 81)

@@ -65,6 +65,8 @@ def test_compartments_hardly_pull():
 
 
 def test_compartments_need_a_person():
+    motion = {"data": {"time": [0.0, 0.1], "a": [0.0, 0.1]}, "columns": {"J1.angle": "a"}}
+    spec = {"mbdkit": 1, "model": {"name": "single-pendulum"}, "motion": motion, "frontal": {"width": 0.05}}
     with pytest.raises(SpecError) as error:
-        mbdkit.inverse({"mbdkit": 1, "model": {"name": "single-pendulum"}, "motion": {"data": {"time": [0.0, 0.1], "a": [0.0, 0.1]}, "columns": {"J1.angle": "a"}}, "frontal": {"width": 0.05}})  # fmt: skip
+        mbdkit.inverse(spec)
     assert error.value.key == "frontal"

@@ -79,7 +79,7 @@ class PatellaPath:
         joints = names.mechanism.joints
         names.joint(patella.joint, f"{key}.joint")
         joint = joints[patella.joint]
-        if not isinstance(joint, Revolute) or joint.bodies[0] != last:
+        if not isinstance(joint, Revolute) or joint.points is None or joint.bodies[0] != last:
             raise SpecError(
                 f"should be a revolute joint whose first body is '{last}', on which the path ends", key=f"{key}.joint"
             )

@@ -230,10 +230,8 @@ class _Sources:
                 yield from (self._scalar(key, name, size, "muscles") for name in recruiter.muscles)
         names = list(recruiter.muscles)
         for knee in recruiter.targets.knees:
-            place: Place = ("across", knee.joint)
-            yield UncertainScalar(
-                f"place across of the {knee.joint.replace('_', ' ')}", "person", {place: knee.deviation}
-            )
+            group, moved = f"place across of the {knee.joint.replace('_', ' ')}", ("across", knee.joint)
+            yield UncertainScalar(group, "person", {moved: knee.deviation})
         for channel in recruiter.targets.emg:
             name = names[channel.muscle]
             yield UncertainScalar(f"EMG of {name.replace('_', ' ')}", "muscles", {("emg", name): channel.deviation})

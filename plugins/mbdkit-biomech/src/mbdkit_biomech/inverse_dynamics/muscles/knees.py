@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import FOLLOWS
 from mbdkit_biomech.muscles.patella import contact_share
 
-if TYPE_CHECKING:
-    from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
+Inverse: TypeAlias = Any
+InverseProblem: TypeAlias = Any
+"""Classes of `mbdkit_biomech.inverse_dynamics.compute`, whose module imports this one."""
 
 
 def knee_names(problem: InverseProblem) -> list[str]:
@@ -18,7 +19,7 @@ def knee_names(problem: InverseProblem) -> list[str]:
     recruiter = problem.recruiter
     if recruiter is None:
         return []
-    own = {one.joint for one in (*recruiter.targets.knees, *recruiter.patellas.values())}
+    own = {one.joint for one in recruiter.targets.knees} | {one.joint for one in recruiter.patellas.values()}
     return [name for name in problem.names.mechanism.joints if name in own]
 
 

@@ -4,10 +4,10 @@ The ground's force on a foot has a moment M about the forward axis of the knee, 
 carry: their forces are N / 2 + M / w and N / 2 - M / w, where N is the compression of the knee. Neither can pull, so
 that N is at least ``2 |M| / w``. The frontal moments of muscles, and of the weight of shank and foot, are left out.
 
-A target t of a linear function ``A a`` of the activations, with the standard deviation s, adds the cost
-``|(t - A a) / s|^p`` to that of recruitment: an equation ``A a + s r = t`` with an unknown r like the share of a reserve.
-For a bound, the equation holds only in frames whose solution without it is below the bound; since the problem is
-convex, and a bound depends on the muscles of its own leg, this is the solution of the problem with inequalities.
+A target t of a linear function ``A a`` of the activations, with the standard deviation s, adds the cost ``|(t - A a) /
+s|^p`` to that of recruitment: an equation ``A a + s r = t`` with an unknown r like the share of a reserve. For a bound,
+the equation holds only in frames whose solution without it is below the bound; since the problem is convex, and a bound
+depends on the muscles of its own leg, this is the solution of the problem with inequalities.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class Axial(NamedTuple):
 
 @dataclass(frozen=True)
 class SoftTargets:
-    """Targets (T, S) of linear functions (T, S, M) of activations with standard deviations (T, S), of which some (S,) are
-    lower bounds.
+    """Targets (T, S) of linear functions (T, S, M) of activations with standard deviations (T, S); some (S,) are lower
+    bounds.
     """
 
     matrix: np.ndarray
