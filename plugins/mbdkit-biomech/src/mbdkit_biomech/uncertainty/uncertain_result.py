@@ -51,7 +51,8 @@ class UncertainResult:
     peaks: np.ndarray
     """(J,) bounds of the errors of the largest forces of joints over the motion [N]."""
     peak_bias: np.ndarray
-    """(J,) excess of the largest forces of joints over those of a motion without errors, on average [N]."""
+    """(J,) expected excess of the largest forces of joints over the true ones [N]: the largest value of a disturbed
+    curve exceeds that of the curve, and distributions that are not centred about the result shift it."""
     scatter: np.ndarray
     """(J,) relative standard errors of the bounds of forces, by the number of samples, where the forces are largest."""
     kinds: Mapping[str, Kind]
@@ -110,7 +111,7 @@ class UncertainResult:
             {"person": "the person"},
             "error of the largest reaction_force over the motion by person and muscles",
         )
-        excess = "excess of the largest reaction_force over that of a motion without errors, on average"
+        excess = "expected excess of the largest reaction_force over the true one"
         share = "share of the source in the square of reaction_error, nan where unknown"
         sources = np.array([OF_DATA, *self.kinds, INTERACTIONS], object)
         return {
@@ -163,8 +164,9 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     ]
     sizes = np.linalg.norm(sampled.reactions[..., :2], axis=-1)
     largest, middle = np.max(sizes, axis=1), np.nanmedian(sizes, axis=0)
-    bias = np.nanmedian(largest, axis=0) - np.max(middle, axis=0)
-    at = np.argmax(np.linalg.norm(nominal.reactions[0, ..., :2], axis=-1), axis=0)
+    own = np.linalg.norm(nominal.reactions[0, ..., :2], axis=-1)
+    at, shift = np.argmax(own, axis=0), np.max(middle, axis=0) - np.max(own, axis=0)
+    bias = np.nanmedian(largest, axis=0) - np.max(middle, axis=0) - shift
     kinds = {source.group: source.kind for source in sources}
     shares = _shares(stacked, sources, nominal, force, [*kinds])
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
