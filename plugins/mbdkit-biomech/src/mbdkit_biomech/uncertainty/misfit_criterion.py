@@ -12,12 +12,9 @@ from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import judged_frames, residual_wrench
 from mbdkit_biomech.inverse_dynamics.criteria.unmeasured_contacts import unmeasured_frames
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
-from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile
+from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile, quantile_of_many
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
 from mbdkit_biomech.persons.landmarks import LEFT
-
-NORMAL = 1.6448536269514722
-"""Quantile of 95 % of the normal distribution."""
 
 
 def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
@@ -42,7 +39,7 @@ def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
         squares |= dict(zip(("residual force along x", "residual force along y", "residual moment"), mean, strict=True))
         freedoms += 3
     whole = float(sum(squares.values()))
-    if not squares or not whole > (limit := _quantile(freedoms)):
+    if not squares or not whole > (limit := quantile_of_many(freedoms)):
         return
     largest = sorted(squares, key=lambda name: -squares[name])[:3]
     told = [f"{name} {np.sqrt(squares[name] / (2 if name.startswith('centre') else 1)):.1f}" for name in largest]
@@ -53,12 +50,3 @@ def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
         f"chance exceeds in 5 % of cases); largest are {listed(told, 'and')} deviations. Error bars are too narrow: "
         "check markers, plates and subject, or state larger deviations in `uncertainty`",
     )
-
-
-def _quantile(freedoms: int) -> float:
-    """Return the quantile of 95 % of a chi-square distribution (E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci.
-    17 (1931) 684-688), which is within 1 % of the exact one from two degrees of freedom on.
-    """
-    spread = 2.0 / (9.0 * freedoms)
-    root = 1.0 - spread + NORMAL * spread**0.5
-    return freedoms * root * root * root

@@ -12,6 +12,9 @@ SLOW, LOW = 0.5, 0.05
 """A body stands on the ground if an end of the points at which plates act on it moves more slowly [m/s] and is less
 above the ground [m]. In swing, heel and toe pass 10 to 20 mm above the ground with more than 1 m/s."""
 
+CONTACT = 0.1
+"""Shortest contact, and time before and after one in which the ground acts on a body that is faster [s]."""
+
 ENDS = 0.05, 0.95
 """Quantiles of these points along the body that are their ends."""
 
@@ -30,7 +33,7 @@ def unmeasured_frames(result: Inverse) -> dict[str, np.ndarray]:
         if body not in problem.spec.unmeasured:
             if not plates or not np.any(acts[:, plates]):
                 continue
-            free &= _stands(result, names.index(body), plates, acts)
+            free &= _around(result.motion.time, free & _stands(result, names.index(body), plates, acts))
         if free.any():
             found[body] = free
     return found
@@ -50,3 +53,12 @@ def _stands(result: Inverse, body: int, plates: list[int], acts: np.ndarray) -> 
         speed = np.hypot(v[:, 0] - v[:, 2] * arm[:, 1] + result.problem.spec.motion.belt, v[:, 1] + v[:, 2] * arm[:, 0])
         stands |= (speed < SLOW) & (q[:, 1] + arm[:, 1] - ground < LOW)
     return stands
+
+
+def _around(time: np.ndarray, stands: np.ndarray) -> np.ndarray:
+    """Return the frames (T,) of contacts that are not too short, and those around them."""
+    found = np.zeros(len(time), dtype=bool)
+    for first, end in np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]]))).reshape(-1, 2).tolist():
+        if time[end - 1] - time[first] >= CONTACT:
+            found |= (time >= time[first] - CONTACT) & (time <= time[end - 1] + CONTACT)
+    return found

@@ -76,7 +76,7 @@ class FrameErrors(RunErrors):
             return f"largest force in {run.joint_names[joint]} {known}{loads}"
         value = plus_minus(float(size[row, joint]), error)
         bias = float(accuracy.parts["reaction_peak_bias"][joint]) if "reaction_peak_bias" in accuracy.parts else 0.0
-        least = f"; without the excess of largest values, {size[row, joint] - bias:.4g} N" if bias > 0.0 else ""
+        least = f"; less its expected excess, {size[row, joint] - bias:.4g} N" if bias else ""
         return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
 
 
