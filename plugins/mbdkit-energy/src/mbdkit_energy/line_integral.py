@@ -42,6 +42,10 @@ if TYPE_CHECKING:
 
 CONVERGED, STAGNANT = 2e-16, 1e-9
 """Relative change of velocities at which iterations end, and below which they end if the change does not halve."""
+ROUNDING = 1e-14
+"""Changes of the energy in a step below this share of it are rounding errors. Without their correction, which is below
+one unit in the last place of velocities in most steps, they added up to 1e-12 of the kinetic energy in 10,000 steps.
+"""
 AT_REST = 1e-9
 """Relative change of positions in a step below which the corrections of the discrete gradient are rounding errors."""
 
@@ -104,9 +108,12 @@ class LineIntegral(mbdkit.StepMethod):
 
     def begin(
         self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, why: object
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the index-1 accelerations and multipliers at the start of the step, from which iterations start."""
-        return equations.accelerations(t, state.q, state.v)
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the index-1 accelerations and multipliers at the start of the step, from which iterations start, and
+        the energy [J].
+        """
+        energy = equations.potential(t, state.q) + equations.kinetic(state.v)
+        return *equations.accelerations(t, state.q, state.v), energy
 
     def step(self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float) -> mbdkit.Step:
         """Take one step; the multipliers are those of index 1 at its end."""
@@ -140,7 +147,7 @@ class _Trial:
     ):
         self.p, self.is_corrected = polynomials(method.k, method.s), method.is_corrected
         self.equations, self.t, self.state, self.h = equations, t, state, h
-        acceleration, lam = state.memory
+        acceleration, lam, self.energy = state.memory
         self.g, self.lam = np.zeros((method.s, equations.n)), np.zeros((method.s, equations.m))
         self.g[0], self.lam[0] = acceleration, lam
         self.times = t + h * self.p.nodes
@@ -231,11 +238,23 @@ class _Trial:
                 end, made.q, 0 * v
             ).any():  # a factor leaves only scleronomic rows at zero
                 kinetic = equations.kinetic(v)
-                v = v * np.sqrt(equations.kinetic(made.v) / kinetic) if kinetic else v
+                v = v * np.sqrt(self._kinetic(end, made) / kinetic) if kinetic else v
             made = mbdkit.StepState(made.q, v)
         a, lam = equations.accelerations(end, made.q, made.v)
-        made = replace(made, multipliers=lam, memory=(a, lam))
+        made = replace(made, multipliers=lam, memory=(a, lam, self.energy))
         return mbdkit.Step(made, dense=self._interpolant(made, a))
+
+    def _kinetic(self, t: float, end: mbdkit.StepState) -> float:
+        """Return the kinetic energy of the end of the step, with which rounding errors of the energy do not accumulate
+        over steps.
+        """
+        equations, none = self.equations, np.zeros(self.equations.m)
+        potential, kinetic = equations.potential(t, end.q), equations.kinetic(end.v)
+        lost = self.energy - potential - kinetic
+        works = equations.has_power and any(equations.powers(t, end.q, end.v, none))
+        if works or abs(lost) > ROUNDING * (abs(potential) + kinetic):
+            self.energy, lost = potential + kinetic, 0.0
+        return kinetic + lost
 
     def _interpolant(self, made: mbdkit.StepState, a1: np.ndarray) -> Dense:
         """Return the quintic polynomial through positions, velocities and accelerations at both ends of the step."""

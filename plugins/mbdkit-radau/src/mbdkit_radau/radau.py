@@ -52,9 +52,9 @@ ACCURACY, IDLE = 0.01, 1.0
 does not converge any more has reached rounding; chosen.
 """
 SHARE = 0.1
-"""The tolerance of the estimate, of order s + 1 in h, is this share of rtol^((s + 1) / (2 s)) for the lowest s, the rule
-of RADAU5, by which the error, of a higher order, is about proportional to `rtol`. RADAU uses the rule with the s of each
-step, which allows errors of more than 1000 times `rtol` in steps in which a contact begins.
+"""The tolerance of the estimate, of order s + 1 in h, is this share of rtol^((s + 1) / (2 s)) for the lowest s: the
+rule of RADAU5, by which the error, of a higher order, is about proportional to `rtol`. With the s of each step, as in
+RADAU, steps in which a contact begins may have errors of more than 1000 times `rtol`.
 """
 ROUNDING = 1e-15
 """Tolerance of the iteration in fixed steps."""

@@ -46,6 +46,8 @@ class Problem(StrictModel):
     """The time of the results [s]."""
     step: Positive | None = None
     """The largest fixed step of a comparison [s], which most implicit methods can take; None if all would fail."""
+    tightest: Positive | None = None
+    """A further tolerance of the whole study, for published results that need it; None if none do."""
     quantities: dict[str, Quantity]
     """The results by name."""
     precise: dict[str, Any] = PRECISE

@@ -23,6 +23,28 @@ OPTIONS: Mapping[str, tuple[dict[str, int], ...]] = {
 }
 """Options that stand for families of methods; the other integrators have their default options."""
 
+FAMILIES: Mapping[str, tuple[str, ...]] = {
+    "explicit Runge-Kutta": ("rk4", "rk-gill", "dopri5", "dop853", "scipy-dop853"),
+    "implicit Runge-Kutta": (
+        "gauss", "radau-iia", "radau-variable", "scipy-radau", "lobatto-iiia", "lobatto-iiib", "lobatto-iiic",
+        "lobatto-iiid",
+    ),
+    "partitioned Runge-Kutta": ("rattle", "lobatto-pair"),
+    "half-explicit Runge-Kutta": ("hem4", "hem5", "phem56"),
+    "multistep": ("adams", "bdf", "scipy-lsoda", "sundials-cvode", "sundials-ida"),
+    "line integrals": ("discrete-gradient", "hbvm"),
+    "Newmark": ("generalized-alpha", "nonsmooth-generalized-alpha"),
+}  # fmt: skip
+"""Families of integrators; another integrator is a family of its own."""
+OTHERS = ("scipy-", "sundials-")
+"""Beginnings of the names of integrators that are codes of others."""
+
+
+def family_of(integrator: str) -> str:
+    """Return the family of an integrator."""
+    name = integrator.rpartition(":")[2]
+    return next((found for found, members in FAMILIES.items() if name in members), name)
+
 
 @dataclass(frozen=True)
 class Extent:
@@ -144,10 +166,12 @@ def _families(name: str, problem: Problem, methods: list[Method], extent: Extent
     shared["time"] = {"end": problem.end}
     reference: dict[str, object] = {"formulation": "index-1", "stabilization": "none", "time": {"end": problem.end}}
     reference |= {"limits.wall_time": None, **problem.precise}
-    scale = problem.step or 1.0
+    scale, tolerances = problem.step or 1.0, list(extent.tolerances)
+    if problem.tightest and extent is WHOLE:
+        tolerances.append(problem.tightest)
     for suffix, axis, varies in (
         ("", {"time.step": [share * scale for share in extent.steps]}, False),
-        (IN_TOLERANCES, {"integrator.rtol": list(extent.tolerances)}, True),
+        (IN_TOLERANCES, {"integrator.rtol": tolerances}, True),
     ):
         values = [
             {"label": f"{method.label}, {words}", "set": keys}
