@@ -23,11 +23,18 @@ from mbdkit_contact.contact import Friction
 from mbdkit_contact.contact import Shape
 from mbdkit_transmissions.cams import Follower
 from mbdkit_transmissions.cams import SlotCurve
+from mbdkit_wearable.cuff import Cuff
+from mbdkit_wearable.cuff import CuffDamping
+from mbdkit_wearable.cuff import CuffLimits
+from mbdkit_wearable.cuff import CuffSlip
+from mbdkit_wearable.cuff import CuffStiffness
+from mbdkit_wearable.cuff import ExponentialTissue
 
 class ElementMethods(NamedElements):
     """The part of `Mechanism` that adds its elements."""
 
     muscles: dict[str, Muscle]
+    cuffs: dict[str, Cuff]
     contacts: dict[str, Contact]
 
     def body(
@@ -666,6 +673,53 @@ class ElementMethods(NamedElements):
         metabolics
             Model of the energy that the muscle consumes: a name, or a name and its options; none by default. Keys
             of `Metabolics`: model, slow_fibers, aerobic_factor, specific_tension, density, mass, smoothing.
+        """
+
+    def cuff(
+        self: 'Any', name: str, *, axis: Sequence[float] = (1.0, 0.0), stiffness: Mapping[str, Any] | CuffStiffness,
+        damping: Mapping[str, Any] | CuffDamping = CuffDamping(normal=0.0, tangential=0.0, rotation=0.0),
+        law: Literal["linear"] | Mapping[str, Any] | ExponentialTissue = 'linear', clearance: float = 0.0,
+        slip: Mapping[str, Any] | CuffSlip | None = None, area: float | None = None,
+        limits: Mapping[str, Any] | CuffLimits = CuffLimits(normal_force=230.0, shear_force=250.0, pressure=17300.0, slip=0.01),
+        at: Sequence[float], on: Sequence[float] | None = None, angle: float | None = None
+    ) -> None:
+        """Add an element of kind cuff.
+
+        A soft attachment of a link of a device to a limb.
+
+        Parameters
+        ----------
+        name
+            Name of the element.
+        axis
+            Direction of the normal force, in the frame of the limb; its length does not matter.
+        stiffness
+            Stiffness of the tissue: `normal`, `tangential`, `rotation`. Keys of `CuffStiffness`: normal,
+            tangential, rotation.
+        damping
+            Damping of the tissue: `normal`, `tangential`, `rotation`. Keys of `CuffDamping`: normal, tangential,
+            rotation.
+        law
+            Force as a function of displacement: `linear`, or {name: exponential, length, angle}. Keys of
+            `ExponentialTissue`: name, length, angle.
+        clearance
+            Normal displacement up to which the cuff does not touch the limb, in both directions [m].
+        slip
+            Friction between cuff and skin, {friction, preload}; by default, the cuff does not slide. Keys of
+            `CuffSlip`: friction, preload.
+        area
+            Area of the cuff on each side of the limb, on which its normal force is distributed [m^2].
+        limits
+            Forces beyond which the verdict is doubtful: `normal_force`, `shear_force`, `pressure`, `slip`. Keys of
+            `CuffLimits`: normal_force, shear_force, pressure, slip.
+        at
+            Point of the limb [m], in its frame: where the device's point is while the tissue is at rest.
+        on
+            The device's point [m], in its frame, at which the forces act; by default, the point that coincides with
+            `at` for the given initial positions (before assembly).
+        angle
+            Angle of the device relative to the limb while the tissue is at rest [rad]; by default, the one of the
+            given initial positions (before assembly).
         """
 
     def contact(
