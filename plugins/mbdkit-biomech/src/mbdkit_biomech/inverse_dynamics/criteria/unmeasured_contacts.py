@@ -29,7 +29,8 @@ def unmeasured_frames(result: Inverse) -> dict[str, np.ndarray]:
     for body in dict.fromkeys((*problem.spec.unmeasured, *loads.bodies)):
         own = [index for index, on in enumerate(loads.bodies) if on == body]
         free = ~np.any(acts[:, own], axis=1)
-        plates = [index for index in own if problem.spec.loads[loads.names[index]].is_plate]
+        stated = problem.spec.loads  # not those of bodies that follow the motion
+        plates = [i for i in own if loads.names[i] in stated and stated[loads.names[i]].is_plate]
         if body not in problem.spec.unmeasured:
             if not plates or not np.any(acts[:, plates]):
                 continue
