@@ -181,14 +181,15 @@ class _Worn:
         frame = 0.0 if one.angle is None else one.angle - angle
         move = turned(frame, (x + swung[0] - held[0], y + swung[1] - held[1]))
         at = one.at[0] + move[0], one.at[1] + move[1]
-        ends = [elementary.hypot(*point) for body, point in _pins(self.person) if body == one.limb]
-        reach = REACH * max(ends, default=float("inf"))
-        if (far := elementary.hypot(*at)) > reach:
+        farthest = max(
+            (elementary.hypot(*point) for body, point in _pins(self.person) if body == one.limb), default=0.0
+        )
+        if one.limb != GROUND and (far := elementary.hypot(*at)) > REACH * farthest > 0.0:
             moved, of_offset = elementary.hypot(*move), f"{self.key}.offset"
             what = f"moves the cuff of '{link}' by {moved:.3g} m, to" if moved else "is"
             raise SpecError(
                 f"{what} {far:.3g} m from the centre of mass of '{one.limb}', beyond the reach of this limb, whose "
-                f"joints are at most {max(ends):.3g} m from there",
+                f"joints are at most {farthest:.3g} m from there",
                 key=of_offset if moved else f"{key}.at",
             )
         return at, frame + angle + turn
