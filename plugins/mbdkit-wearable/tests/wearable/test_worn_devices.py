@@ -26,7 +26,9 @@ def test_a_device_moves_as_in_a_run_in_which_drivers_move_the_limbs() -> None:
     offset, t = (0.01, 0.015, 0.05), np.linspace(0.0, 1.5, 151)
     m = driven_limbs()
     add_devices({"brace": Device.model_validate(brace(offset=offset))}, m)
-    run = mbdkit.run(m, integrator={"name": "gauss", "stages": 3}, time={"end": 1.5, "step": 0.001}, output={"every": 10})
+    run = mbdkit.run(
+        m, integrator={"name": "gauss", "stages": 3}, time={"end": 1.5, "step": 0.001}, output={"every": 10}
+    )
     own = forces(t, offset=offset)
     settled = t > 0.3  # the run starts with the tissue at rest, and the device from its equilibrium
     for name in ("brace.upper", "brace.lower"):
