@@ -6,29 +6,23 @@ import functools
 import re
 import sys
 from contextlib import redirect_stdout
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, create_model
-from pydantic.fields import FieldInfo
 
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import PluginError, in_this_process, with_place
 from mbdkit.base.strict_model import STRICT
 from mbdkit.registry.catalogue import Registered
-from mbdkit.registry.element_items import ModelKey
 from mbdkit.registry.item import Plugin
-from mbdkit.registry.items import ModelPlugin
-from mbdkit.registry.manager import registry
 
 
 @functools.cache
-def named_options(item: Registered, keys: tuple[str, ...] = ()) -> type[BaseModel]:
-    """Return the class of the item's options with additional fields, for the name of the item and for model keys.
+def named_options(item: Registered) -> type[BaseModel]:
+    """Return the class of the item's options with the additional field for the name of the item.
 
     The class is strict and frozen even if the class of the plugin is not. Items of other distributions are checked
     when their options are first used.
-
-    `keys`: names of model keys.
 
     Raises
     ------
@@ -40,45 +34,14 @@ def named_options(item: Registered, keys: tuple[str, ...] = ()) -> type[BaseMode
             check_item(item)
         except PluginError as error:
             raise PluginError(f"plugin '{item.id}' cannot be used: {error}") from error
-    options = _named(item)
-    fields: dict[str, Any] = {key: (field.annotation, field) for key in keys if (field := _field(item, key))}
-    if not fields:
-        return options
-    extended: type[BaseModel] = create_model(options.__name__, __base__=options, __doc__=options.__doc__, **fields)
-    extended.ABSENT_BY_DEFAULT = (*getattr(options, "ABSENT_BY_DEFAULT", ()), *fields)  # type: ignore[attr-defined]
-    return extended
-
-
-def model_keys(item: Registered) -> dict[str, ModelKey]:
-    """Return the keys that plugins add to the options of a model, in their order; empty for other items."""
-    if not isinstance(item.plugin, ModelPlugin):
-        return {}
-    own = item.plugin.options.model_fields
-    keys = [cast(ModelKey, known.plugin) for known in registry().of_kind("model-key")]
-    return {key.name: key for key in sorted(keys, key=lambda key: key.order) if key.name not in own}
-
-
-def _field(item: Registered, name: str) -> FieldInfo | None:
-    """Return the field of a model key, whose class is imported; None if there is no such key."""
-    if (key := model_keys(item).get(name)) is None:
-        return None
-    values: Any = Field(default_factory=dict, description=key.summary)
-    values_by_name: Any = dict.__class_getitem__((str, key.model()))
-    return FieldInfo.from_annotated_attribute(values_by_name, values)
+    return _named(item)
 
 
 @functools.cache
 def _named(item: Registered) -> type[BaseModel]:
     base = item.plugin.options
     added = {name: target() for name, target in item.plugin.added.items() if name not in base.model_fields}
-    namespace = {
-        "__module__": __name__,
-        "model_config": ConfigDict(**STRICT, title=item.name),
-        "further_keys": staticmethod(lambda: [*getattr(base, "further_keys", list)(), *model_keys(item)]),
-        "further_field": staticmethod(
-            lambda name: getattr(base, "further_field", lambda _: None)(name) or _field(item, name)
-        ),
-    }
+    namespace = {"__module__": __name__, "model_config": ConfigDict(**STRICT, title=item.name)}
     options: type[BaseModel] = create_model(
         class_name(f"{item.name} {item.kind}"),
         __base__=type("Options", (base,), namespace),

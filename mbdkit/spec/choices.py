@@ -31,8 +31,9 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.joint_kinds import joint_class, joint_kinds
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Kind, Registered, Registry
-from mbdkit.registry.item_options import class_name, is_of_item, item_of, model_keys, name_type, named_options
+from mbdkit.registry.item_options import class_name, is_of_item, item_of, name_type, named_options
 from mbdkit.registry.manager import registry
+from mbdkit.registry.model_keys import model_keys, options_with_keys
 
 if TYPE_CHECKING:
     from pydantic.json_schema import JsonSchemaValue
@@ -108,7 +109,7 @@ def _validator(item: Registered, keys: tuple[str, ...]) -> SchemaValidator:
 
 
 def _union(items: Iterable[tuple[Registered, tuple[str, ...]]]) -> CoreSchema:
-    choices = {item.id: _blaming(item, named_options(item, keys).__pydantic_core_schema__) for item, keys in items}
+    choices = {item.id: _blaming(item, options_with_keys(item, keys).__pydantic_core_schema__) for item, keys in items}
     return core_schema.tagged_union_schema(choices, lambda data: next(iter(choices)))
 
 
@@ -205,7 +206,8 @@ class RegistryLookup:
         """Return the options of an item; None unless `metadata` contains a `Choice`."""
         for choice in metadata:
             if isinstance(choice, Choice):
-                return next(named_options(known) for known in choice.registry.of_kind(choice.kind) if known.id == item)
+                items = choice.registry.of_kind(choice.kind)
+                return next(options_with_keys(known) for known in items if known.id == item)
         return None
 
     def owners_of(self, key: str, options: type[BaseModel]) -> str:

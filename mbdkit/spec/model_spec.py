@@ -24,8 +24,9 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_seams import model_extension
 from mbdkit.mechanism.parameters import Written, WrittenText, insert, parameter_values, with_expressions, without_units
 from mbdkit.registry.catalogue import Registered
-from mbdkit.registry.item_options import item_of, model_keys
+from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import ModelPlugin
+from mbdkit.registry.model_keys import model_keys
 from mbdkit.spec.choices import Choice, RegistryLookup, registry_of
 from mbdkit.spec.estimates import Estimated, Estimates
 from mbdkit.spec.reading import Document

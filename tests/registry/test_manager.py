@@ -35,7 +35,8 @@ def test_every_built_in_loads_and_states_summary_and_origin():
     builtin = registry().only("mbdkit")
     assert not builtin.failures
     models = "single-pendulum double-pendulum n-pendulum n-four-bar four-bar-knee leg leg-four-bar mechanism"
-    assert " ".join(item.name for item in builtin.of_kind("model")) == f"{models} hinged-beam"
+    devices = "hinge-orthosis four-bar-orthosis geared-orthosis self-aligning-orthosis hip-knee-exoskeleton"
+    assert " ".join(item.name for item in builtin.of_kind("model")) == f"{models} {devices} passive-strut hinged-beam"
     methods = {item.name for item in builtin.of_kind("integrator")}
     assert {"rk-gill", "rk4", "dopri5", "dop853", "taylor", "gauss", "rattle", "lobatto-pair"} <= methods
     assert {"moreau-jean", "nonsmooth-generalized-alpha", "scipy-radau", "scipy-dop853", "scipy-lsoda"} <= methods

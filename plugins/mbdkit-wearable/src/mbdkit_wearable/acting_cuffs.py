@@ -119,7 +119,8 @@ def tissue_law(is_exponential: bool, has_clearance: bool) -> ExpressionLaw:
     else:
         force = sp.Piecewise((stiffness * size, x >= 0), (-stiffness * size, True)) if has_clearance else stiffness * x
         potential = stiffness * size**2 / 2 if has_clearance else stiffness * x**2 / 2
-    drag = sp.Piecewise((damping * rate, sp.Abs(x) > clearance), (0, True)) if has_clearance else damping * rate
+    # behind a clearance, damping grows with the depth, because a force that jumps at contact stops Newton's method
+    drag = damping * rate * (sp.Min(size / clearance, 1) if has_clearance else 1)
     return ExpressionLaw(force + drag, potential, passive=True, parameters=lambda force: force.numbers)
 
 

@@ -168,3 +168,28 @@ def test_equilibria_refuse_friction_on_the_skin() -> None:
         mbdkit.SpecError, match=r"\(cuff.tangential.skin\) have values at rest that the position does not"
     ):
         mbdkit.equilibrium(free_pair(slip={"friction": 0.5, "preload": 10.0}))
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {},
+        {"law": {"name": "exponential", "length": 0.05, "angle": 0.5}, "clearance": 0.003},
+        {"slip": {"friction": 0.5, "preload": 10.0}},
+    ],
+)
+def test_exported_equations_are_those_of_the_run(keys: dict[str, object]) -> None:
+    pytest.importorskip("casadi", reason="CasADi, to which mechanisms are exported, is not installed")
+    m = free_pair(damping={"normal": 3.0}, **keys)
+    run = mbdkit.run(m, integrator={"name": "radau-iia"}, time={"end": 0.1, "step": 0.01})
+    bodies = [run[name] for name in m.bodies]
+    q, v, a = (
+        np.concatenate([[*getattr(one, linear)[-1], getattr(one, angular)[-1]] for one in bodies])
+        for linear, angular in (
+            ("position", "angle"), ("velocity", "angular_velocity"), ("acceleration", "angular_acceleration"),
+        )
+    )  # fmt: skip
+    z = [run.states["cuff.tangential.skin"].value[-1]] if "slip" in keys else []
+    residual = np.array(m.to_casadi().residual(q, v, a, [], z, [], [], run.time[-1]))
+    assert np.abs(a).max() > 50.0
+    assert np.abs(residual).max() < 1e-12
