@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.guide.pages import pages
 from mbdkit_wearable.misfit.study import MOTIONS, SPRING, base, squat, study
 from tests.wearable.misfit_coverage import coverage
+
+PAGES = pages()
 
 
 def test_a_hinge_that_fits_passes_the_torque_of_its_spring() -> None:
@@ -49,6 +53,18 @@ def test_the_short_form_of_the_study_has_a_verdict_and_figures(tmp_path: Path) -
     assert answers["self-alignment"] == answers["tissue"] == "yes"
     assert len(verdict.figures) == 24
     assert found.status["complete"] == 144
+
+
+@pytest.mark.slow
+def test_the_page_prints_the_numbers_that_it_shows(capsys: pytest.CaptureFixture[str]) -> None:
+    text = PAGES["device"].text
+    code, shown = (re.search(rf"```{name}\n(.*?)```", text, re.DOTALL) for name in ("python", "text"))
+    assert code is not None
+    assert shown is not None
+    exec(code[1], {"__name__": "guide"})
+    printed = capsys.readouterr().out
+    pairs = zip(*(re.findall(r"[\d.]+", lines) for lines in (printed, shown[1])), strict=True)
+    assert [(a, b) for a, b in pairs if float(a.rstrip(".")) != pytest.approx(float(b.rstrip(".")), rel=0.03)] == []
 
 
 @pytest.mark.slow
