@@ -88,7 +88,10 @@ def test_a_spec_of_a_part_is_refused_in_one_sentence(key, part, mbdkit, in_tmp_p
         assert len(result.stderr.splitlines()) == 1
 
 
-@pytest.mark.parametrize(("key", "part"), [("contacts", "mbdkit-contact"), ("muscles", "mbdkit-biomech")])
+@pytest.mark.parametrize(
+    ("key", "part"),
+    [("contacts", "mbdkit-contact"), ("muscles", "mbdkit-biomech"), ("cuffs", "mbdkit-wearable")],
+)
 def test_elements_of_a_part_are_refused_in_one_sentence(key, part, mbdkit, in_tmp_path):
     spec = load_spec("pendulum").model_dump(mode="json")
     spec["model"] = {"name": "mechanism", "bodies": {"ball": {"mass": 1.0}}, key: {}}

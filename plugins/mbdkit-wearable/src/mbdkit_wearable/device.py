@@ -86,10 +86,7 @@ class Device(StrictModel):
     @model_validator(mode="after")
     def _has_mechanism(self) -> Device:
         if self.mechanism is None:
-            wrong = (
-                "name a file of a spec that is loaded by name" if self.file else "is missing: the model of the device"
-            )
-            raise SpecError(wrong if not self.file else "is read only in specs that are loaded", key="mechanism")
+            raise SpecError("is missing: a model and its parameters, or the `file` of a spec with one", key="mechanism")
         if not self.attach:
             raise SpecError("is empty: attach at least one link of the device to a limb", key="attach")
         return self
@@ -103,9 +100,12 @@ def read_devices(devices: Mapping[str, object], folder: Path) -> None:
             key = f"model.devices.{quoted(name)}"
             if "mechanism" in device:
                 raise SpecError("give either `file` or `mechanism`, not both", key=f"{key}.file")
-            document = read_source(folder / device.pop("file"))
-            document.data = {"integrator": {"name": "rk4"}, "time": {"steps": 1, "step": 1e-3}} | document.data
-            device["mechanism"] = load_spec(document).mechanism().to_spec()
+            try:
+                document = read_source(folder / device.pop("file"))
+                document.data = {"integrator": {"name": "rk4"}, "time": {"steps": 1, "step": 1e-3}} | document.data
+                device["mechanism"] = load_spec(document).mechanism().to_spec()
+            except SpecError as error:
+                raise error if error.key else SpecError(str(error), key=f"{key}.file") from None
 
 
 @model_extension
@@ -181,14 +181,15 @@ class _Worn:
         frame = 0.0 if one.angle is None else one.angle - angle
         move = turned(frame, (x + swung[0] - held[0], y + swung[1] - held[1]))
         at = one.at[0] + move[0], one.at[1] + move[1]
-        ends = [elementary.hypot(*point) for body, point in _pins(self.person) if body == one.limb]
-        reach = REACH * max(ends, default=float("inf"))
-        if (far := elementary.hypot(*at)) > reach:
+        farthest = max(
+            (elementary.hypot(*point) for body, point in _pins(self.person) if body == one.limb), default=0.0
+        )
+        if one.limb != GROUND and (far := elementary.hypot(*at)) > REACH * farthest > 0.0:
             moved, of_offset = elementary.hypot(*move), f"{self.key}.offset"
             what = f"moves the cuff of '{link}' by {moved:.3g} m, to" if moved else "is"
             raise SpecError(
                 f"{what} {far:.3g} m from the centre of mass of '{one.limb}', beyond the reach of this limb, whose "
-                f"joints are at most {max(ends):.3g} m from there",
+                f"joints are at most {farthest:.3g} m from there",
                 key=of_offset if moved else f"{key}.at",
             )
         return at, frame + angle + turn

@@ -214,3 +214,29 @@ def test_wrong_devices_are_refused_in_a_sentence_with_the_key(change: dict[str, 
     assert caught.value.key == f"model.devices.d.{key}"
     assert sentence in caught.value.message
     assert "\n" not in caught.value.message
+
+
+def test_a_strut_pushes_thigh_and_shank_apart_along_its_line() -> None:
+    # expected: the law of a spring between points `depth` behind the leg, at the distances of the cuffs from the knee
+    own = {"name": "passive-strut", "height": H, "depth": 0.05, "stiffness": 800.0}
+    rest = mbdkit.equilibrium(spec({"d": device(own)}, 0.9))
+    torques = dict(zip(rest.joints, rest.reaction_torque.tolist(), strict=True))
+    run = mbdkit.run(spec({"d": device(own)}, 0.9))
+    upper, lower = (run[f"d.{link}"] for link in ("upper", "lower"))
+    ends = []
+    for link in (upper, lower):
+        angle = link.angle[0]
+        ends.append(link.position[0] - 0.05 * np.array([np.cos(angle), np.sin(angle)]))
+    assert run.forces["d.strut"].value[0] == pytest.approx(800.0 * (np.linalg.norm(ends[1] - ends[0]) - 2.0 * ARM))
+    assert run.forces["d.strut"].value[0] < -10.0
+    assert torques["knee_motor"] < -1.0  # the driver bends the knee against the strut
+
+
+def test_an_exoskeleton_of_hip_and_knee_carries_torques_to_both_joints() -> None:
+    own = {"name": "hip-knee-exoskeleton", "height": H, "motor": 0.01, "hip_motor": 0.02}
+    section = device(own)
+    section["attach"]["pelvis"] = {"limb": "ground", "at": [0.0, 0.1], "cuff": CUFF}
+    rest = mbdkit.equilibrium(spec({"d": section}, 0.4))
+    torques = dict(zip(rest.joints, rest.reaction_torque.tolist(), strict=True))
+    assert torques["knee_motor"] == pytest.approx(-0.01, rel=2e-3)
+    assert torques["hip_motor"] == pytest.approx(-0.02, rel=2e-3)
