@@ -10,10 +10,10 @@ from __future__ import annotations
 import sys
 
 import numpy as np
+from tests.wearable.walking_with_brace import squat_spec
 
 import mbdkit
 from mbdkit_wearable.worn.worn_device import DEVIATIONS
-from tests.wearable.walking_with_brace import squat_spec
 
 
 def person(random: np.random.Generator) -> dict[str, object]:

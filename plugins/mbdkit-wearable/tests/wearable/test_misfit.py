@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.wearable.misfit_coverage import coverage
 
 import mbdkit
 from mbdkit.guide.pages import pages
 from mbdkit_wearable.misfit.study import MOTIONS, SPRING, base, squat, study
-from tests.wearable.misfit_coverage import coverage
 
 PAGES = pages()
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.wearable.walking_with_brace import brace, driven_limbs, squat_spec, two_limbs
 
 import mbdkit
 from mbdkit_wearable.device import Device, add_devices
 from mbdkit_wearable.worn.worn_device import worn_device
-from tests.wearable.walking_with_brace import brace, driven_limbs, squat_spec, two_limbs
 
 G = 9.81
 

@@ -30,7 +30,7 @@ SPRING = 10.0
 """Stiffness of the spring at the joint of each device, which extends the knee [N m/rad]."""
 
 STIFFNESS: Mapping[str, float] = {"normal": 20e3, "tangential": 10e3, "rotation": 200.0}
-"""Stiffness of a cuff [N/m, N m/rad]; that against rotation is that of two straps 0.2 m apart with this normal stiffness."""
+"""Stiffness of a cuff [N/m, N m/rad]; that against rotation is that of two straps 0.2 m apart of this stiffness."""
 
 DAMPING: Mapping[str, float] = {"normal": 60.0, "tangential": 40.0, "rotation": 0.2}
 

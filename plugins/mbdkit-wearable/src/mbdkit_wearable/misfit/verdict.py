@@ -41,7 +41,7 @@ def verdict(study: Study) -> Verdict:
         *(Column(f"S_T {word}") for word in WORDS.values()),
     )
     note = (
-        "Added force: the largest force in the knee that the device causes. Help transmitted: the moment that arrives at "
+        "Added force: the largest force in the knee that the device causes. Help transmitted: the moment that reaches "
         "the knee, relative to that of the spring of the device at the angle of the knee. S_T: total Sobol indices of "
         "the added force; empty where unknown."
     )
