@@ -136,7 +136,7 @@ def _direction(samples: Samples) -> Claim:
             pairs[f"{motion}, {device}"] = (others, totals["parameters.upward"])
     return _claim(
         "direction",
-        "Of the misfits of a hinge, that along the limb matters most.",
+        "Of the offsets of a hinge, that along the limb matters more than that across it.",
         "proximal and distal offsets raise the forces in the knee in the plane of motion (Bessler-Etten et al. 2022)",
         pairs,
         "Total Sobol indices of the added force, of the larger of forward offset and rotation, and of the offset along "
