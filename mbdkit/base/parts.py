@@ -49,7 +49,7 @@ MARKERS_OF_PARTS: Mapping[str, str] = {
 
 GROUPS_OF_PARTS: Mapping[str, str] = (
     dict.fromkeys(("contacts", "ground_reactions"), "mbdkit-contact")
-    | dict.fromkeys(("motion", "actuators", "muscles", "loads"), "mbdkit-biomech")
+    | dict.fromkeys(("motion", "actuators", "muscles", "loads", "followers"), "mbdkit-biomech")
     | {"cuffs": "mbdkit-wearable"}
 )
 """Parts by their groups in archives."""
