@@ -82,10 +82,10 @@ class LimbSeries:
             texts += [f"{name}({k}*2*pi*t/{self.duration!r})" for name in ("cos", "sin")]
         factors = np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0]
         text = " + ".join(f"({factor:.8g})*{text}" for factor, text in zip(factors, texts, strict=True))
-        k, (a, b) = np.arange(1, HARMONICS + 1), (factors[2::2], factors[3::2])
-        c, s = np.cos(-k * w * self.settling), np.sin(-k * w * self.settling)
+        rates, (a, b) = w * np.arange(1, HARMONICS + 1), (factors[2::2], factors[3::2])
+        c, s = np.cos(-rates * self.settling), np.sin(-rates * self.settling)
         value = factors[0] - factors[1] * self.settling / self.duration + np.sum(a * c + b * s)
-        return text, float(value), float(factors[1] / self.duration + w * np.sum(k * (b * c - a * s)))
+        return text, float(value), float(factors[1] / self.duration + np.sum(rates * (b * c - a * s)))
 
 
 def squat() -> LimbSeries:
@@ -122,6 +122,7 @@ MOTIONS = {"squat": squat, "walking": walking}
 def base(motion: LimbSeries, device: str) -> dict[str, Any]:
     """Return the run spec of a leg without mass that wears a device."""
     knee = motion.leg.joints["knee"]
+    assert knee.points is not None
     thigh_point, shank_point = knee.points
     series = [motion.series(values) for values in motion.thigh.T]
     flexion, bent, bending = motion.series(motion.shank - motion.thigh[:, 2])

@@ -75,7 +75,7 @@ class Sample:
     @property
     def offset(self) -> np.ndarray:
         """Distance of the device from where it fits [m]."""
-        return np.hypot(self.values["parameters.forward"], self.values["parameters.upward"])
+        return np.asarray(np.hypot(self.values["parameters.forward"], self.values["parameters.upward"]))
 
     def totals(self) -> dict[str, float]:
         """Return the total Sobol indices of the added force by variable; nan where unknown."""
