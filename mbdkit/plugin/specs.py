@@ -16,9 +16,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.validation_errors import spec_error as spec_error
     from mbdkit.registry.catalogue import Registered as Registered, Registry as Registry, Report as Report
     from mbdkit.registry.item import Plugin as Plugin
-    from mbdkit.registry.item_options import (
-        item_of as item_of, named_options as named_options,
-    )
+    from mbdkit.registry.item_options import item_of as item_of, named_options as named_options
     from mbdkit.registry.manager import registry as registry
     from mbdkit.registry.model_keys import model_keys as model_keys
     from mbdkit.spec.choices import Choice as Choice

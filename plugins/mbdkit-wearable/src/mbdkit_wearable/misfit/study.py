@@ -30,7 +30,7 @@ SPRING = 10.0
 """Stiffness of the spring at the joint of each device, which extends the knee [N m/rad]."""
 
 STIFFNESS: Mapping[str, float] = {"normal": 20e3, "tangential": 10e3, "rotation": 200.0}
-"""Stiffness of a cuff [N/m, N m/rad]; that against rotation is that of two straps 0.2 m apart with this normal stiffness."""
+"""Stiffness of a cuff [N/m, N m/rad]; that against rotation is that of two straps 0.2 m apart of this stiffness."""
 
 DAMPING: Mapping[str, float] = {"normal": 60.0, "tangential": 40.0, "rotation": 0.2}
 
@@ -45,23 +45,26 @@ VARIABLES: Mapping[str, object] = {
 MEMBERS, FEW = 64, 4
 """Number of members of each sample, and that of the short form."""
 
-HARMONICS, STEPS = 8, 100
-"""Number of harmonics of the series, and number of steps in which a motion is computed."""
+HARMONICS, STEP = 8, 0.005
+"""Number of harmonics of the series, and the largest step of runs [s]."""
 
 HEIGHT = 1.8
 """Height of the persons of the examples [m]."""
 
 SETTLING = 0.25
-"""Time before the motion in which vibrations of the start decay [s]; measures do not contain them."""
+"""Time before a stride in which vibrations of the start decay [s]; measures do not contain them. A squat needs none: it
+begins in the straight posture, in which the tissue is at rest.
+"""
 
 
 @dataclass(frozen=True)
 class LimbSeries:
-    """The motion of a leg: duration [s], position and angle (T, 3) of the thigh, and angle (T,) of the shank, at times
-    (T,), and the mechanism of the leg.
+    """The motion of a leg: duration and time to settle before it [s], position and angle (T, 3) of the thigh, and angle
+    (T,) of the shank, at times (T,), and the mechanism of the leg.
     """
 
     duration: float
+    settling: float
     time: np.ndarray
     thigh: np.ndarray
     shank: np.ndarray
@@ -79,17 +82,17 @@ class LimbSeries:
             texts += [f"{name}({k}*2*pi*t/{self.duration!r})" for name in ("cos", "sin")]
         factors = np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0]
         text = " + ".join(f"({factor:.8g})*{text}" for factor, text in zip(factors, texts, strict=True))
-        k, (a, b) = np.arange(1, HARMONICS + 1), (factors[2::2], factors[3::2])
-        c, s = np.cos(-k * w * SETTLING), np.sin(-k * w * SETTLING)
-        value = factors[0] - factors[1] * SETTLING / self.duration + np.sum(a * c + b * s)
-        return text, float(value), float(factors[1] / self.duration + w * np.sum(k * (b * c - a * s)))
+        rates, (a, b) = w * np.arange(1, HARMONICS + 1), (factors[2::2], factors[3::2])
+        c, s = np.cos(-rates * self.settling), np.sin(-rates * self.settling)
+        value = factors[0] - factors[1] * self.settling / self.duration + np.sum(a * c + b * s)
+        return text, float(value), float(factors[1] / self.duration + np.sum(rates * (b * c - a * s)))
 
 
 def squat() -> LimbSeries:
     """Return the motion of the example `squat`."""
     spec = load_spec("squat")
     run = mbdkit.run(spec)
-    return _limbs(run, spec.mechanism(), np.arange(len(run.time)))
+    return _limbs(run, spec.mechanism(), np.arange(len(run.time)), 0.0)
 
 
 def walking() -> LimbSeries:
@@ -102,13 +105,15 @@ def walking() -> LimbSeries:
     # a stride is the time after which the motion is most like that at its beginning, between 0.8 and 1.5 s
     lags = np.flatnonzero((time - time[0] > 0.8) & (time - time[0] < 1.5))
     differences = [np.sum((height[lag:] - height[: len(height) - lag]) ** 2) / (len(height) - lag) for lag in lags]
-    return _limbs(run, load_spec("squat").mechanism(), np.arange(int(lags[int(np.argmin(differences))]) + 1))
+    return _limbs(run, load_spec("squat").mechanism(), np.arange(int(lags[int(np.argmin(differences))]) + 1), SETTLING)
 
 
-def _limbs(run: Any, leg: Mechanism, rows: np.ndarray) -> LimbSeries:
+def _limbs(run: Any, leg: Mechanism, rows: np.ndarray, settling: float) -> LimbSeries:
     time = np.asarray(run.time)[rows]
     thigh = np.column_stack([np.asarray(run["thigh"].position), run["thigh"].angle])[rows]
-    return LimbSeries(float(time[-1] - time[0]), time - time[0], thigh, np.asarray(run["shank"].angle)[rows], leg)
+    return LimbSeries(
+        float(time[-1] - time[0]), settling, time - time[0], thigh, np.asarray(run["shank"].angle)[rows], leg
+    )
 
 
 MOTIONS = {"squat": squat, "walking": walking}
@@ -117,6 +122,7 @@ MOTIONS = {"squat": squat, "walking": walking}
 def base(motion: LimbSeries, device: str) -> dict[str, Any]:
     """Return the run spec of a leg without mass that wears a device."""
     knee = motion.leg.joints["knee"]
+    assert knee.points is not None
     thigh_point, shank_point = knee.points
     series = [motion.series(values) for values in motion.thigh.T]
     flexion, bent, bending = motion.series(motion.shank - motion.thigh[:, 2])
@@ -171,8 +177,9 @@ def base(motion: LimbSeries, device: str) -> dict[str, Any]:
             "shear_shank": {"value": f'max({settled}*abs(cuffs["brace.lower"].shear_force))', "unit": "N"},
             "transmitted": {"value": f"mean(joints.flexion.torque*{flexed})/({torque})"},
         },
+        "formulation": "ggl",
         "integrator": {"name": "radau-iia", "stages": 3},
-        "time": {"start": -SETTLING, "end": motion.duration, "step": motion.duration / STEPS},
+        "time": {"start": -motion.settling, "end": motion.duration, "step": STEP},
         "accept": ["cuff-loads"],
     }  # fmt: skip
 

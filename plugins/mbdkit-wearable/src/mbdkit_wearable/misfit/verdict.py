@@ -41,7 +41,7 @@ def verdict(study: Study) -> Verdict:
         *(Column(f"S_T {word}") for word in WORDS.values()),
     )
     note = (
-        "Added force: the largest force in the knee that the device causes. Help transmitted: the moment that arrives at "
+        "Added force: the largest force in the knee that the device causes. Help transmitted: the moment that reaches "
         "the knee, relative to that of the spring of the device at the angle of the knee. S_T: total Sobol indices of "
         "the added force; empty where unknown."
     )
@@ -75,7 +75,7 @@ class Sample:
     @property
     def offset(self) -> np.ndarray:
         """Distance of the device from where it fits [m]."""
-        return np.hypot(self.values["parameters.forward"], self.values["parameters.upward"])
+        return np.asarray(np.hypot(self.values["parameters.forward"], self.values["parameters.upward"]))
 
     def totals(self) -> dict[str, float]:
         """Return the total Sobol indices of the added force by variable; nan where unknown."""
@@ -136,7 +136,7 @@ def _direction(samples: Samples) -> Claim:
             pairs[f"{motion}, {device}"] = (others, totals["parameters.upward"])
     return _claim(
         "direction",
-        "Of the misfits of a hinge, that along the limb matters most.",
+        "Of the offsets of a hinge, that along the limb matters more than that across it.",
         "proximal and distal offsets raise the forces in the knee in the plane of motion (Bessler-Etten et al. 2022)",
         pairs,
         "Total Sobol indices of the added force, of the larger of forward offset and rotation, and of the offset along "

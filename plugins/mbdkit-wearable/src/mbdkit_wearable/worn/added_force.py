@@ -46,7 +46,7 @@ class AddedForce:
     @property
     def added(self) -> np.ndarray:
         """(T, 2) what the devices add [N]."""
-        return self.force - self.without
+        return np.asarray(self.force - self.without)
 
     def __str__(self) -> str:
         """Return a sentence with the largest forces, and with the largest one that the devices add."""

@@ -98,7 +98,7 @@ class DeviceMotion:
         self._mass, self._start = equations.mass[self._first :], equations.q0[self._first :]
         weights = equations.mass.reshape(-1, 3)[: len(limbs)] * [*mechanism.gravity, 0.0]
         self._weight = weights.ravel()
-        self._base = None if near is None else near._base
+        self._base: _Linearized | None = None if near is None else near._base
 
     def states(self, motion: LimbMotion) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities (T, n) of limbs and device. Raise RunError if there is no such motion."""
@@ -135,8 +135,8 @@ class DeviceMotion:
         moves[1 : d + 1, 0], moves[d + 1 :, 1] = STEP * np.eye(d), STEP * np.eye(d)
         rows = 2 * d + 1
         where, rates = (np.repeat(x, rows, axis=0) for x in limbs)
-        moved = (np.repeat(x, rows, axis=0) + np.tile(moves[:, i], (count, 1)) for i, x in enumerate((q, v)))
-        pull, _, jacobian = self._terms(np.repeat(time, rows), (where, rates), *moved, np.repeat(lam, rows, axis=0))
+        at, speed = (np.repeat(x, rows, axis=0) + np.tile(moves[:, i], (count, 1)) for i, x in enumerate((q, v)))
+        pull, _, jacobian = self._terms(np.repeat(time, rows), (where, rates), at, speed, np.repeat(lam, rows, axis=0))
         pull = pull.reshape(count, rows, d)
         slopes = np.swapaxes(pull[:, 1:] - pull[:, :1], 1, 2) / STEP
         return slopes[..., :d], slopes[..., d:], jacobian[::rows]
@@ -293,7 +293,7 @@ class _Linearized:
     def substituted(self, w: np.ndarray, left: np.ndarray) -> np.ndarray:
         """Return corrections (K, S) of all steps for residuals (K, S), where the state at the first time is exact."""
         d, size = self.effects.shape[2] // 2, left.shape[1] // 2
-        own = -(self.inverses @ left[..., None])[..., 0]
+        own: np.ndarray = -(self.inverses @ left[..., None])[..., 0]
         state = np.zeros(2 * d)
         for k in range(len(own)):
             own[k] -= self.effects[k] @ state

@@ -102,9 +102,9 @@ class WornDevice(Follower):
         workspace = motion.prepared.workspace
         observer = StateObserver(workspace)
         observed: Observed = observer.arrays(len(time))
-        given = [np.column_stack([x, np.zeros((len(time), 3))]) for x in (q, v)]
+        positions, velocities = (np.column_stack([x, np.zeros((len(time), 3))]) for x in (q, v))
         none = [np.zeros((len(time), len(workspace.mechanism.topology.pairs), size)) for size in (2, 3)]
-        observer.observe(time, *given, observed, GivenForces(np.zeros_like(given[0]), *none))
+        observer.observe(time, positions, velocities, observed, GivenForces(np.zeros_like(positions), *none))
         cuffs: tuple[ActingCuff, ...] = workspace.mechanism.extensions["cuffs"]
         bodies = {name: q[:, 3 * k : 3 * k + 3] for k, name in enumerate(workspace.mechanism.bodies)}
         left = motion.forces(time, q, v).reshape(len(time), -1, 3)

@@ -110,7 +110,9 @@ def _with(loads: Loads, motion: Motion, added: AddedForces, bodies: tuple[str, .
     return Loads(
         (*loads.names, *added.names),
         (*loads.bodies, *added.bodies),
-        *(np.concatenate([getattr(loads, key), getattr(added, key)], axis=1) for key in ("force", "point", "torque")),
+        np.concatenate([loads.force, added.force], axis=1),
+        np.concatenate([loads.point, added.point], axis=1),
+        np.concatenate([loads.torque, added.torque], axis=1),
         generalized,
         np.concatenate(powers, axis=1),
     )
