@@ -18,6 +18,7 @@ from . import (
     beams,
     chain,
     contacts,
+    drawn_emg,
     drawn_persons,
     elementary,
     ensemble,
@@ -40,6 +41,7 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
     "chain": chain.explicit,
     "contacts": contacts.contacts,
     "elementary": elementary.elementary,
+    "emg": drawn_emg.emg,
     "ensemble": ensemble.ensemble,
     "evaluations": evaluations,
     "executors": executors.executors,
@@ -77,7 +79,7 @@ def main() -> None:
         action="store_true",
         help="print the calls of Python functions a step of `contacts` instead of times",
     )
-    parser.add_argument("--count", type=int, default=20, metavar="N", help="number of persons of `persons`")
+    parser.add_argument("--count", type=int, default=20, metavar="N", help="number of persons of `persons` and `emg`")
     asked = parser.parse_args()
     chosen = asked.sections or list(SECTIONS)
     unknown = sorted(set(chosen) - set(SECTIONS))
@@ -89,6 +91,7 @@ def main() -> None:
     sections = {
         **SECTIONS,
         "contacts": functools.partial(contacts.contacts, **of_contacts),
+        "emg": functools.partial(drawn_emg.emg, count=asked.count),
         "persons": functools.partial(drawn_persons.persons, count=asked.count),
     }
     if asked.output is not None:
