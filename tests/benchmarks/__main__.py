@@ -18,6 +18,7 @@ from . import (
     beams,
     chain,
     contacts,
+    drawn_emg,
     drawn_persons,
     elementary,
     ensemble,
@@ -43,6 +44,7 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
     "contacts": contacts.contacts,
     "elementary": elementary.elementary,
     "codes": public_codes.public_codes,
+    "emg": drawn_emg.emg,
     "ensemble": ensemble.ensemble,
     "evaluations": evaluations,
     "executors": executors.executors,
@@ -81,7 +83,7 @@ def main() -> None:
         action="store_true",
         help="print the calls of Python functions a step of `contacts` instead of times",
     )
-    parser.add_argument("--count", type=int, default=20, metavar="N", help="number of persons of `persons`")
+    parser.add_argument("--count", type=int, default=20, metavar="N", help="number of persons of `persons` and `emg`")
     parser.add_argument(
         "--doubled", action="store_true", help="double the deviations of every second person of `persons`"
     )
@@ -96,6 +98,7 @@ def main() -> None:
     sections = {
         **SECTIONS,
         "contacts": functools.partial(contacts.contacts, **of_contacts),
+        "emg": functools.partial(drawn_emg.emg, count=asked.count),
         "persons": functools.partial(drawn_persons.persons, count=asked.count, doubled=asked.doubled),
     }
     if asked.output is not None:

@@ -441,8 +441,9 @@ class Emg(Section):
     and is rectified and filtered at 6 Hz."""
     maximum: Positive | None = None
     """Envelope in a maximal contraction, in the unit of the column; by default, the column is divided by it already."""
-    deviation: Annotated[float, Field(gt=0, le=10)] = 0.3
-    """Standard deviation of the activation that the EMG shows, relative to it."""
+    deviation: Annotated[float, Field(gt=0, le=10)] = 0.4
+    """Standard deviation of the activation that the EMG shows, relative to it. The default is 0.3 for the EMG, and 0.28
+    for the strength of the muscle, which scales its activations."""
 
 
 class Span(Section):
