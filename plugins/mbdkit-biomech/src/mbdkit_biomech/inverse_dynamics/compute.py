@@ -443,13 +443,13 @@ def without_followers(result: Inverse) -> Inverse:
     return forces_of(problem, result.fitted, result.independent, result.motion, strict=False)
 
 
-def reaction_forces(result: Inverse) -> np.ndarray:
-    """Return the reaction forces (T, J, 2) [N]."""
+def reactions_of(result: Inverse) -> np.ndarray:
+    """Return the reaction forces and torques (T, J, 3) [N, N m]."""
     motion, problem = result.motion, result.problem
     rows = problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, result.lam).reactions
-    return np.asarray(JointSums(problem.prepared.workspace.mechanism).sum(rows)[:, :, :2])
+    return JointSums(problem.prepared.workspace.mechanism).sum(rows)
 
 
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:
     """Return the reaction forces (T, J, 2) [N] for the same motion without muscles, produced by the actuators alone."""
-    return reaction_forces(replace(result, recruited=None))
+    return reactions_of(replace(result, recruited=None))[:, :, :2]

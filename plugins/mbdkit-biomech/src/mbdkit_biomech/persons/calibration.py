@@ -91,6 +91,8 @@ class Segments:
     """The trials."""
     reference: int
     """The first frame of the motion in which all segments are seen."""
+    belt: float = 0.0
+    """Speed with which the belt of a treadmill moves backward [m/s]."""
 
     @classmethod
     def of(
@@ -182,21 +184,18 @@ class Segments:
                 return functional_center(moving, other)
             except SpecError:  # the motion does not determine it
                 return other
-        if method == "functional":
-            return functional_center(moving)
-        if method is None:
+        if method is None or method == "functional":
             try:
                 return functional_center(moving)
             except SpecError as error:
-                lacking = "both anterior iliac spines, and the posterior ones or the sacrum"
-                if kind != "hip":
-                    known = zip(("medial", "lateral"), sides, strict=True)
-                    lacking = listed([f"the {one} side" for one, marker in known if marker is None], "and")
+                if method:
+                    raise
+                known = zip(("medial", "lateral"), sides, strict=False)
+                lacking = listed([f"the {one} side" for one, marker in known if marker is None], "and")
                 raise SpecError(
-                    f"the markers do not determine the centre of the joint '{joint}': they lack {lacking} of it, and "
-                    f"the motion alone does not suffice: a centre that {error.message}",
-                    key=key,
-                ) from None
+                    f"the markers do not determine the centre of the joint '{joint}': they lack "
+                    f"{lacking or 'landmarks'} of it, and the motion alone does not suffice: a centre that "
+                    f"{error.message}", key=key) from None  # fmt: skip
         if method == "hip-regression":
             if kind != "hip":
                 raise SpecError("is for hips; this joint takes functional, static or a midpoint", key=key)

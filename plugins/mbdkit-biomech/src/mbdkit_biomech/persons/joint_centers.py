@@ -103,8 +103,7 @@ class JointCenter:
     misfit: float = 0.0
     """Root mean square difference of two combined centres, relative to what their covariances explain; 0 for others."""
     square: float = 0.0
-    """Square of this difference in the plane of motion, relative to its covariance: chi-square with two degrees of
-    freedom."""
+    """Square of this difference in the plane, relative to its covariance: chi-square with two degrees of freedom."""
 
     @property
     def deviation(self) -> tuple[float, float]:

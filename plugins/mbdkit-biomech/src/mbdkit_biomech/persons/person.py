@@ -143,17 +143,10 @@ class Skeleton:
     """(T,) angles of trunk and feet by body [rad], zero as when the person stands upright."""
     zeros: Mapping[str, float]
     findings: tuple[Finding, ...]
-    belt: float = 0.0
-    """Speed with which the belt of a treadmill moves backward [m/s]."""
 
     @classmethod
     def of(
-        cls,
-        subject: Subject,
-        segments: Segments,
-        asked_plane: PlaneAxes | None,
-        asked_centers: Mapping[str, Center],
-        belt: float = 0.0,
+        cls, subject: Subject, segments: Segments, asked_plane: PlaneAxes | None, asked_centers: Mapping[str, Center]
     ) -> Skeleton:
         """Determine plane, joint centres, lengths and angles from the segments of a person.
 
@@ -183,14 +176,14 @@ class Skeleton:
         angles, zeros = {}, {}
         for body in poses:
             if body.startswith(("trunk", "foot")):
-                angles[body], zeros[body], remarks = _angle(body, segments, plane, belt)
+                angles[body], zeros[body], remarks = _angle(body, segments, plane)
                 findings += remarks
-        return cls(subject, segments, plane, centers, points, lengths, angles, zeros, tuple(findings), belt)
+        return cls(subject, segments, plane, centers, points, lengths, angles, zeros, tuple(findings))
 
     def feet(self) -> dict[str, FootMotion]:
         """Return the motion of the feet by body."""
         own = {body: angle for body, angle in self.angles.items() if body != "trunk"}
-        return {body: _foot(body, angle, self.segments, self.plane, self.belt) for body, angle in own.items()}
+        return {body: _foot(body, angle, self.segments, self.plane) for body, angle in own.items()}
 
     def person(self, plates: PlateResult) -> Person:
         """Return the person with its plates."""
@@ -394,7 +387,7 @@ def _length_doubts(subject: Subject, lengths: Mapping[str, SegmentLength]) -> It
         )
 
 
-def _angle(body: str, segments: Segments, plane: MotionPlane, belt: float) -> tuple[np.ndarray, float, list[Finding]]:
+def _angle(body: str, segments: Segments, plane: MotionPlane) -> tuple[np.ndarray, float, list[Finding]]:
     """Return the angle of trunk or foot (T,) [rad], the standard deviation of its zero, and remarks."""
     poses, static = segments.motion.poses[body], segments.static
     rotation = poses.rotation[[segments.reference]]
@@ -409,7 +402,7 @@ def _angle(body: str, segments: Segments, plane: MotionPlane, belt: float) -> tu
     if body == "trunk":
         sentence = "without `motion.static`, the mean angle of the trunk counts as upright"
         return np.asarray(found - np.nanmean(found)), np.nan, [Finding("centers", None, sentence)]
-    rest = found[_foot(body, found, segments, plane, belt).at_rest & ~np.isnan(found)]
+    rest = found[_foot(body, found, segments, plane).at_rest & ~np.isnan(found)]
     if len(rest) < LEAST_FRAMES:
         raise SpecError(
             f"is needed, because '{body}' rests flat on the ground in {len(rest)} frames of the motion "
@@ -420,6 +413,7 @@ def _angle(body: str, segments: Segments, plane: MotionPlane, belt: float) -> tu
     return np.asarray(found - flat), 1.4826 * float(np.median(np.abs(rest - flat))), []
 
 
-def _foot(body: str, angle: np.ndarray, segments: Segments, plane: MotionPlane, belt: float) -> FootMotion:
+def _foot(body: str, angle: np.ndarray, segments: Segments, plane: MotionPlane) -> FootMotion:
     middle, time = plane.coordinates(segments.motion.poses[body].position), segments.motion.file.time
-    return FootMotion(middle, rate_of(middle, time) + np.array([belt, 0.0, 0.0]), rate_of(angle, time))
+    belt = np.array([segments.belt, 0.0, 0.0])
+    return FootMotion(middle, rate_of(middle, time) + belt, rate_of(angle, time))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,9 +38,9 @@ def person_of_spec(spec: InverseSpec) -> tuple[Person, InverseSpec]:
         file, static = MarkerFile.of(table, motion.time), None
         if motion.static is not None:
             static = MarkerFile.of(read_table(spec.folder / motion.static, "motion.static"), motion.time)
-    segments = Segments.of(motion.clusters, legs_of(model.legs), file, static)
+    segments = replace(Segments.of(motion.clusters, legs_of(model.legs), file, static), belt=motion.belt)
     plane = motion.plane if motion.plane != "fit" else None
-    skeleton = Skeleton.of(subject, segments, plane, motion.centers or {}, motion.belt)
+    skeleton = Skeleton.of(subject, segments, plane, motion.centers or {})
     person = skeleton.person(_plates(spec, file, skeleton))
     return person, _expanded(spec, person)
 

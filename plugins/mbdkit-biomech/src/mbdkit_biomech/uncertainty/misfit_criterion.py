@@ -21,9 +21,8 @@ def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
     """Yield a doubt if differences that should vanish are larger than the stated deviations explain.
 
     These are the differences in the plane between centres by landmarks or regression and those by the motion, and, if
-    all loads are measured, the residual forces and the residual moment. Relative to their deviations, the sum of their
-    squares has a chi-square distribution. Residuals at different times have common causes, so that the mean square over
-    time of each counts as that of one variable.
+    both feet have loads, residual forces and moment. Residuals at different times have common causes, so that the mean
+    square over time of each counts as that of one variable.
     """
     person = result.problem.source.person
     if person is None:
@@ -41,8 +40,7 @@ def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
     whole = float(sum(squares.values()))
     if not squares or not whole > (limit := quantile_of_many(freedoms)):
         return
-    largest = sorted(squares, key=lambda name: -squares[name])[:3]
-    told = [f"{name} {np.sqrt(squares[name] / (2 if name.startswith('centre') else 1)):.1f}" for name in largest]
+    told = [f"{name} {squares[name] ** 0.5:.1f}" for name in sorted(squares, key=lambda name: -squares[name])[:3]]
     yield doubt(
         "misfit",
         f"landmarks, motion and loads contradict each other by more than the stated deviations explain: the sum of "

@@ -214,9 +214,8 @@ class StackedOutcomes:
         reserve = np.where(driven, beside, 0.0)[:, recruiter.reserve_places]
         late = self._total(values, ("muscle_delay",))
         if np.any(late):
-            time, own = self.result.motion.time, force.reshape(frames, count, -1)
-            pairs = enumerate(late.tolist())
-            force = np.stack([later(time, own[:, k], -delay) for k, delay in pairs], axis=1).reshape(force.shape)
+            time, each = self.result.motion.time, enumerate(np.moveaxis(force.reshape(frames, count, -1), 1, 0))
+            force = np.stack([later(time, own, -late[k]) for k, own in each], axis=1).reshape(force.shape)
         joint = flat["reactions"].reshape(frames * count, -1)
         joint = joint + products(flat["unit"].reshape(frames * count, joint.shape[1], -1), force)
         actuators = np.hstack([np.where(driven, flat["value"], beside), reserve])

@@ -262,14 +262,9 @@ def _balance(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     unmeasured = unmeasured_frames(result)
     inside = judged_frames(len(residual), unmeasured)
     if unmeasured:
-        told = [f"{body} {spans(result.motion.time, rows)}" for body, rows in unmeasured.items()]
-        left = "" if inside.any() else ", which is never"
-        yield Finding(
-            "residuals",
-            None,
-            f"the force of the ground is not measured on {listed(told, 'and')}: forces of joints lack it then, and "
-            f"residual forces are judged only where all loads are measured{left}",
-        )
+        at = listed([f"{body} {spans(result.motion.time, rows)}" for body, rows in unmeasured.items()], "and")
+        lack = "forces of joints lack it then, and residual forces are judged only where all loads are measured"
+        yield Finding("residuals", None, f"the force of the ground is not measured on {at}: {lack}")
     if not inside.any():
         return
     beyond = np.mean(residual[inside] ** 2, axis=0) > NOISY**2 * np.mean(noise[inside] ** 2, axis=0)
@@ -320,9 +315,7 @@ def _peaks(residual: np.ndarray, noise: np.ndarray, limits: np.ndarray, inside: 
 
 
 def judged_frames(count: int, unmeasured: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the frames (T,) in which residuals are judged: those in which all loads are measured, without both ends,
-    where derivatives are inaccurate.
-    """
+    """Return the frames (T,) with all loads, without both ends, where derivatives are inaccurate."""
     inside, ends = np.zeros(count, dtype=bool), count // 20
     inside[ends : count - ends] = True
     return np.asarray(inside & ~np.any(list(unmeasured.values()), axis=0)) if unmeasured else inside

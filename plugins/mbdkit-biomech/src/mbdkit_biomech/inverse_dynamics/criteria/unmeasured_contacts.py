@@ -8,20 +8,18 @@ from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import centre_of_pressure, in_body
 
-SLOW, LOW = 0.5, 0.05
+SLOW, LOW, CONTACT = 0.5, 0.05, 0.1
 """A body stands on the ground if an end of the points at which plates act on it moves more slowly [m/s] and is less
-above the ground [m]. In swing, heel and toe pass 10 to 20 mm above the ground with more than 1 m/s."""
-
-CONTACT = 0.1
-"""Shortest contact, and time before and after one in which the ground acts on a body that is faster [s]."""
+above the ground [m] for a longer time [s]; the ground also acts for this time before and after, while the body is
+faster. In swing, heel and toe pass 10 to 20 mm above the ground with more than 1 m/s."""
 
 ENDS = 0.05, 0.95
 """Quantiles of these points along the body that are their ends."""
 
 
 def unmeasured_frames(result: Inverse) -> dict[str, np.ndarray]:
-    """Return the frames (T,) in which bodies of plates stand on the ground without a measured force, by body, for those
-    bodies that do. A contact that the spec declares counts whenever no load acts on its body.
+    """Return the frames (T,) in which bodies stand on the ground without a measured force, by body, for those that do.
+    A contact that the spec declares counts whenever no load acts on its body.
     """
     problem, loads = result.problem, result.loads
     names, acts = list(problem.fitter.bodies), np.any(loads.force != 0, axis=2)

@@ -24,8 +24,7 @@ import numpy as np
 
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.plugin import Accuracy, RunError, listed
-from mbdkit.plugin.equations import JointSums
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, reactions_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
     LongGap,
     changes_at_ends,
@@ -129,20 +128,16 @@ class _Response:
                 intervals = ((0, count * frames, own.intervals[0][2]),)
             independent = replace(own, intervals=intervals)
             series = Smoothed(*(np.concatenate(parts) for parts in zip(*block, strict=True)))
-            motion = motion_of_series(
-                base.problem.fitter, independent, np.tile(time, count), np.tile(q, (count, 1)), series
-            )
+            times, poses = np.tile(time, count), np.tile(q, (count, 1))
+            motion = motion_of_series(base.problem.fitter, independent, times, poses, series)
             found = _outcome(forces_of(base.problem, base.fitted, independent, motion, strict=False))
             yield from (_Outcome(*(part[at : at + frames] for part in found.parts)) for at in shifts)
 
 
 def _outcome(result: Inverse) -> _Outcome:
-    motion, manifold = result.motion, result.problem.fitter.manifold
-    q, v = (x.reshape(len(x), -1, 3) for x in (motion.q, motion.v))
+    q, v = (x.reshape(len(x), -1, 3) for x in (result.motion.q, result.motion.v))
     muscles = np.zeros((len(q), 0)) if result.recruited is None else result.recruited.force
-    rows = manifold.reactions(motion.time, motion.q, motion.v, result.lam).reactions
-    reactions = JointSums(result.problem.prepared.workspace.mechanism).sum(rows)
-    return _Outcome(result.actuators[:, :, 0], reactions, q, v, muscles)
+    return _Outcome(result.actuators[:, :, 0], reactions_of(result), q, v, muscles)
 
 
 def error_bars(result: Inverse) -> ResultBars | None:

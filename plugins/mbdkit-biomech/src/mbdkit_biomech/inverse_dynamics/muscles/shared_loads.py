@@ -47,8 +47,7 @@ this; the costs in the programme are 1.
 TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 """Options of HiGHS."""
 NO_SHARE = 1e-11
-"""An unknown does not act in an equation if its coefficient is at most this share of the size of the equation in all
-frames."""
+"""Largest coefficient, relative to the size of an equation, of an unknown that does not act in it."""
 LEAST_SLOPE = 1e-12
 """Lower bound of the derivatives dx/dg for p > 2, relative to the largest one; smaller values are raised to this bound.
 
@@ -142,21 +141,23 @@ def share_loads(programme: Programme, exponent: float, start: np.ndarray | None 
 def _each_part(programme: Programme, p: float, start: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the results of `_dual_newton` for independent parts of the programmes, which are solved one by one.
 
-    Each leg is a part, because its muscles have no arms about joints of the other one: matrices are smaller, and steps
-    of one part are not shortened for the other one.
+    Each leg is a part: its muscles have no arms about joints of the other one.
     """
     acts = np.any(np.abs(programme.matrix) > NO_SHARE, axis=0)
     count, parts = connected_components(acts.astype(float) @ acts.T, directed=False)
     if count < 2:
         return _dual_newton(programme, p, start)
-    value = np.clip(np.zeros_like(programme.low), programme.low, programme.high)  # of unknowns in no equation
+    value = np.clip(0.0, programme.low, programme.high)  # of unknowns in no equation
     certificate, multipliers = np.zeros(len(value)), np.zeros_like(programme.right)
     for part in range(count):
         rows = parts == part
         columns = np.any(acts[rows], axis=0)
-        bounds = (bound[:, columns] for bound in (programme.low, programme.high))
-        matrix = programme.matrix[:, rows][:, :, columns]
-        own = Programme(matrix, programme.right[:, rows], *bounds, programme.weight[columns])
+        matrix, low, high = (
+            programme.matrix[:, rows][:, :, columns],
+            programme.low[:, columns],
+            programme.high[:, columns],
+        )
+        own = Programme(matrix, programme.right[:, rows], low, high, programme.weight[columns])
         x, wrong, y = _dual_newton(own, p, None if start is None else start[:, rows])
         value[:, columns], multipliers[:, rows], certificate = x, y, np.maximum(certificate, wrong)
     return value, certificate, multipliers

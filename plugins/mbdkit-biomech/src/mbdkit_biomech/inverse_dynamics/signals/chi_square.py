@@ -7,9 +7,6 @@ import numpy as np
 LEVEL = 0.95
 """Probability that an error is smaller than its bar, and of the quantiles."""
 
-ONE_SIDED = 1.6448536269514722
-"""Quantile of the probability `LEVEL` of the normal distribution."""
-
 COEFFICIENTS = (
     4.948724172173654, 1.0716832300215249, -0.031859788707373736, 0.003267061186979377, -0.00039554897254128184,
     5.1573498986819626e-05, -7.0085774892335135e-06, 9.780253875930474e-07, -1.3903298726160478e-07,
@@ -31,9 +28,7 @@ def quantile(freedoms: np.ndarray | float) -> np.ndarray:
 
 
 def quantile_of_many(freedoms: int) -> float:
-    """Return the quantile of the probability `LEVEL` for two degrees of freedom or more, by the approximation of E. B.
-    Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci. 17 (1931) 684-688, whose error is at most 0.5 %.
-    """
+    """Return the quantile for two degrees of freedom or more, within 1 % (E. B. Wilson and M. M. Hilferty, 1931)."""
     spread = 2.0 / (9.0 * freedoms)
-    root = 1.0 - spread + ONE_SIDED * float(np.sqrt(spread))
+    root = 1.0 - spread + 1.6448536269514722 * float(np.sqrt(spread))  # the one-sided quantile of normal numbers
     return freedoms * root * root * root
