@@ -32,7 +32,7 @@ TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 PROBLEMS = ("andrews", "car-axis")
 OF_BODY = re.compile(r"final\((\w+)\.(\w+)\)")
 COLUMNS = ("x", "y", "angle", "vx", "vy", "angular_velocity")
-MOST_STEPS = 10_000
+MOST_STEPS = 5_000
 UNTESTED = 1e9
 """Absolute tolerance of the multipliers of IDA, which leaves them out of its error test, as its guide recommends."""
 OURS: dict[str, dict[str, Any]] = {

@@ -250,7 +250,7 @@ class _Trial:
         """
         equations, none = self.equations, np.zeros(self.equations.m)
         potential, kinetic = equations.potential(t, end.q), equations.kinetic(end.v)
-        lost = self.energy - potential - kinetic
+        lost: float = self.energy - potential - kinetic
         works = equations.has_power and any(equations.powers(t, end.q, end.v, none))
         if works or abs(lost) > ROUNDING * (abs(potential) + kinetic):
             self.energy, lost = potential + kinetic, 0.0

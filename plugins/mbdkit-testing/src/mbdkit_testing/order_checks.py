@@ -383,7 +383,7 @@ def multipliers_at_tolerance(integrator: IntegratorUnderTest) -> Result:
     """
     if not integrator.claims.adaptive or not getattr(integrator.method(), "carries_multipliers", False):
         raise Skip("it is not an adaptive method in Python with multipliers of its own")
-    exact, floors = reference("forced-pendulum")[1], np.sqrt(TOLERANCES)
+    exact, floors = reference("forced-pendulum")[1], [math.sqrt(rtol) for rtol in TOLERANCES]
     errors = [_of_multipliers(integrator, rtol, exact) for rtol in TOLERANCES]
     return _obeys(errors, floors, "the error of its multipliers does not decrease with the tolerance")
 
