@@ -141,7 +141,7 @@ def test_a_single_muscle_has_its_tension_whatever_its_properties():
     with mbdkit.inverse(held_by_one({"max_force": 0.2})) as run:
         np.testing.assert_allclose(run.muscles["biceps"].force, FORCE, rtol=1e-9)
         assert np.max(run.muscles["biceps"].force_error) < 1e-6 * FORCE
-        assert "100 samples of 1 scalar of 1 source" in run.accuracy.method
+        assert "500 samples of 1 scalar of 1 source" in run.accuracy.method
 
 
 def test_the_error_of_a_shared_tension_follows_from_the_deviation_of_the_muscle():

@@ -369,7 +369,7 @@ class MuscleDeviations(Section):
     """Relative standard deviation of the optimal length of the fibres."""
     tendon_length: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Relative standard deviation of the length of the tendon."""
-    samples: Annotated[Count, Field(ge=20)] = 100
+    samples: Annotated[Count, Field(ge=20)] = 500
     """Number of samples."""
 
     @model_validator(mode="after")
