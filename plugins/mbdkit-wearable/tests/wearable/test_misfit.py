@@ -11,7 +11,9 @@ from tests.wearable.misfit_coverage import coverage
 
 import mbdkit
 from mbdkit.guide.pages import pages
+from mbdkit_report import Answer
 from mbdkit_wearable.misfit.study import MOTIONS, SPRING, base, squat, study
+from mbdkit_wearable.misfit.verdict import verdict
 
 PAGES = pages()
 
@@ -48,11 +50,11 @@ def test_the_spec_has_each_device_in_each_motion() -> None:
 @pytest.mark.slow
 def test_the_short_form_of_the_study_has_a_verdict_and_figures(tmp_path: Path) -> None:
     found = mbdkit.study("misfit", quick=True, out=tmp_path / "misfit", workers=2)
-    verdict = found.verdict
-    answers = {claim.name: str(claim.answer) for claim in verdict.claims}
-    assert answers["self-alignment"] == answers["tissue"] == "yes"
-    assert len(verdict.figures) == 24
-    assert found.status["complete"] == 144
+    judged = verdict(found)
+    answers = {claim.name: claim.answer for claim in judged.claims}
+    assert answers["self-alignment"] is answers["tissue"] is Answer.YES
+    assert len(judged.figures) == 24
+    assert list(found.columns()["status"]) == 144 * ["complete"]
 
 
 @pytest.mark.slow

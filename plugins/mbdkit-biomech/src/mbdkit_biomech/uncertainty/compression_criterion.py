@@ -34,12 +34,13 @@ def compression_doubts(result: Inverse) -> Iterator[Finding]:
     names, loads = result.problem.names, result.loads
     if result.recruited is None or not len(loads.names):
         return
-    size = np.sqrt(np.sum(loads.force * loads.force, axis=2))
+    measured = len(result.problem.loads)  # further loads are those of worn devices
+    size = np.sqrt(np.sum(loads.force * loads.force, axis=2))[:, :measured]
     joints = list(result.problem.prepared.workspace.mechanism.joints)
     reactions, without = recorded_states(result).reactions[:, :, :2], reaction_forces_without_muscles(result)
     for leg in ("", LEFT):
         foot, knee = f"foot{leg}", f"knee{leg}"
-        own = [index for index, body in enumerate(loads.bodies) if body == foot]
+        own = [index for index, body in enumerate(loads.bodies[:measured]) if body == foot]
         if not own or knee not in joints or f"shank{leg}" not in names.mechanism.bodies:
             continue
         mine = np.sum(size[:, own], axis=1)
