@@ -229,6 +229,8 @@ class Loads(View, of="loads"):
     """power that the load supplies to the body, (T,), W"""
     body: str
 
+class Followers(View, of="followers"):
+
 class Cuffs(View, of="cuffs"):
     displacement: np.ndarray
     """displacement of the device's point in the frame of the limb, (T, 2), m"""

@@ -159,7 +159,7 @@ def mbdkit_items() -> Iterable[Item]:
         ),
         CriterionItem(
             name="cuffs",
-            summary="Forces of cuffs beyond limits, and cuffs that slide.",
+            summary="Forces of cuffs beyond what persons accept, and cuffs that slide on the skin.",
             order=190,
             stage="rows",
             find=Target("mbdkit_wearable.cuff_criteria:watch_cuffs"),
