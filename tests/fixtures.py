@@ -114,8 +114,15 @@ def pytest_runtest_call() -> Generator[None, object, object]:
         raise
 
 
-QUICK = tuple(line for line in (ROOT / "tests" / "quick.txt").read_text("utf-8").splitlines() if line[0] != "#")
+def _listed(name: str) -> tuple[str, ...]:
+    return tuple(line for line in (ROOT / "tests" / name).read_text("utf-8").splitlines() if line[0] != "#")
+
+
+QUICK = _listed("quick.txt")
 """Files and folders of quick tests, by paths from the root, and ids of single ones."""
+
+SLOW = {name: int(kept or 0) for name, _, kept in (line.partition(" ") for line in _listed("slow.txt"))}
+"""Numbers of cases that are not marked as slow, spread over all, by ids of tests without their cases."""
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -128,7 +135,15 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that open a page in a browser, and those of the list of quick ones."""
+    """Mark the tests that open a page in a browser, and those of the lists of slow and of quick ones."""
+    cases: dict[str, list[pytest.Item]] = {name: [] for name in SLOW}
+    for item in items:
+        cases.get(item.nodeid.partition("[")[0], []).append(item)
+    for name, own in cases.items():
+        kept = {len(own) * k // SLOW[name] for k in range(SLOW[name])}
+        for index, item in enumerate(own):
+            if index not in kept:
+                item.add_marker("slow")
     for item in items:
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker("end_to_end")

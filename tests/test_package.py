@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -94,3 +95,13 @@ def test_a_run_imports_what_it_needs():
     assert not imported & {"sympy", "matplotlib", "numba", "scipy.linalg", "scipy.optimize", "scipy.interpolate"}
     # only joints that are functions of the pose, and laws that are expressions, need these
     assert not imported & {"mbdkit.engine.function_laws", "mbdkit.engine.law_compiler", "mbdkit.expressions.recorded"}
+
+
+@pytest.mark.parametrize("name", ["quick.txt", "slow.txt"])
+def test_lists_of_tests_name_tests_that_exist(name):
+    root = Path(__file__).parent.parent
+    lines = (root / "tests" / name).read_text("utf-8").splitlines()
+    for line in (line for line in lines if line[0] != "#"):
+        file, _, test = line.partition(" ")[0].partition("::")
+        assert (root / file).exists(), line
+        assert f"def {test.partition('[')[0]}" in (root / file).read_text("utf-8") if test else True, line
