@@ -57,7 +57,7 @@ def test_the_short_form_of_the_study_has_a_verdict_and_figures(tmp_path: Path) -
     assert list(found.columns()["status"]) == 144 * ["complete"]
 
 
-@pytest.mark.slow
+@pytest.mark.end_to_end
 def test_the_page_prints_the_numbers_that_it_shows(capsys: pytest.CaptureFixture[str]) -> None:
     text = PAGES["device"].text
     code, shown = (re.search(rf"```{name}\n(.*?)```", text, re.DOTALL) for name in ("python", "text"))
