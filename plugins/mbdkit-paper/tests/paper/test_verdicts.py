@@ -308,7 +308,8 @@ def test_the_paper_is_decided_and_its_second_call_decides_the_same(tmp_path: Pat
 
 def test_every_packaged_verdict_has_a_packaged_study() -> None:
     judged = [item.name for item in registry().only("mbdkit").of_kind("study") if item.plugin.verdict is not None]
-    assert {"paper", "contact", "drift", "flexible-slider-crank", "methods", "no-drift", "textbook-four-bar"} <= set(judged)
+    own = {"paper", "contact", "drift", "flexible-slider-crank", "methods", "no-drift", "textbook-four-bar"}
+    assert own <= set(judged)  # other parts have studies, too
     for name in judged:
         assert load_study_spec(name).verdict == name
 
