@@ -16,6 +16,7 @@ import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, NoReturn
 
@@ -27,12 +28,14 @@ from mbdkit.expressions.parser import Code, Compiler
 from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.beams import last_nodes
 from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_seams import member_names
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.registered_kinds import added_kinds, item_of_group, kind_of_word, words
 from mbdkit.quantities.table import KINDS
+from mbdkit.registry.accessors import accessors
 
 _WORDS = tuple(kind.word for kind in KINDS if kind.example)
 """Kinds of the core that have quantities in expressions."""
@@ -203,6 +206,12 @@ class WordsOfKinds(Mapping[str, Sequence[str]]):
         return sum(1 for _ in self)
 
 
+@cache
+def _words_of_mechanisms() -> tuple[str, ...]:
+    empty = Mechanism()
+    return tuple(word for word in _WORDS if hasattr(empty, word))
+
+
 class RunCompiler(Compiler):
     """Compiles one expression with the quantities of a run.
 
@@ -219,11 +228,13 @@ class RunCompiler(Compiler):
 
     def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
         self.mechanism = mechanism
-        self.known = {word: list(getattr(mechanism, word)) for word in _WORDS if hasattr(mechanism, word)}
+        self.known = {word: list(getattr(mechanism, word)) for word in _words_of_mechanisms()}
         self._last = last_nodes(mechanism.beams)
         self.known["states"] = [*mechanism.state_names(), *mechanism.held_names()]
         for own in map(item_of_group, added_kinds()):
-            elements = self.known.get(own.of, getattr(mechanism, own.of, None))
+            elements = self.known.get(own.of)
+            if elements is None and (own.of in element_kinds() or own.of in accessors(type(mechanism))):
+                elements = getattr(mechanism, own.of)
             if own.word and elements is not None:
                 self.known[own.word] = list(
                     elements if own.names is None or not elements else member_names.of(own.names)(mechanism)
