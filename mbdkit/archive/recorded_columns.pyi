@@ -229,8 +229,6 @@ class Loads(View, of="loads"):
     """power that the load supplies to the body, (T,), W"""
     body: str
 
-class Followers(View, of="followers"):
-
 class Cuffs(View, of="cuffs"):
     displacement: np.ndarray
     """displacement of the device's point in the frame of the limb, (T, 2), m"""
@@ -288,4 +286,4 @@ class FurtherKinds:
         """One measured load, in inverse dynamics; force and point of application are in the global frame."""
     @property
     def cuffs(self) -> Histories[CuffHistory]:
-        """Displacement of a cuff in the frame of the limb, (normal, tangential) [m] and rotation [rad], and the forces of"""
+        """One cuff: displacement and rotation in the frame of the limb, and the forces of the device on the limb."""

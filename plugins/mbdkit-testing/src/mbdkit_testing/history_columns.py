@@ -27,6 +27,7 @@ def declarations() -> str:
     """Return the text of the stub."""
     own = [group for group, view in VIEWS.items() if view.__module__ == history.__name__]
     kinds = [kind_of_group(group) for group in [*own, *(group for group in added_kinds() if group in GROUPS_OF_PARTS)]]
+    kinds = [kind for kind in kinds if kind.labels or [*columns_of(kind)]]  # others have no histories
     further = [kind for kind in kinds if kind.one and kind.word not in vars(RecordedData)]
     imports = sorted(f"from {view.__module__} import {view.__name__}\n" for view in map(view_of, further))
     properties = "".join(map(_property, further))

@@ -6,6 +6,7 @@ from mbdkit.plugin.archives import recorded_columns as columns
 
 
 class CuffHistory(columns.Cuffs, of="cuffs"):
-    """Displacement of a cuff in the frame of the limb, (normal, tangential) [m] and rotation [rad], and the forces of
-    the device on the limb: normal and shear force [N], moment about the device's point [N m].
+    """One cuff: displacement and rotation in the frame of the limb, and the forces of the device on the limb.
+
+    The displacement (T, 2) [m] has a normal and a tangential component. The moment [N m] is about the device's point.
     """
