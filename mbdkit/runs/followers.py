@@ -42,13 +42,10 @@ class Follower(ABC):
         in addition to what was measured.
     deviations
         Typical standard deviations of uncertain numbers by name, such as ``misfit_x``; they are sources of error bars.
-    remarks
-        Sentences on how the forces are computed, which accompany every result.
     """
 
     worn: bool
     deviations: Mapping[str, float]
-    remarks: tuple[str, ...]
 
     @abstractmethod
     def forces(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> AddedForces:

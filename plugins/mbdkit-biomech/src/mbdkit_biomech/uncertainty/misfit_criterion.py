@@ -45,6 +45,6 @@ def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
         "misfit",
         f"landmarks, motion and loads contradict each other by more than the stated deviations explain: the sum of "
         f"squares relative to them is {whole:.1f} for {freedoms} degrees of freedom (doubtful above {limit:.1f}, which "
-        f"chance exceeds in 5 % of cases); largest are {listed(told, 'and')} deviations. Error bars are too narrow: "
-        "check markers, plates and subject, or state larger deviations in `uncertainty`",
+        f"Gaussian errors exceed in 5 % of cases); largest are {listed(told, 'and')} deviations. Error bars are too "
+        "narrow: check markers, plates and subject, or state larger deviations in `uncertainty`",
     )

@@ -20,6 +20,7 @@ import numpy as np
 import mbdkit
 from mbdkit.plugin import Mechanism
 from mbdkit.plugin.specs import load_spec, read_source
+from mbdkit_wearable.device import turned
 
 DEVICES: Mapping[str, str] = {
     "hinge": "hinge-orthosis", "four-bar": "four-bar-orthosis", "self-aligning": "self-aligning-orthosis",
@@ -128,7 +129,7 @@ def base(motion: LimbSeries, device: str) -> dict[str, Any]:
     flexion, bent, bending = motion.series(motion.shank - motion.thigh[:, 2])
     (x, y, angle), (vx, vy, spin) = ([one[k] for _, *one in series] for k in range(2))
     bend, turning = angle + bent, spin + bending
-    arms = _turned(angle, thigh_point), _turned(bend, shank_point)
+    arms = turned(angle, thigh_point), turned(bend, shank_point)
     shank = x + arms[0][0] - arms[1][0], y + arms[0][1] - arms[1][1]
     rate = vx - spin * arms[0][1] + turning * arms[1][1], vy + spin * arms[0][0] - turning * arms[1][0]
     tissue = {
@@ -137,8 +138,8 @@ def base(motion: LimbSeries, device: str) -> dict[str, Any]:
         "damping": dict(DAMPING),
     }
     arm, flexed = 0.09 * HEIGHT, "joints.flexion.angle"
-    torque = f"{SPRING!r}*mean({flexed}**2)"
     settled = "max(0, t/max(abs(t), 1e-9))"  # 0 before the motion, then 1
+    help_of_spring = f"{SPRING!r}*mean({settled}*{flexed}**2)"
     drivers = {
         axis: {"type": "driver", "bodies": ["ground", "thigh"], "coordinate": axis, "motion": text}
         for axis, (text, *_) in zip(("x", "y", "angle"), series, strict=True)
@@ -175,19 +176,13 @@ def base(motion: LimbSeries, device: str) -> dict[str, Any]:
             "added": {"value": f"max({settled}*abs(joints.knee.force))", "unit": "N"},
             "shear_thigh": {"value": f'max({settled}*abs(cuffs["brace.upper"].shear_force))', "unit": "N"},
             "shear_shank": {"value": f'max({settled}*abs(cuffs["brace.lower"].shear_force))', "unit": "N"},
-            "transmitted": {"value": f"mean(joints.flexion.torque*{flexed})/({torque})"},
+            "transmitted": {"value": f"mean({settled}*joints.flexion.torque*{flexed})/({help_of_spring})"},
         },
         "formulation": "ggl",
         "integrator": {"name": "radau-iia", "stages": 3},
         "time": {"start": -motion.settling, "end": motion.duration, "step": STEP},
         "accept": ["cuff-loads"],
     }  # fmt: skip
-
-
-def _turned(angle: float, point: Any) -> tuple[float, float]:
-    """Return a point (x, y), turned by an angle [rad]."""
-    c, s = float(np.cos(angle)), float(np.sin(angle))
-    return c * point[0] - s * point[1], s * point[0] + c * point[1]
 
 
 def study(quick: bool) -> dict[str, object]:

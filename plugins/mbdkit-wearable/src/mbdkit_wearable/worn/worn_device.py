@@ -41,7 +41,7 @@ class WornDevice(Follower):
 
     def __init__(self, device: Device, name: str, person: Mechanism):
         self.device, self.name, self.person = device, name, person
-        self.worn, self.deviations, self.remarks = device.worn, DEVIATIONS, ()
+        self.worn, self.deviations = device.worn, DEVIATIONS
         limbs = dict.fromkeys(one.limb for one in device.attach.values() if one.limb != GROUND)
         if not limbs:
             raise SpecError("attaches no link to a limb", key=f"devices.{quoted(name)}.attach")

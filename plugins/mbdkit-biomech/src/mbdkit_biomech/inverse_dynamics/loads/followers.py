@@ -135,4 +135,4 @@ def remarks_of(problem: InverseProblem) -> list[str]:
         carries = f"whose weight and inertia change {listed(plates, 'and')}" if plates else "and no plate carries it"
         listed_names = listed([f"'{name}'" for name in unmeasured], "and")
         told.append(f"the loads were measured without {listed_names}, {carries}.")
-    return [*told, *(f"{name}: {remark}" for name, one in problem.followers.items() for remark in one.remarks)]
+    return told
