@@ -2,20 +2,24 @@
 
 Persons are drawn around one who walks with known joints (`person_markers`) from the distributions that the guide page
 `persons` states: markers with artefacts of the skin, one by one, all of a segment together, and in step with joints,
-hips beside the place of the regression, landmarks of the ankle beside its centre, plates with an offset in time, a
-wrong gain and a wrong point, an unknown zero of the trunk, and masses, muscles, their timing and recruitment unlike
-those of the model. The forces of the drawn person, computed from its own motion, are the truth. The generic model, the
-markers and the plates are what mbdkit gets. The draws do not use its own ones.
+hips beside the place of the regression, landmarks of knees and ankles beside the centres, plates with an offset in
+time, wrong gains and wrong points, an unknown zero of the trunk, and masses, muscles, their timing and recruitment
+unlike those of the model. The force of the ground acts `MEDIAL` beside the knees, whose compartments cannot pull. The
+forces of the right leg of the drawn person, computed from its own motion, are the truth. The generic model, the markers
+and the plates are what mbdkit gets, those of the right leg for forces, and those of both legs, without muscles, for
+contradictions. The draws do not use its own ones.
 """
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import time
 from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -24,16 +28,22 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
-from mbdkit import InverseSpec
+from mbdkit import InverseSpec, Run
 from mbdkit.base.errors import MbdkitError
+from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
+from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Compartments
+from mbdkit_biomech.inverse_dynamics.results.record import run_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.persons.plate_contacts import later
 
-from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
+from .person_markers import CLUSTERS, PELVIS, SHANK, THIGH, Array, Walker, columns_of
 
 SUBJECT = {"mass": 75, "height": 1.8, "sex": "male"}
 HIP, LANDMARK, PRESSURE, POINTS = 0.0079, 0.007, 0.005, 0.005
 """Standard deviations: hips, landmarks, points of application and points of muscles, along each axis [m]."""
+MEDIAL, COMPARTMENTS, HARD = 0.03, 0.046, 0.001
+"""Distances of the ground's force from the knee and of its compartments, and the deviation of this bound of nature [m].
+"""
 TOGETHER = {"thigh": (0.002, 0.02), "shank": (0.002, 0.015)}
 """Standard deviations of the motion of all markers of a segment together: along and about each axis [m, rad]. They are
 a third of those that fluoroscopy shows, with which markers of thigh and shank move apart at the knee as in measured
@@ -52,12 +62,16 @@ TRUNK_ZERO, FOOT_ZERO = 0.05, 0.06
 EXPONENT, MINIMUM = (2.0, 4.0), (0.01, 0.05)
 """Ranges of the exponent of recruitment and the least activation."""
 RECRUITMENT = {"exponent": 3, "minimum": 0.02, "reserves": 1.0}
-LEG = ("thigh", "shank", "foot")
+LEGS = ("", "_left")
 JOINTS = ("hip", "knee", "ankle")
+LANDMARKS = {"thigh": ("RKNE", "RKNM"), "shank": ("RANK", "RANM"), "thigh_left": ("LKNE", "LKNM"),
+             "shank_left": ("LANK", "LANM"), "foot": (), "foot_left": ()}  # fmt: skip
+"""Landmarks of the joint at the end of a segment."""
+DRAWS = 20
+"""Largest number of bodies that are drawn for the motion of a person until the muscles of one can produce it."""
 LEVEL = 0.95
 SHOWN = 50
 """Number of persons after which the table is printed."""
-CHAIN = ("trunk", *LEG)
 
 
 @dataclass(frozen=True)
@@ -65,7 +79,11 @@ class Drawn:
     """A person: spec of what was measured, and spec of the truth."""
 
     measured: dict[str, Any]
+    both_legs: dict[str, Any]
+    """The spec of both legs, without muscles."""
     truth: InverseSpec
+    forces: Run
+    """The forces without the time by which muscles are late."""
     late: float
     """Time by which the forces of the muscles are late [s]."""
 
@@ -76,7 +94,8 @@ class Tally:
 
     count: int = 0
     named: int = 0
-    """Number of persons, and of those whose contradictions are named."""
+    named_by_one: int = 0
+    """Number of persons, and of those whose contradictions are named by both legs and by one leg."""
     failed: list[str] = field(default_factory=list)
     errors: dict[str, list[Array]] = field(default_factory=dict)
     bars: dict[str, list[Array]] = field(default_factory=dict)
@@ -89,12 +108,21 @@ class Tally:
         self.errors.setdefault(name, []).append(np.atleast_1d(np.abs(error)))
         self.bars.setdefault(name, []).append(np.atleast_1d(bar))
 
+    def merge(self, other: Tally) -> None:
+        """Add the persons of another tally."""
+        for name in ("count", "named", "named_by_one", "failed", "seconds"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        for name in ("errors", "bars", "excess"):
+            for key, rows in getattr(other, name).items():
+                getattr(self, name).setdefault(key, []).extend(rows)
+
     def show(self, console: Console, deviations: str) -> None:
         """Print the table of persons whose deviations are as stated or other ones."""
         count = self.count
         table = Table(
             title=f"deviations {deviations}: {count - len(self.failed)} of {count} persons, "
-            f"{self.seconds / count:.1f} s of processor time each; contradictions named for {self.named}"
+            f"{self.seconds / count:.1f} s of processor time each; contradictions named for {self.named}, "
+            f"with one leg for {self.named_by_one}"
         )
         for heading in ("quantity", "covered [%]", "+- [%]", "bar / 95 % quantile of errors"):
             table.add_column(heading)
@@ -137,25 +165,30 @@ def _expanded() -> dict[str, Any]:
     return data
 
 
-def _spec(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
-    """Return the spec of a person with one leg and eleven muscles, from columns (T, 3) of markers and plates."""
+def forces_of(truth: InverseSpec) -> Run:
+    """Return the forces of a drawn person, whose knee has compartments that cannot pull."""
+    problem = InverseProblem.of(truth)
+    names, recruiter, walker = problem.names, problem.recruiter, _walker()
+    assert recruiter is not None
+    load, joint = walker.loads["foot"][0][:, 1], list(names.mechanism.joints).index("knee")
+    knee = Compartments("knee", joint, names.body("shank", "model"), COMPARTMENTS, HARD, MEDIAL * load, load)
+    recruiter.targets = replace(recruiter.targets, knees=(knee,))
+    return run_of(compute(problem))
+
+
+def _spec(columns: Mapping[str, Array], *, both_legs: bool = False, **sections: Any) -> dict[str, Any]:
+    """Return the spec of a person with one leg and eleven muscles, or with both legs and without muscles, from columns
+    (T, 3) of markers and plates.
+    """
     data = {"time": _walker().time} | {f"{n}.{a}": x[:, k] for n, x in columns.items() for k, a in enumerate("xyz")}
-    clusters = {body: names for body, names in CLUSTERS.items() if not body.endswith("_left")}
+    clusters = {body: names for body, names in CLUSTERS.items() if both_legs or not body.endswith("_left")}
+    smooth = {"name": "butterworth", "cutoff": CUTOFF}
     return {
         "mbdkit": 1,
         "subject": SUBJECT,
-        "model": {
-            "name": "leg",
-            "root": "trunk",
-            "muscles": "walking-two-legs",
-        },
-        "motion": {
-            "data": data,
-            "clusters": clusters,
-            "centers": {"knee": "functional"},
-            "smooth": {"name": "butterworth", "cutoff": CUTOFF},
-        },
-        "recruitment": RECRUITMENT,
+        "model": {"name": "leg", "root": "trunk", **({"legs": 2} if both_legs else {"muscles": "walking-two-legs"})},
+        "motion": {"data": data, "clusters": clusters, "smooth": smooth},
+        **({} if both_legs else {"recruitment": RECRUITMENT}),
         **sections,
     }
 
@@ -181,38 +214,55 @@ def drawn_person(random: np.random.Generator, factor: float = 1.0, **sections: A
     to the spec of what was measured.
     """
     wider = Wider(random, factor)
-    return Drawn(_spec(_measured(wider), **sections), _truth(wider), DELAY * wider.standard_normal())
+    columns = _measured(wider)
+    specs = _spec(columns, **sections), _spec(columns, both_legs=True)
+    for left in reversed(range(DRAWS)):
+        truth = _truth(wider)
+        try:
+            return Drawn(*specs, truth, forces_of(truth), DELAY * wider.standard_normal())
+        except MbdkitError:
+            if not left:
+                raise
+    raise AssertionError
 
 
 def _measured(random: Wider) -> dict[str, Array]:
     """Return the columns of markers and plates."""
     walker = _walker()
     markers = walker.markers(random.random)  # artefacts are estimated from the markers, not stated
-    shift = HIP * random.standard_normal(3)
+    right, left = HIP * random.standard_normal((2, 3))
     for name in CLUSTERS["trunk"]:
+        share = PELVIS[name][2] / walker.joints["hip"][0, 2]  # 1 at the place of the right hip, -1 at that of the left
+        shift = (right + left) / 2 + np.array([share, share, 0.0]) * (right - left) / 2
         markers[name] = markers[name] + walker.turned("trunk", tuple(shift))
-    shift = LANDMARK * random.standard_normal(3)
-    for name in ("RANK", "RANM"):
-        markers[name] = markers[name] + walker.turned("shank", tuple(shift))
-    for joint in ("knee", "ankle"):
+    for body, names in LANDMARKS.items():
+        shift = LANDMARK * random.standard_normal(3)
+        for name in names:
+            markers[name] = markers[name] + walker.turned(body, tuple(shift))
+    for joint in (f"{name}{leg}" for leg in LEGS for name in ("knee", "ankle")):
         x, y = (IN_STEP * random.standard_normal(2)).tolist()
         walker.move_in_step(markers, joint, (x, y))
-    for body, (along, about) in TOGETHER.items():
+    for body in (f"{name}{leg}" for leg in LEGS for name in TOGETHER):
+        along, about = TOGETHER[body.removesuffix("_left")]
         slide, turn = along * walker.skin(random.random), about * walker.skin(random.random)
         middle = np.mean([markers[name] for name in CLUSTERS[body]], axis=0)
-        for name in (*CLUSTERS[body], *(("RANK", "RANM") if body == "shank" else ())):
+        for name in (*CLUSTERS[body], *LANDMARKS[body]):
             markers[name] = markers[name] + slide + np.cross(turn, markers[name] - middle)
     columns = columns_of(walker, markers)
     late = random.uniform(-0.5, 0.5) * float(walker.time[1] - walker.time[0])  # 0.29 frames
-    gain, press = np.exp(GAIN * random.standard_normal()), PRESSURE * random.standard_normal()
-    for number in range(1, len(walker.contacts()) + 1):
+    gain = dict(zip(walker.loads, np.exp(GAIN * random.standard_normal(2)), strict=True))
+    press = dict(zip(walker.loads, PRESSURE * random.standard_normal(2), strict=True))
+    for number, (foot, *_) in enumerate(walker.contacts(), 1):
         names = [f"plate{number}.{one}" for one in ("force", "point", "torque")]
         force, point, torque = (columns[name] for name in names)
         moment = np.where(np.isnan(point), 0.0, point) * force[:, 2:]
-        force, moment, torque = (_later(walker.time, x, late) for x in (gain * force, gain * moment, torque))
+        force, moment, torque = (
+            _later(walker.time, x, late) for x in (gain[foot] * force, gain[foot] * moment, torque)
+        )
         acts = force[:, 2] > 10.0
+        beside = np.array([press[foot], MEDIAL if foot == "foot" else -MEDIAL, 0.0])
         with np.errstate(divide="ignore", invalid="ignore"):
-            point = np.where(acts[:, None], moment / force[:, 2:], np.nan) + np.array([press, 0.0, 0.0])
+            point = np.where(acts[:, None], moment / force[:, 2:], np.nan) + beside
         columns |= dict(zip(names, (force * acts[:, None], point, torque), strict=True))
     return columns
 
@@ -238,7 +288,7 @@ def _truth(random: Wider) -> InverseSpec:
                     item["point"] = [*map(_moved, item["point"], move), *item["point"][2:]]
     zero = TRUNK_ZERO * random.standard_normal()
     tilt = walker.angles["trunk"] - np.mean(walker.angles["trunk"]) + zero
-    angles = [tilt, *(walker.angles[name] for name in LEG)]
+    angles = [tilt, *(walker.angles[name] for name in ("thigh", "shank", "foot"))]
     angles[-1] = angles[-1] + FOOT_ZERO * random.standard_normal()
     columns = {"hip_x": walker.hip[:, 0], "hip_y": walker.hip[:, 1], "trunk_tilt": tilt}
     names = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion")
@@ -284,19 +334,26 @@ def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200
     If `doubled`, the deviations of every second person are twice those that are stated.
     """
     tallies = [Tally(), Tally()] if doubled else [Tally()]
-    for number in range(count):
-        tally, begin = tallies[number % len(tallies)], time.process_time()
-        tally.count += 1
-        try:
-            add_person(tally, np.random.default_rng([seed, number]), samples, 1.0 + number % len(tallies))
-        except MbdkitError as error:
-            tally.failed.append(f"{number}: {error}")
-        tally.seconds += time.process_time() - begin
-        if number + 1 == count or (number + 1) % SHOWN == 0:
-            for of, factor in zip(tallies, ("as stated", "doubled"), strict=False):
-                of.show(console, factor)
+    tally_of = functools.partial(_tally, seed=seed, samples=samples, halves=len(tallies))
+    with ProcessPoolExecutor() as pool:
+        for number, own in enumerate(pool.map(tally_of, range(count))):
+            tallies[number % len(tallies)].merge(own)
+            if number + 1 == count or (number + 1) % SHOWN == 0:
+                for of, factor in zip(tallies, ("as stated", "doubled"), strict=False):
+                    of.show(console, factor)
     for text in (text for tally in tallies for text in tally.failed):
         console.print(f"failed: {text}")
+
+
+def _tally(number: int, seed: int, samples: int, halves: int) -> Tally:
+    """Return the tally of one person."""
+    tally, begin = Tally(count=1), time.process_time()
+    try:
+        add_person(tally, np.random.default_rng([seed, number]), samples, 1.0 + number % halves)
+    except MbdkitError as error:
+        tally.failed.append(f"{number}: {error}")
+    tally.seconds = time.process_time() - begin
+    return tally
 
 
 def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: float = 1.0) -> None:
@@ -305,10 +362,12 @@ def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: 
     """
     person = drawn_person(random, factor, uncertainty={"samples": samples})
     with redirect_stderr(io.StringIO()):
-        found, truth = mbdkit.inverse(person.measured), mbdkit.inverse(person.truth)
+        found, both = mbdkit.inverse(person.measured), mbdkit.inverse(person.both_legs)
     assert found.accuracy is not None
-    parts, at_time = found.accuracy.parts, np.asarray(truth.time)
-    tally.named += any("misfit:" in text for text in found.warnings)
+    parts, truth = found.accuracy.parts, person.forces
+    at_time = np.asarray(truth.time)
+    tally.named += any("misfit:" in text for text in both.warnings)
+    tally.named_by_one += any("misfit:" in text for text in found.warnings)
     without = truth.array("muscles/reaction_force_without")
     for joint in JOINTS:
         place = list(found.joint_names).index(joint)
@@ -325,13 +384,13 @@ def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: 
         corrected = excess - parts["reaction_peak_bias"][place]
         tally.add(f"peak of the {joint}, corrected", corrected, bar)
         tally.excess.setdefault(joint, []).append((excess, corrected))
-    errors, peaks, bars, bars_of_peaks = [], [], [], []
+    errors, peaks, wide, wide_at_peaks = [], [], [], []
     for name, muscle in found.muscles.items():
         tension = later(at_time, truth.muscles[name].force, -person.late)
         at = int(np.argmax(muscle.force))
         errors.append(muscle.force - tension)
         peaks.append(muscle.force[at] - np.max(tension))
-        bars.append(muscle.force_error)
-        bars_of_peaks.append(muscle.force_error[at])
-    tally.add("forces of muscles", np.concatenate(errors), np.concatenate(bars))
-    tally.add("peaks of muscles", np.array(peaks), np.array(bars_of_peaks))
+        wide.append(muscle.force_error)
+        wide_at_peaks.append(muscle.force_error[at])
+    tally.add("forces of muscles", np.concatenate(errors), np.concatenate(wide))
+    tally.add("peaks of muscles", np.array(peaks), np.array(wide_at_peaks))
