@@ -2,14 +2,17 @@
 
 Bars are quantiles of the magnitudes of the changes in samples of all scalars together, so that they contain the bounds
 of activations, interactions of the sources, and the bias of the result. Bars of largest forces are about the median of
-the samples: on average, the largest value of a disturbed curve exceeds that of the curve, and the result is one too.
-Normal scalars of the samples are orthogonal to
-each other and come in pairs of opposite sign: for linear functions, mean squares over samples are then exact.
+the samples. Normal scalars of the samples are orthogonal to each other and come in pairs of opposite sign: for linear
+functions, mean squares over samples are then exact.
 
 The share of a source in the mean square of a change d is ``E[d_k . d] / E[d . d]``, with the change d_k of the source
 alone: its variance plus the product of its mean change with the mean change of all. Moments of d_k are those of a
 quadrature (`UncertainScalar.nodes`), which is first order for linear functions and follows corners otherwise.
 Interactions are what the shares leave.
+
+On average, the largest value of a disturbed curve exceeds that of the curve, to second order by a sum over the sources.
+Errors of what is measured on a person disturb the result, whose largest force is then too large. Muscles and devices of
+the person differ from those of the model, so that the true curve is the disturbed one, and the result too small.
 
 First order alone would not suffice. For a person without muscles, its bars are within 10 % of those of samples at all
 times; for nine muscles of one leg in 29 % of the frames, and for 18 muscles of two legs in 46 %. They are mostly too
@@ -55,8 +58,7 @@ class UncertainResult:
     peaks: np.ndarray
     """(J,) bounds of the errors of the largest forces of joints over the motion [N]."""
     peak_bias: np.ndarray
-    """(J,) expected excess of the largest forces of joints over the true ones [N]: the largest value of a disturbed
-    curve exceeds that of the curve, and distributions that are not centred about the result shift it."""
+    """(J,) expected excess of the largest forces of joints over the true ones [N]; see the module."""
     scatter: np.ndarray
     """(J,) relative standard errors of the bounds of forces, by the number of samples, where the forces are largest."""
     kinds: Mapping[str, Kind]
@@ -176,12 +178,9 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
         moves[..., 3:],
         _bound(np.abs(muscles)) ** 2,
     ]
-    largest, middle = np.max(sizes, axis=1), np.nanmedian(sizes, axis=0)
-    own = np.linalg.norm(nominal.reactions[0, ..., :2], axis=-1)
-    at, shift = np.argmax(own, axis=0), np.max(middle, axis=0) - np.max(own, axis=0)
-    bias = np.nanmedian(largest, axis=0) - np.max(middle, axis=0) - shift
+    largest, at = np.max(sizes, axis=1), np.argmax(np.linalg.norm(nominal.reactions[0, ..., :2], axis=-1), axis=0)
     kinds = {source.group: source.kind for source in sources}
-    shares = _shares(stacked, sources, nominal, force, [*kinds])
+    shares, bias = _shares(stacked, sources, nominal, force, [*kinds])
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
     failures = int(np.sum(failed.any(axis=1))), _added(result, sources, values, reactions), float(np.mean(failed))
     scatter = _scatter(changes[:, at, np.arange(len(at))])
@@ -259,30 +258,35 @@ def _shares(
     nominal: Outcomes,
     force: np.ndarray,
     groups: Sequence[str],
-) -> np.ndarray:
-    """Return the shares (G, T, J) of groups in the mean squares of changes `force` (S, T, J, 2); see the module."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shares (G, T, J) of groups in the mean squares of changes `force` (S, T, J, 2), and expected excesses
+    (J,) of the largest forces; see the module.
+    """
     known = np.isfinite(force)
     number = np.maximum(np.sum(known, axis=0), 1)
     mean = np.sum(np.where(known, force, 0.0), axis=0) / number
     square = np.sum(np.sum(np.where(known, force * force, 0.0), axis=0) / number, axis=-1)
     safe = np.where(square > 0, square, 1.0)
-    found = np.zeros((len(groups), *square.shape))
-    for group, weights, changed in _alone(stacked, sources):
+    found, excess = np.zeros((len(groups), *square.shape)), np.zeros(square.shape[1])
+    largest = np.max(np.linalg.norm(nominal.reactions[0, ..., :2], axis=-1), axis=0)
+    for source, weights, changed in _alone(stacked, sources):
+        more = np.max(np.nan_to_num(np.linalg.norm(changed, axis=-1)), axis=1) - largest
+        excess += (1.0 if source.kind == "person" else -1.0) * np.sum(weights[:, None] * more, axis=0)
         change = np.nan_to_num(changed - nominal.reactions[..., :2])
         weighted = weights[:, None, None, None] * change
         own, own_square = np.sum(weighted, axis=0), np.sum(np.sum(weighted * change, axis=0), axis=-1)
-        found[groups.index(group)] += (own_square + np.sum(own * (mean - own), axis=-1)) / safe
-    return found
+        found[groups.index(source.group)] += (own_square + np.sum(own * (mean - own), axis=-1)) / safe
+    return found, excess
 
 
 def _alone(
     stacked: StackedOutcomes, sources: Sequence[UncertainScalar]
-) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Yield the group, the weights (N,) and the forces (N, T, J, 2) of the nodes of each scalar."""
+) -> Iterator[tuple[UncertainScalar, np.ndarray, np.ndarray]]:
+    """Yield each scalar with the weights (N,) and the forces (N, T, J, 2) of its nodes."""
     units = zip(np.eye(len(sources)), sources, strict=True)
     values = np.array([value * unit for unit, one in units for value, _ in one.nodes])
     every, begin = stacked.at(values).reactions[..., :2], 0
     for source in sources:
         weights = np.array([weight for _, weight in source.nodes])
-        yield source.group, weights, every[begin : begin + len(weights)]
+        yield source, weights, every[begin : begin + len(weights)]
         begin += len(weights)
