@@ -155,14 +155,16 @@ def _walker() -> Walker:
 
 
 @lru_cache(maxsize=1)
-def _expanded() -> dict[str, Any]:
-    """Return the spec of the model that is scaled to exact markers, as plain data."""
+def _expanded() -> tuple[dict[str, Any], float]:
+    """Return the spec of the model that is scaled to exact markers, as plain data, and the angle of its flat foot less
+    that of the walker.
+    """
     walker = _walker()
     spec = load_inverse_spec(_spec(columns_of(walker, walker.markers())))
     assert spec.person is not None
     data: dict[str, Any] = json.loads(spec.expanded.canonical_json())
     data["model"] |= {"thigh_length": THIGH, "shank_length": SHANK}
-    return data
+    return data, float(np.median(spec.person.columns["bodies.foot.angle"] - walker.angles["foot"]))
 
 
 def forces_of(truth: InverseSpec) -> Run:
@@ -253,8 +255,8 @@ def _measured(random: Wider) -> dict[str, Array]:
     gain = dict(zip(walker.loads, np.exp(GAIN * random.standard_normal(2)), strict=True))
     press = dict(zip(walker.loads, PRESSURE * random.standard_normal(2), strict=True))
     for number, (foot, *_) in enumerate(walker.contacts(), 1):
-        names = [f"plate{number}.{one}" for one in ("force", "point", "torque")]
-        force, point, torque = (columns[name] for name in names)
+        plate = [f"plate{number}.{one}" for one in ("force", "point", "torque")]
+        force, point, torque = (columns[name] for name in plate)
         moment = np.where(np.isnan(point), 0.0, point) * force[:, 2:]
         force, moment, torque = (
             _later(walker.time, x, late) for x in (gain[foot] * force, gain[foot] * moment, torque)
@@ -263,7 +265,7 @@ def _measured(random: Wider) -> dict[str, Array]:
         beside = np.array([press[foot], MEDIAL if foot == "foot" else -MEDIAL, 0.0])
         with np.errstate(divide="ignore", invalid="ignore"):
             point = np.where(acts[:, None], moment / force[:, 2:], np.nan) + beside
-        columns |= dict(zip(names, (force * acts[:, None], point, torque), strict=True))
+        columns |= dict(zip(plate, (force * acts[:, None], point, torque), strict=True))
     return columns
 
 
@@ -274,7 +276,7 @@ def _later(at: Array, values: Array, late: float) -> Array:
 
 def _truth(random: Wider) -> InverseSpec:
     """Return the spec of the drawn person with its own motion, loads and muscles."""
-    walker, data = _walker(), json.loads(json.dumps(_expanded()))
+    walker, (data, flat) = _walker(), json.loads(json.dumps(_expanded()))
     muscles = data["model"]["muscles"]
     common = STRENGTH * random.standard_normal()
     for muscle in muscles.values():
@@ -289,7 +291,7 @@ def _truth(random: Wider) -> InverseSpec:
     zero = TRUNK_ZERO * random.standard_normal()
     tilt = walker.angles["trunk"] - np.mean(walker.angles["trunk"]) + zero
     angles = [tilt, *(walker.angles[name] for name in ("thigh", "shank", "foot"))]
-    angles[-1] = angles[-1] + FOOT_ZERO * random.standard_normal()
+    angles[-1] = angles[-1] + flat + FOOT_ZERO * random.standard_normal()
     columns = {"hip_x": walker.hip[:, 0], "hip_y": walker.hip[:, 1], "trunk_tilt": tilt}
     names = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion")
     for name, sign, above, below in zip(names, (1, -1, 1), angles, angles[1:], strict=False):

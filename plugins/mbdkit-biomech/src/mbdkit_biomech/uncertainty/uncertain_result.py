@@ -58,7 +58,7 @@ class UncertainResult:
     peaks: np.ndarray
     """(J,) bounds of the errors of the largest forces of joints over the motion [N]."""
     peak_bias: np.ndarray
-    """(J,) expected excess of the largest forces of joints over the true ones [N]; see the module."""
+    """(J,) expected excess of the largest forces of joints over the true ones, without noise [N]; see the module."""
     scatter: np.ndarray
     """(J,) relative standard errors of the bounds of forces, by the number of samples, where the forces are largest."""
     kinds: Mapping[str, Kind]
@@ -103,13 +103,15 @@ class UncertainResult:
             f"{counted(self.scalars, 'scalar')} of {counted(len(self.kinds), 'source')}{failed}."
         )
 
-    def parts(self, of_data: np.ndarray, whole: np.ndarray) -> dict[str, TableColumn]:
+    def parts(self, of_data: np.ndarray, whole: np.ndarray, excess: np.ndarray) -> dict[str, TableColumn]:
         """Return the parts of the bars of joint forces, by the name of their arrays in the archive.
 
         Parameters
         ----------
         of_data, whole
             (T, J) squared bars by the data alone, and of the result.
+        excess
+            (J,) expected excess of the largest forces by noise [N].
         """
         own = self.squares[1]
         safe = np.where(whole > 0, whole, 1.0)
@@ -118,7 +120,7 @@ class UncertainResult:
         by_kind = {kind: np.sqrt(self.share_of(kind) * own) for kind in kinds}
         words = {"person": "the person"}
         what = "error of the largest reaction_force over the motion by person and muscles"
-        excess = "expected excess of the largest reaction_force over the true one"
+        more = "expected excess of the largest reaction_force over the true one"
         share = "share of the source in the square of reaction_error, nan where unknown"
         sources = np.array([OF_DATA, *self.kinds, INTERACTIONS], object)
         return {
@@ -129,7 +131,7 @@ class UncertainResult:
             },
             **self._added_parts(),
             "reaction_peak_error": TableColumn(self.peaks, ("joint",), "N", what),
-            "reaction_peak_bias": TableColumn(self.peak_bias, ("joint",), "N", excess),
+            "reaction_peak_bias": TableColumn(self.peak_bias + excess, ("joint",), "N", more),
             "source": TableColumn(sources, ("source",), "1", "name of the source of uncertainty"),
             "contribution": TableColumn(np.array(rows), ("source", *_TJ), "1", share),
         }

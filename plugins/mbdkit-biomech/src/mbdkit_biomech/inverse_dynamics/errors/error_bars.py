@@ -182,7 +182,9 @@ def error_bars(result: Inverse) -> ResultBars | None:
         square[more > HIDDEN**2 * square] = np.nan
     method = _method(result, data.deviation, *([one.name for one in group] for group in groups), gaps=gaps)
     method += "" if uncertain is None else uncertain.told
-    parts = {} if uncertain is None else uncertain.parts(of_data, squares[1])
+    parts = {}
+    if uncertain is not None:
+        parts = uncertain.parts(of_data, squares[1], _excess_by_noise(data, result, sensitivity[1]))
     actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
     return ResultBars(
         data.noise,
@@ -212,6 +214,21 @@ def _covariances(data: NoisyData, others: Sequence[_Other]) -> list[np.ndarray]:
         for index, change in enumerate([own, *(other.noise(noise).every - own for other in others)]):
             totals[index] = totals[index] + products(change, np.swapaxes(change, 1, 2))
     return [np.asarray(total / data.asked.samples) for total in totals]
+
+
+def _excess_by_noise(data: NoisyData, result: Inverse, sensitivity: np.ndarray) -> np.ndarray:
+    """Return by how much the largest forces (J,) exceed those without noise on average, given the derivatives (3 U, T,
+    J, 3) of the reactions.
+    """
+    force = reactions_of(result)[..., :2]
+    frames, joints, _ = force.shape
+    derivatives = np.moveaxis(sensitivity[..., :2], 0, -1).reshape(frames, 2 * joints, -1)
+    largest, total = np.max(np.linalg.norm(force, axis=2), axis=0), np.zeros(joints)
+    for noise in data.samples(data.asked.samples):
+        change = products(derivatives, data.path.smoothed(noise).every).reshape(frames, joints, 2, -1)
+        sizes = np.linalg.norm(force[..., None] + change, axis=2)
+        total += np.sum(np.max(sizes, axis=0) - largest[:, None], axis=1)
+    return np.asarray(total / data.asked.samples)
 
 
 def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) -> list[np.ndarray]:
