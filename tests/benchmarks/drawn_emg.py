@@ -2,8 +2,8 @@
 
 Persons are those of `drawn_persons`, but their activations are not those of recruitment: they follow targets that
 differ from it by a factor, the exponential of a Gaussian process in time with the standard deviation 0.3, and by
-co-contraction, the magnitude of another one with 0.08. Their EMG has a coefficient of variation of 0.3; a third result
-has noise in its place.
+co-contraction, the magnitude of another one with 0.08. Their EMG is 70 ms early and has a coefficient of variation of
+0.3; a third result has noise in its place.
 """
 
 from __future__ import annotations
@@ -22,22 +22,23 @@ from mbdkit import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
-from .drawn_persons import Array, Drawn, _walker, drawn_person
+from .drawn_persons import Array, Drawn, _walker, drawn_person, forces_of
 
-FACTOR, TOGETHER, NOISE, DEVIATION = 0.3, 0.08, 0.3, 0.4
-"""Standard deviations of factors, of co-contraction, and of EMG; and the stated one, with that of the strength."""
+FACTOR, TOGETHER, NOISE, DEVIATION, EARLY = 0.3, 0.08, 0.3, 0.4, 0.07
+"""Standard deviations of factors, of co-contraction, and of EMG; the stated one, with that of the strength; and the
+time from EMG to force [s]."""
 
 
-def _with_emg(data: dict[str, Any], emg: dict[str, Array], deviation: float) -> dict[str, Any]:
+def _with_emg(data: dict[str, Any], emg: dict[str, Array], deviation: float, delay: float = EARLY) -> dict[str, Any]:
     """Return a spec with columns (T,) of EMG by muscle."""
     motion = {**data["motion"], "data": {**data["motion"]["data"], **{f"emg_{name}": x for name, x in emg.items()}}}
-    channels = {name: {"column": f"emg_{name}", "deviation": deviation} for name in emg}
+    channels = {name: {"column": f"emg_{name}", "deviation": deviation, "delay": delay} for name in emg}
     return {**data, "motion": motion, "emg": channels}
 
 
 def _truth(person: Drawn, random: np.random.Generator) -> Run:
     """Return the forces of a person who co-contracts."""
-    with mbdkit.inverse(person.truth) as alone:
+    with person.forces as alone:
         activation = {name: np.asarray(muscle.activation) for name, muscle in alone.muscles.items()}
     process = lambda: _walker().skin(random)[:, 0]  # noqa: E731
     targets = {
@@ -46,8 +47,8 @@ def _truth(person: Drawn, random: np.random.Generator) -> Run:
     }
     data, recruitment = json.loads(person.truth.canonical_json()), person.truth.recruitment
     assert recruitment is not None
-    spec = load_inverse_spec(_with_emg({**data, "recruitment": {"reserves": 1.0}}, targets, 0.05))
-    return mbdkit.inverse(spec.model_copy(update={"recruitment": recruitment}))
+    spec = load_inverse_spec(_with_emg({**data, "recruitment": {"reserves": 1.0}}, targets, 0.05, 0.0))
+    return forces_of(spec.model_copy(update={"recruitment": recruitment}))
 
 
 def emg(console: Console, count: int = 20, seed: int = 76) -> None:
@@ -63,7 +64,9 @@ def emg(console: Console, count: int = 20, seed: int = 76) -> None:
                 channels: dict[str, dict[str, Array]] = {"no EMG": {}, "EMG": {}, "noise": {}}
                 for name, muscle in truth.muscles.items():
                     scatter, noise = (_walker().skin(random)[:, 0] for _ in range(2))
-                    channels["EMG"][name] = np.clip(muscle.activation * np.exp(NOISE * scatter), 0.0, 1.0)
+                    at = np.asarray(truth.time)
+                    own = np.interp(at + EARLY, at, muscle.activation)
+                    channels["EMG"][name] = np.clip(own * np.exp(NOISE * scatter), 0.0, 1.0)
                     channels["noise"][name] = np.clip(0.02 + 0.15 * np.abs(noise), 0.0, 1.0)
                 found = {key: mbdkit.inverse(_with_emg(measured, own, DEVIATION)) for key, own in channels.items()}
         except MbdkitError as error:

@@ -66,7 +66,7 @@ def _channel(
     if np.any(values[known] < 0.0):
         whole = np.interp(at, at[known], np.abs(values[known] - np.mean(values[known])))
         values, known = np.maximum(low_passed(at, whole[:, None], ENVELOPE)[:, 0], 0.0), np.ones(len(at), dtype=bool)
-    values = np.interp(time, at[known], values[known]) / (asked.maximum or 1.0)
+    values = np.interp(time - asked.delay, at[known], values[known]) / (asked.maximum or 1.0)
     if np.max(values) > 1.5:
         raise SpecError(
             f"is up to {np.max(values):.3g} times its `maximum`, the envelope in a maximal contraction: give it in the "

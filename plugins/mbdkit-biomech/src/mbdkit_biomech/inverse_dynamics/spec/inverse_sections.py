@@ -444,6 +444,8 @@ class Emg(Section):
     deviation: Annotated[float, Field(gt=0, le=10)] = 0.4
     """Standard deviation of the activation that the EMG shows, relative to it. The default is 0.3 for the EMG, and 0.28
     for the strength of the muscle, which scales its activations."""
+    delay: Annotated[float, Field(ge=0, le=0.5)] = 0.07
+    """Time from the EMG to the force of the muscle [s]."""
 
 
 class Span(Section):
