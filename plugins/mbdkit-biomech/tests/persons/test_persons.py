@@ -18,7 +18,8 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.commands import repeated_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
-from mbdkit_biomech.persons.joint_centers import IN_STEP, LANDMARKS, REGRESSION
+from mbdkit_biomech.persons.calibration import angle_of
+from mbdkit_biomech.persons.joint_centers import LANDMARKS, REGRESSION, in_step
 from mbdkit_biomech.persons.landmarks import Side, landmark
 from mbdkit_biomech.persons.person import Person
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, poses_of
@@ -42,12 +43,13 @@ def test_errors_of_a_point_of_a_segment_have_the_covariance_of_fitzpatrick() -> 
 def test_centres_and_lengths_lie_within_their_stated_covariances() -> None:
     walker, random = Walker.of_example(2), np.random.default_rng(3)
     truth = {name: in_laboratory(points, HEADING) for name, points in walker.joints.items()}
+    turns = {name: one.turn for name, one in skeleton_of(walker, walker.markers(), HEADING).centers.items()}
     squares: dict[str, list[float]] = {}
     lengths = []
     for _ in range(32):
         markers = walker.markers(random)
         for joint in FUNCTIONAL:
-            walker.move_in_step(markers, joint, tuple(IN_STEP * random.standard_normal(2)))
+            walker.move_in_step(markers, joint, tuple(in_step(turns[joint]) * random.standard_normal(2)))
         person = skeleton_of(walker, markers, HEADING, **FUNCTIONAL)
         at = person.segments.reference
         for joint, (a, b) in person.segments.joints.items():
@@ -70,6 +72,17 @@ def test_centres_and_lengths_lie_within_their_stated_covariances() -> None:
     assert np.all(np.std(lengths, axis=0) < 1.4)
 
 
+def test_skin_in_step_with_a_joint_shifts_its_centre_the_more_the_less_it_turns() -> None:
+    walker = Walker.of_example(2)
+    centers = skeleton_of(walker, walker.markers(), HEADING, **FUNCTIONAL).centers
+    hip, knee, ankle = (walker.joints[name] for name in ("hip", "knee", "ankle"))
+    flexion = np.degrees(np.ptp(np.unwrap(angle_of(hip - knee) - angle_of(knee - ankle))))
+    assert np.degrees(centers["knee"].turn) == pytest.approx(flexion, abs=1)  # the range, whatever the first frame
+    for joint in FUNCTIONAL:  # without artefacts, nothing else is uncertain in the plane
+        np.testing.assert_allclose(centers[joint].deviation, 0.006 / centers[joint].turn, rtol=0.02)
+    assert centers["ankle"].turn < centers["knee"].turn
+
+
 @pytest.mark.parametrize(("heading", "up"), [(0.0, "z"), (np.pi, "z"), (2.0, "z"), (0.0, "y")])
 def test_the_plane_is_found_for_every_heading(heading: float, up: str) -> None:
     person = loaded(recorded(heading=heading, up=up)).person
@@ -90,7 +103,7 @@ def test_landmarks_by_name_midpoints_and_regression_find_exact_centres_without_a
     assert [one.method for one in person.centers.values()] == ["combined"] * 6
     for joint, one in person.centers.items():  # exact in the plane, but for the shift by skin in step with the joint
         alone = REGRESSION if joint.startswith("hip") else LANDMARKS
-        both = 1 / np.sqrt(1 / alone**2 + 1 / IN_STEP**2)
+        both = 1 / np.sqrt(1 / alone**2 + 1 / in_step(one.turn) ** 2)
         np.testing.assert_allclose(one.deviation, both, rtol=0.1)
     other = loaded(
         data_of(walker, columns_of(walker, walker.markers(), HEADING)), motion={"centers": {"knee": midpoint}}
