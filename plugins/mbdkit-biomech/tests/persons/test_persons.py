@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tests.inverse_dynamics.c3d_files import Convention, c3d_bytes
 from tests.inverse_dynamics.force_plates import plate
-from tests.persons.walkers import FUNCTIONAL, SUBJECT, data_of, loaded, person_spec, recorded, skeleton_of
+from tests.persons.walkers import FUNCTIONAL, SUBJECT, data_of, loaded, person_spec, recorded, skeleton_of, trc_text
 
 import mbdkit
 from mbdkit import SpecError
@@ -117,18 +117,6 @@ def test_landmarks_by_name_midpoints_and_regression_find_exact_centres_without_a
             found = np.column_stack([one.columns[f"markers.{name}.{axis}"] for axis in "xy"])
             np.testing.assert_allclose(found - [shift, 0.0], walker.joints[name][:, :2], rtol=0, atol=1e-4)
     assert other.person.centers["knee"].method == "midpoint"
-
-
-def trc_text(time: np.ndarray, markers: dict[str, np.ndarray]) -> str:
-    """Return markers (T, 3) in metres as the text of a .trc file in millimetres."""
-    count = len(markers)
-    lines = ["PathFileType\t4\t(X/Y/Z)\tstatic.trc", "NumFrames\tNumMarkers\tUnits", f"{len(time)}\t{count}\tmm"]
-    lines.append("Frame#\tTime\t" + "\t\t\t".join(markers))
-    lines.append("\t\t" + "\t".join(f"{axis}{k}" for k in range(1, count + 1) for axis in "XYZ"))
-    for row, at in enumerate(time):
-        values = [1000 * value for own in markers.values() for value in own[row]]
-        lines.append("\t".join([str(row + 1), f"{at:.5f}", *(f"{value:.2f}" for value in values)]))
-    return "\n".join(lines) + "\n"
 
 
 def test_a_static_trial_gives_upright_angles_and_landmarks_to_several_motions(tmp_path: Path) -> None:
