@@ -148,7 +148,10 @@ def trc(folder: Path, *changes: tuple[str, str]) -> MeasuredTable:
     return read_table(folder / "t.trc", "motion.file")
 
 
-@pytest.mark.parametrize("changes", [(), (("A\t\t\t", "\t\t\t"),), (("A\t\t\tB\t\t", "A\tB"),)])
+@pytest.mark.parametrize(
+    "changes",
+    [(), (("A\t\t\t", "\t\t\t"),), (("A\t\t\tB\t\t", "A\tB"),), (("100\t1\t2\tmm", "  100.0\t\t 1\t\t 2\t\t mm"),)],
+)
 def test_each_marker_has_the_three_columns_below_its_name(tmp_path: Path, changes: tuple[tuple[str, str], ...]) -> None:
     table = trc(tmp_path, *changes)
     assert (table.column("B.x", "")[0], table.column("B.z", "")[0], table.unit("B.x")) == (4.0, 6.0, "mm")

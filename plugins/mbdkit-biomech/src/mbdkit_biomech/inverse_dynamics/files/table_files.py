@@ -323,6 +323,8 @@ def _read_trc(file: str, lines: list[str]) -> MeasuredTable:
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise SpecError("this file does not begin with `PathFileType`, as a .trc file should", file=file)
     keys, values, names, axes = ([cell.strip() for cell in line.split("\t")] for line in lines[1:5])
+    if len(stated := list(filter(None, values))) == len(named := list(filter(None, keys))):
+        keys, values = named, stated  # some files have two tabs between values, and one between their names
     header = {key.lower(): value for key, value in zip(keys, values, strict=False)}
     markers = _markers_of_trc(file, names[2:], header.get("nummarkers", ""))
     given = [axis[:1] for axis in axes if axis]
