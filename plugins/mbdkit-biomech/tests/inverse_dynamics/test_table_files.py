@@ -14,7 +14,8 @@ from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import times_of
-from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import low_passed
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Butterworth, TimeColumn
 
 HIP = [1.5, -2.25, 1000.0]
 ROWS = ["0.0,1.5,7", "0.5,-2.25,7", "1.0,1e3,7"]
@@ -147,10 +148,46 @@ def trc(folder: Path, *changes: tuple[str, str]) -> MeasuredTable:
     return read_table(folder / "t.trc", "motion.file")
 
 
-@pytest.mark.parametrize("changes", [(), (("A\t\t\t", "\t\t\t"),), (("A\t\t\tB\t\t", "A\tB"),)])
+@pytest.mark.parametrize(
+    "changes",
+    [(), (("A\t\t\t", "\t\t\t"),), (("A\t\t\tB\t\t", "A\tB"),), (("100\t1\t2\tmm", "  100.0\t\t 1\t\t 2\t\t mm"),)],
+)
 def test_each_marker_has_the_three_columns_below_its_name(tmp_path: Path, changes: tuple[tuple[str, str], ...]) -> None:
     table = trc(tmp_path, *changes)
     assert (table.column("B.x", "")[0], table.column("B.z", "")[0], table.unit("B.x")) == (4.0, 6.0, "mm")
+
+
+def timed(folder: Path, rate: str, times: list[str]) -> np.ndarray:
+    rows = "\n".join(f"{number}\t{time}\t1\t2\t3\t4\t5\t6" for number, time in enumerate(times, 1))
+    return trc(folder, ("100\t1\t2", f"{rate}\t{len(times)}\t2"), (TRC[-1], rows)).column("time", "")
+
+
+@pytest.mark.parametrize("first", [0, 24])
+def test_rounded_times_of_frames_get_the_digits_that_their_rate_states(tmp_path: Path, first: int) -> None:
+    frames = (first + np.arange(9)) / 60
+    np.testing.assert_array_equal(timed(tmp_path, "60.00", [f"{time:.3f}000" for time in frames]), frames)
+
+
+@pytest.mark.parametrize(
+    ("rate", "times"),
+    [
+        ("60", ["0.000", "0.017", "0.033", "0.067", "0.083"]),  # a row is missing
+        ("60", ["0.000", "0.017", "0.034", "0.051", "0.068"]),  # another rate
+        ("50", ["0.00", "0.02", "0.04", "0.06"]),
+        ("60", ["0.0", "0.0", "0.0", "0.1"]),  # too coarse
+    ],
+)
+def test_other_times_of_frames_stay_as_they_are_written(tmp_path: Path, rate: str, times: list[str]) -> None:
+    np.testing.assert_array_equal(timed(tmp_path, rate, times), np.array(times, dtype=float))
+
+
+def test_a_filter_names_rounding_as_the_cause_of_uneven_times() -> None:
+    time, how = np.round(np.arange(60) / 60, 3), Butterworth(name="butterworth", cutoff=6.0)
+    with pytest.raises(SpecError, match=re.escape("even apart from rounding to 0.001 s: write them with more digits")):
+        low_passed(time, np.zeros((60, 1)), how)
+    time[30:] += 1 / 60  # a row is missing
+    with pytest.raises(SpecError, match="if rows are missing"):
+        low_passed(time, np.zeros((60, 1)), how)
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from tests.inverse_dynamics.c3d_files import Convention, c3d_bytes
 from tests.inverse_dynamics.force_plates import plate
-from tests.persons.walkers import FUNCTIONAL, SUBJECT, data_of, loaded, person_spec, recorded, skeleton_of
+from tests.persons.walkers import FUNCTIONAL, SUBJECT, data_of, loaded, person_spec, recorded, skeleton_of, trc_text
 
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.commands import repeated_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
-from mbdkit_biomech.persons.joint_centers import IN_STEP, LANDMARKS, REGRESSION
+from mbdkit_biomech.persons.calibration import angle_of
+from mbdkit_biomech.persons.joint_centers import LANDMARKS, REGRESSION, in_step
 from mbdkit_biomech.persons.landmarks import Side, landmark
 from mbdkit_biomech.persons.person import Person
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, poses_of
@@ -42,12 +43,13 @@ def test_errors_of_a_point_of_a_segment_have_the_covariance_of_fitzpatrick() -> 
 def test_centres_and_lengths_lie_within_their_stated_covariances() -> None:
     walker, random = Walker.of_example(2), np.random.default_rng(3)
     truth = {name: in_laboratory(points, HEADING) for name, points in walker.joints.items()}
+    turns = {name: one.turn for name, one in skeleton_of(walker, walker.markers(), HEADING).centers.items()}
     squares: dict[str, list[float]] = {}
     lengths = []
     for _ in range(32):
         markers = walker.markers(random)
         for joint in FUNCTIONAL:
-            walker.move_in_step(markers, joint, tuple(IN_STEP * random.standard_normal(2)))
+            walker.move_in_step(markers, joint, tuple(in_step(turns[joint]) * random.standard_normal(2)))
         person = skeleton_of(walker, markers, HEADING, **FUNCTIONAL)
         at = person.segments.reference
         for joint, (a, b) in person.segments.joints.items():
@@ -70,6 +72,17 @@ def test_centres_and_lengths_lie_within_their_stated_covariances() -> None:
     assert np.all(np.std(lengths, axis=0) < 1.4)
 
 
+def test_skin_in_step_with_a_joint_shifts_its_centre_the_more_the_less_it_turns() -> None:
+    walker = Walker.of_example(2)
+    centers = skeleton_of(walker, walker.markers(), HEADING, **FUNCTIONAL).centers
+    hip, knee, ankle = (walker.joints[name] for name in ("hip", "knee", "ankle"))
+    flexion = np.degrees(np.ptp(np.unwrap(angle_of(hip - knee) - angle_of(knee - ankle))))
+    assert np.degrees(centers["knee"].turn) == pytest.approx(flexion, abs=1)  # the range, whatever the first frame
+    for joint in FUNCTIONAL:  # without artefacts, nothing else is uncertain in the plane
+        np.testing.assert_allclose(centers[joint].deviation, 0.006 / centers[joint].turn, rtol=0.02)
+    assert centers["ankle"].turn < centers["knee"].turn
+
+
 @pytest.mark.parametrize(("heading", "up"), [(0.0, "z"), (np.pi, "z"), (2.0, "z"), (0.0, "y")])
 def test_the_plane_is_found_for_every_heading(heading: float, up: str) -> None:
     person = loaded(recorded(heading=heading, up=up)).person
@@ -90,7 +103,7 @@ def test_landmarks_by_name_midpoints_and_regression_find_exact_centres_without_a
     assert [one.method for one in person.centers.values()] == ["combined"] * 6
     for joint, one in person.centers.items():  # exact in the plane, but for the shift by skin in step with the joint
         alone = REGRESSION if joint.startswith("hip") else LANDMARKS
-        both = 1 / np.sqrt(1 / alone**2 + 1 / IN_STEP**2)
+        both = 1 / np.sqrt(1 / alone**2 + 1 / in_step(one.turn) ** 2)
         np.testing.assert_allclose(one.deviation, both, rtol=0.1)
     other = loaded(
         data_of(walker, columns_of(walker, walker.markers(), HEADING)), motion={"centers": {"knee": midpoint}}
@@ -104,18 +117,6 @@ def test_landmarks_by_name_midpoints_and_regression_find_exact_centres_without_a
             found = np.column_stack([one.columns[f"markers.{name}.{axis}"] for axis in "xy"])
             np.testing.assert_allclose(found - [shift, 0.0], walker.joints[name][:, :2], rtol=0, atol=1e-4)
     assert other.person.centers["knee"].method == "midpoint"
-
-
-def trc_text(time: np.ndarray, markers: dict[str, np.ndarray]) -> str:
-    """Return markers (T, 3) in metres as the text of a .trc file in millimetres."""
-    count = len(markers)
-    lines = ["PathFileType\t4\t(X/Y/Z)\tstatic.trc", "NumFrames\tNumMarkers\tUnits", f"{len(time)}\t{count}\tmm"]
-    lines.append("Frame#\tTime\t" + "\t\t\t".join(markers))
-    lines.append("\t\t" + "\t".join(f"{axis}{k}" for k in range(1, count + 1) for axis in "XYZ"))
-    for row, at in enumerate(time):
-        values = [1000 * value for own in markers.values() for value in own[row]]
-        lines.append("\t".join([str(row + 1), f"{at:.5f}", *(f"{value:.2f}" for value in values)]))
-    return "\n".join(lines) + "\n"
 
 
 def test_a_static_trial_gives_upright_angles_and_landmarks_to_several_motions(tmp_path: Path) -> None:

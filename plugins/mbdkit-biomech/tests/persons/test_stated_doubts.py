@@ -5,13 +5,14 @@ persons who are known.
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 from tests.muscles.forearm import forearm
-from tests.persons.walkers import data_of, loaded, person_spec, recorded
+from tests.persons.walkers import data_of, loaded, person_spec, recorded, trc_text
 
 import mbdkit
 from mbdkit import SpecError
@@ -133,13 +134,32 @@ def test_the_doubt_that_changes_the_largest_force_most_comes_first() -> None:
     assert [one.sentence for one in found[1:]] == ["a remark", "unknown"]
 
 
-def test_feet_rest_on_the_belt_of_a_treadmill() -> None:
-    walker, speed = Walker.of_example(2), 1.3
+def on_treadmill(walker: Walker, speed: float) -> dict[str, np.ndarray]:
     columns = columns_of(walker, walker.markers())
     for name, values in columns.items():
         if not name.endswith(("force", "torque")):
             columns[name] = values - np.outer(speed * walker.time, [1.0, 0.0, 0.0])
-    data = data_of(walker, columns)
+    return data_of(walker, columns)
+
+
+@pytest.mark.parametrize(("stated", "way"), [(0.0, "backward"), (2.0, "forward")])
+def test_a_belt_whose_speed_is_not_stated_is_no_offset_of_the_plates(tmp_path: Path, stated: float, way: str) -> None:
+    walker = Walker.of_example(2)
+    standing = {name: np.repeat(points[:1], 10, axis=0) for name, points in walker.markers().items()}
+    (tmp_path / "standing.trc").write_text(trc_text(walker.time[:10], standing))
+    motion = {"static": str(tmp_path / "standing.trc"), "belt": stated}
+    person = loaded(on_treadmill(walker, 1.3), motion=motion).person
+    assert person is not None
+    assert person.plates.offset is None
+    doubt = next(one for one in person.findings if one.criterion == "plates" and one.level == "doubtful")
+    found = re.search(r"move (\w+) with about \S+ m/s .* state `motion.belt: (\S+)`", doubt.sentence)
+    assert found
+    assert (found[1], float(found[2])) == (way, pytest.approx(1.3, abs=0.05))
+
+
+def test_feet_rest_on_the_belt_of_a_treadmill() -> None:
+    walker, speed = Walker.of_example(2), 1.3
+    data = on_treadmill(walker, speed)
     with pytest.raises(SpecError, match="rests flat on the ground in"):
         _ = loaded(data).person
     person = loaded(data, motion={"belt": speed}).person

@@ -56,3 +56,15 @@ def skeleton_of(walker: Walker, markers: Mapping[str, Array], heading: float, **
     """Return the person of markers, (T, 3) as (forward, up, right), before its plates are assigned."""
     segments = Segments.of(CLUSTERS, legs_of(2), marker_file(walker, markers, heading), None)
     return Skeleton.of(Subject(**SUBJECT), segments, None, centers)
+
+
+def trc_text(time: Array, markers: Mapping[str, Array]) -> str:
+    """Return markers (T, 3) in metres as the text of a .trc file in millimetres."""
+    count = len(markers)
+    lines = ["PathFileType\t4\t(X/Y/Z)\tstatic.trc", "NumFrames\tNumMarkers\tUnits", f"{len(time)}\t{count}\tmm"]
+    lines.append("Frame#\tTime\t" + "\t\t\t".join(markers))
+    lines.append("\t\t" + "\t".join(f"{axis}{k}" for k in range(1, count + 1) for axis in "XYZ"))
+    for row, at in enumerate(time):
+        values = [1000 * value for own in markers.values() for value in own[row]]
+        lines.append("\t".join([str(row + 1), f"{at:.5f}", *(f"{value:.2f}" for value in values)]))
+    return "\n".join(lines) + "\n"

@@ -10,7 +10,7 @@ I - J^-1) p`` for each frame (`rigid_clusters`), are subtracted (W. A. Fuller, M
 The covariance is that of the least-squares estimate for the artefacts of the markers (`rigid_clusters`), which are
 correlated in time. If the residual of the fit is larger than they explain, because the skin moves all markers of a
 segment together, the covariance is multiplied by the ratio of the squares (R. T. Birge, Phys. Rev. 40 (1932) 207).
-Skin that moves in step with the joint shifts the centre without a residual, by `IN_STEP`.
+Skin that moves in step with the joint shifts the centre without a residual (`IN_STEP`).
 
 Combined: a centre by landmarks or regression is a second observation of p, which is independent of the motion. The
 least-squares estimate by both weighs them by their covariances. If they differ by more than their covariances explain,
@@ -64,11 +64,11 @@ degrees of the shank, which A. Ancillao, E. Aertbelien and J. De Schutter, Hum. 
 walking by fluoroscopy. In the angle of the knee they add up to 4.3 degrees; D. L. Benoit et al., Gait Posture 24 (2006)
 152-164, found up to 4.4 degrees with markers on bone pins."""
 
-IN_STEP = 0.005
-"""Standard deviation along each axis of the shift of a functional centre by skin that moves in step with the joint [m],
-which leaves no residual. Such motions are the largest of the thigh in walking (O. Barre et al., J. Biomech. 62 (2017)
-21-26). A translation d over a flexion f shifts the centre by d / f; this is a third of 18 mm / 60 degrees, an
-assumption."""
+IN_STEP = 0.006
+"""Standard deviation along each axis of the translation of skin in step with a joint over the range of its angle [m].
+It leaves no residual, but a translation d over an angle f shifts a functional centre by d / f: 6 mm for knees that bend
+by 60 degrees, and 9 mm for hips that turn by 40 degrees. Such motions are the largest of the thigh in walking (O. Barre
+et al., J. Biomech. 62 (2017) 21-26). This is a third of their range, 18 mm (`TOGETHER`), an assumption."""
 
 
 @dataclass(frozen=True)
@@ -166,10 +166,20 @@ class SegmentPair:
 
 
 def turn_of(first: Poses, second: Poses) -> float:
-    """Return the largest angle [rad] between the relative orientations of two segments in any frame and the first."""
-    relative = product(first.rotation.mT, second.rotation[:, None])
-    trace = np.sum(relative * relative[0], axis=(1, 2))
-    return float(np.max(elementary.acos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))))
+    """Return the largest angle [rad] between the relative orientations of two segments in any two frames; of longer
+    motions, `MOST_FRAMES` frames are compared.
+    """
+    step = -(-len(first.rotation) // MOST_FRAMES)
+    relative = product(first.rotation[::step].mT, second.rotation[::step, None]).reshape(-1, 9)
+    trace = np.min(product(relative, relative.T))
+    return float(elementary.acos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))
+
+
+def in_step(turn: float) -> float:
+    """Return the standard deviation of the shift of the functional centre of a joint that turns by an angle [rad], by
+    skin in step with it [m]; see `IN_STEP`.
+    """
+    return IN_STEP / max(turn, IN_STEP)
 
 
 def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> JointCenter:
@@ -231,7 +241,8 @@ def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> Jo
     birge = max(1.0, residual * residual / expected)
     covariance = product(product(inverse, birge * spread + across[:, None] * across), inverse)
     common = np.concatenate([one.T for one in pair.reference])  # a shift of both points in the laboratory
-    covariance = covariance + IN_STEP * IN_STEP * product(common, common.T)
+    shift = in_step(radians)
+    covariance = covariance + shift * shift * product(common, common.T)
     misfit = square = 0.0
     if other is not None:
         to_plane = product(pair.axes, pair.reference[0])[:2]

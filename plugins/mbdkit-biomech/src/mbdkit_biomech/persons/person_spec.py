@@ -54,7 +54,8 @@ def _plates(spec: InverseSpec, file: MarkerFile, skeleton: Skeleton) -> PlateRes
         asked = {LOADS[body]: (body, numbers) for body in feet}
     if not asked:
         return PlateResult()
-    return plates_under_feet(file, skeleton.plane, feet, asked, spec.motion.smooth, every=every)
+    smooth, belt = spec.motion.smooth, spec.motion.belt
+    return plates_under_feet(file, skeleton.plane, feet, asked, smooth, every=every, belt=belt)
 
 
 def _expanded(spec: InverseSpec, person: Person) -> InverseSpec:

@@ -33,6 +33,13 @@ a contact."""
 AT_REST = 0.15
 """Speed below which a foot rests [m/s]."""
 
+FLAT, LEAST_FLAT = 0.5, 5
+"""A foot stands flat while its angle changes more slowly than this [rad/s] and its height more slowly than `AT_REST`;
+smallest number of such frames from which the speed of a belt is found."""
+
+SLIDES, EVENLY = 0.3, 0.2
+"""Feet that stand flat on plates and move faster than this [m/s], with a scatter below this share, are on a belt."""
+
 LARGEST_OFFSET = 0.1
 """Largest offset between the times of plates and markers that is looked for [s]."""
 
@@ -177,6 +184,7 @@ def plates_under_feet(
     smooth: Smoothing,
     *,
     every: bool,
+    belt: float = 0.0,
 ) -> PlateResult:
     """Return the loads of feet by plates.
 
@@ -191,6 +199,8 @@ def plates_under_feet(
     every
         Whether a load without contact is an error; otherwise it is left out, and so are, with one leg, contacts of the
         other foot.
+    belt
+        Speed with which the belt of a treadmill moves backward, as stated [m/s].
 
     Raises
     ------
@@ -204,7 +214,18 @@ def plates_under_feet(
     contacts = [
         one for number, plate in plates.items() for one in plate.contacts(feet, time, keys[number] if strict else "")
     ]
-    offset = _offset(time, [(plates[one.plate], one, feet[one.body]) for one in contacts]) if contacts else None
+    standing = [(plates[one.plate], one, feet[one.body]) for one in contacts]
+    slide, offset = _slide(standing), None
+    if slide:
+        way = "backward" if slide < 0 else "forward"
+        sentence = (
+            f"feet that stand flat on the plates move {way} with about {abs(slide):.2f} m/s over the ground or the "
+            f"stated belt: on a treadmill, state `motion.belt: {belt - slide:.2f}`. Without the speed of the belt, the "
+            "offset in time between plates and markers is not known, and not corrected"
+        )
+        findings.append(Finding("plates", "doubtful", sentence))
+    elif standing:
+        offset = _offset(time, standing)
     late = 0.0 if offset is None else offset.corrected
     for name, (body, own) in asked.items():
         if body not in feet:
@@ -243,6 +264,25 @@ def plates_under_feet(
         )
         findings.append(Finding("plates", "doubtful", sentence))
     return PlateResult(loads, contacts, offset, findings)
+
+
+def _slide(contacts: Sequence[tuple[_Plate, PlateContact, FootMotion]]) -> float:
+    """Return the median velocity forward of feet at the points of application while they stand flat on plates [m/s]; 0
+    if they rest or move unevenly.
+    """
+    found = [np.zeros(0)]
+    for plate, contact, foot in contacts:
+        own = slice(contact.first, contact.end)
+        rate, height = foot.angle_rate[own], (plate.point - foot.middle)[own, 1]
+        is_flat = (np.abs(foot.velocity[own, 1]) < AT_REST) & (np.abs(rate) < FLAT)  # not in gaps, which are nan
+        speed = (foot.velocity[own, 0] - rate * height)[is_flat]
+        found.append(speed[~np.isnan(speed)])
+    speeds = np.concatenate(found)
+    if len(speeds) < LEAST_FLAT:
+        return 0.0
+    middle = float(np.median(speeds))
+    scatter = float(np.median(np.abs(speeds - middle)))
+    return middle if abs(middle) > SLIDES and scatter < EVENLY * abs(middle) else 0.0
 
 
 def later(time: np.ndarray, values: np.ndarray, late: float) -> np.ndarray:

@@ -10,6 +10,7 @@ from mbdkit.plugin import Finding, shown
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
+from mbdkit_biomech.inverse_dynamics.signals.rounded_times import grid_of, rounded_to
 
 STANDARD_GRAVITY = 9.81
 """Acceleration [m/s^2] with which the accelerations of a mechanism without gravity are compared."""
@@ -43,14 +44,7 @@ both `EVEN` and `CERTAIN` times the standard deviation of the share due to noise
 """
 
 CERTAIN_OF_GRID = 3.0
-"""Replaces `CERTAIN` if the given times are rounded, evenly spaced times.
-
-This is the case if all times are multiples of an interval of `GRIDS`, and deviate from a straight line by less than 3/4
-of the interval, which happens for uneven samples only by chance.
-"""
-
-GRIDS = tuple(10.0**-digits for digits in range(1, 7))
-"""Intervals [s] of which rounded times are multiples."""
+"""Replaces `CERTAIN` if the given times are rounded, evenly spaced times."""
 
 
 def uneven_times(measured: Measured) -> Iterator[Finding]:
@@ -64,10 +58,8 @@ def uneven_times(measured: Measured) -> Iterator[Finding]:
         if np.any(noise := np.mean(smooth**2)):
             product += float(np.sum(given * (given - smooth)) / noise)
             square += float(np.sum((given - smooth) ** 2) / noise)
-    grid = next((one for one in GRIDS if np.max(np.abs(time / one - np.round(time / one))) < 1e-6), None)
-    row = np.arange(len(time))
-    is_rounded = grid is not None and np.max(np.abs(time - np.polyval(np.polyfit(row, time, 1), row))) < 0.75 * grid
-    certain = CERTAIN_OF_GRID if is_rounded else CERTAIN
+    grid = grid_of(time)
+    certain = CERTAIN if rounded_to(time) is None else CERTAIN_OF_GRID
     if not product > max(EVEN * square, certain * np.sqrt(square)):
         return
     cause = "they probably have jitter" if grid is None else f"they are probably rounded to {grid:g} s"

@@ -11,6 +11,8 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from mbdkit.base.units import NUMBER
 from mbdkit.plugin import SpecError, cited, read_data, read_unit
 from mbdkit.plugin.files import check_readable
@@ -23,6 +25,7 @@ from mbdkit_biomech.inverse_dynamics.files.motion_capture_tables import (
     read_vicon,
     stripped,
 )
+from mbdkit_biomech.inverse_dynamics.signals.rounded_times import at_rate
 
 LONGEST_PREAMBLE = 100
 """Number of lines in which the first row of numbers is searched."""
@@ -320,6 +323,8 @@ def _read_trc(file: str, lines: list[str]) -> MeasuredTable:
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise SpecError("this file does not begin with `PathFileType`, as a .trc file should", file=file)
     keys, values, names, axes = ([cell.strip() for cell in line.split("\t")] for line in lines[1:5])
+    if len(stated := list(filter(None, values))) == len(named := list(filter(None, keys))):
+        keys, values = named, stated  # some files have two tabs between values, and one between their names
     header = {key.lower(): value for key, value in zip(keys, values, strict=False)}
     markers = _markers_of_trc(file, names[2:], header.get("nummarkers", ""))
     given = [axis[:1] for axis in axes if axis]
@@ -335,7 +340,20 @@ def _read_trc(file: str, lines: list[str]) -> MeasuredTable:
     rows = [cells for _, cells in _within(file, ((number, line.split("\t")) for number, line in kept))]
     _check_count(file, {"NumFrames": header.get("numframes") or "0"}, "NumFrames", len(rows))
     units = dict.fromkeys(headings[2:], header["units"])
+    rows = _at_rate(rows, float(rate))
     return _checked(MeasuredTable(file, headings, rows, [number for number, _ in kept], units=units))
+
+
+def _at_rate(rows: list[list[str]], rate: float) -> list[list[str]]:
+    """Return the rows of a .trc file, whose second cells are times, with the digits that rounding removed from these:
+    many files have three decimals, which do not resolve rates such as 60 Hz.
+    """
+    if not rows or not all(len(cells) > 1 and re.fullmatch(NUMBER, cells[1].strip()) for cells in rows):
+        return rows
+    time = np.array([float(cells[1]) for cells in rows])
+    if not np.all(np.isfinite(time)) or (exact := at_rate(time, rate)) is time:
+        return rows
+    return [[cells[0], repr(t), *cells[2:]] for cells, t in zip(rows, exact.tolist(), strict=True)]
 
 
 def _markers_of_trc(file: str, names: Sequence[str], count: str) -> list[str]:

@@ -21,6 +21,7 @@ from mbdkit_biomech.inverse_dynamics.signals.digital_filters import (
     state_after,
 )
 from mbdkit_biomech.inverse_dynamics.signals.interpolating_splines import Spline, interpolating_spline
+from mbdkit_biomech.inverse_dynamics.signals.rounded_times import rounded_to
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     Butterworth,
     NoSmoothing,
@@ -247,11 +248,15 @@ def _interval(time: np.ndarray) -> float:
     mean = float((time[-1] - time[0]) / (len(time) - 1))
     worst = int(np.argmax(np.abs(steps - mean)))
     if abs(steps[worst] - mean) > UNEVEN * mean:
+        cure = (
+            "if rows are missing, add them with the time and empty cells, and give `motion.gaps`; if the sampling is "
+            "uneven, use `spline`, `quintic` or `opensim`, which resamples"
+        )
+        if (grid := rounded_to(time)) is not None:
+            cure = f"the times are even apart from rounding to {grid:g} s: write them with more digits"
         raise SpecError(
             f"this filter needs evenly spaced samples, but the interval after t = {time[worst]:.6g} s is "
-            f"{steps[worst]:.6g} s, and {mean:.6g} s on average; if rows are missing, add them with the time and empty "
-            "cells, and give `motion.gaps`; if the sampling is uneven, use `spline`, `quintic` or `opensim`, which "
-            "resamples",
+            f"{steps[worst]:.6g} s, and {mean:.6g} s on average; {cure}",
             key=KEY,
         )
     return mean
