@@ -6,8 +6,7 @@ hips beside the place of the regression, landmarks of knees and ankles beside th
 time, wrong gains and wrong points, an unknown zero of the trunk, and masses, muscles, their timing and recruitment
 unlike those of the model. The force of the ground acts `MEDIAL` beside the knees, whose compartments cannot pull. The
 forces of the right leg of the drawn person, computed from its own motion, are the truth. The generic model, the markers
-and the plates are what mbdkit gets, those of the right leg for forces, and those of both legs, without muscles, for
-contradictions. The draws do not use its own ones.
+and the plates are what mbdkit gets. The draws do not use its own ones.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from mbdkit_biomech.inverse_dynamics.results.record import run_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.persons.plate_contacts import later
 
-from .person_markers import CLUSTERS, PELVIS, SHANK, THIGH, Array, Walker, columns_of
+from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
 
 SUBJECT = {"mass": 75, "height": 1.8, "sex": "male"}
 HIP, LANDMARK, PRESSURE, POINTS = 0.0079, 0.007, 0.005, 0.005
@@ -48,8 +47,8 @@ TOGETHER = {"thigh": (0.002, 0.02), "shank": (0.002, 0.015)}
 """Standard deviations of the motion of all markers of a segment together: along and about each axis [m, rad]. They are
 a third of those that fluoroscopy shows, with which markers of thigh and shank move apart at the knee as in measured
 walking, by 10 mm; the rest is in step with the joint."""
-IN_STEP = 0.005
-"""Standard deviation of the shift of centres of knee and ankle by skin in step with their flexion [m]."""
+IN_STEP = 0.006
+"""Standard deviation of the translation of skin in step with a joint over the range of its angle [m]."""
 CUTOFF = 6.0
 """Cutoff of the motion and of the loads of the person, and of the smoothing of the data [Hz]. The source of the motion
 has no impact at heel strike; loads that have it would contradict Newton's law."""
@@ -62,10 +61,8 @@ TRUNK_ZERO, FOOT_ZERO = 0.05, 0.06
 EXPONENT, MINIMUM = (2.0, 4.0), (0.01, 0.05)
 """Ranges of the exponent of recruitment and the least activation."""
 RECRUITMENT = {"exponent": 3, "minimum": 0.02, "reserves": 1.0}
-LEGS = ("", "_left")
 JOINTS = ("hip", "knee", "ankle")
-LANDMARKS = {"thigh": ("RKNE", "RKNM"), "shank": ("RANK", "RANM"), "thigh_left": ("LKNE", "LKNM"),
-             "shank_left": ("LANK", "LANM"), "foot": (), "foot_left": ()}  # fmt: skip
+LANDMARKS = {"thigh": ("RKNE", "RKNM"), "shank": ("RANK", "RANM")}
 """Landmarks of the joint at the end of a segment."""
 DRAWS = 20
 """Largest number of bodies that are drawn for the motion of a person until the muscles of one can produce it."""
@@ -79,8 +76,6 @@ class Drawn:
     """A person: spec of what was measured, and spec of the truth."""
 
     measured: dict[str, Any]
-    both_legs: dict[str, Any]
-    """The spec of both legs, without muscles."""
     truth: InverseSpec
     forces: Run
     """The forces without the time by which muscles are late."""
@@ -94,8 +89,7 @@ class Tally:
 
     count: int = 0
     named: int = 0
-    named_by_one: int = 0
-    """Number of persons, and of those whose contradictions are named by both legs and by one leg."""
+    """Number of persons, and of those whose contradictions are named."""
     failed: list[str] = field(default_factory=list)
     errors: dict[str, list[Array]] = field(default_factory=dict)
     bars: dict[str, list[Array]] = field(default_factory=dict)
@@ -110,7 +104,7 @@ class Tally:
 
     def merge(self, other: Tally) -> None:
         """Add the persons of another tally."""
-        for name in ("count", "named", "named_by_one", "failed", "seconds"):
+        for name in ("count", "named", "failed", "seconds"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         for name in ("errors", "bars", "excess"):
             for key, rows in getattr(other, name).items():
@@ -121,8 +115,7 @@ class Tally:
         count = self.count
         table = Table(
             title=f"deviations {deviations}: {count - len(self.failed)} of {count} persons, "
-            f"{self.seconds / count:.1f} s of processor time each; contradictions named for {self.named}, "
-            f"with one leg for {self.named_by_one}"
+            f"{self.seconds / count:.1f} s of processor time each; contradictions named for {self.named}"
         )
         for heading in ("quantity", "covered [%]", "+- [%]", "bar / 95 % quantile of errors"):
             table.add_column(heading)
@@ -155,16 +148,17 @@ def _walker() -> Walker:
 
 
 @lru_cache(maxsize=1)
-def _expanded() -> tuple[dict[str, Any], float]:
-    """Return the spec of the model that is scaled to exact markers, as plain data, and the angle of its flat foot less
-    that of the walker.
+def _expanded() -> tuple[dict[str, Any], float, dict[str, float]]:
+    """Return the spec of the model that is scaled to exact markers, as plain data, the angle of its flat foot less that
+    of the walker, and the range of the angle of each joint [rad].
     """
     walker = _walker()
     spec = load_inverse_spec(_spec(columns_of(walker, walker.markers())))
     assert spec.person is not None
     data: dict[str, Any] = json.loads(spec.expanded.canonical_json())
     data["model"] |= {"thigh_length": THIGH, "shank_length": SHANK}
-    return data, float(np.median(spec.person.columns["bodies.foot.angle"] - walker.angles["foot"]))
+    flat = float(np.median(spec.person.columns["bodies.foot.angle"] - walker.angles["foot"]))
+    return data, flat, {joint: one.turn for joint, one in spec.person.centers.items()}
 
 
 def forces_of(truth: InverseSpec) -> Run:
@@ -178,19 +172,17 @@ def forces_of(truth: InverseSpec) -> Run:
     return run_of(compute(problem))
 
 
-def _spec(columns: Mapping[str, Array], *, both_legs: bool = False, **sections: Any) -> dict[str, Any]:
-    """Return the spec of a person with one leg and eleven muscles, or with both legs and without muscles, from columns
-    (T, 3) of markers and plates.
-    """
+def _spec(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
+    """Return the spec of a person with one leg and eleven muscles, from columns (T, 3) of markers and plates."""
     data = {"time": _walker().time} | {f"{n}.{a}": x[:, k] for n, x in columns.items() for k, a in enumerate("xyz")}
-    clusters = {body: names for body, names in CLUSTERS.items() if both_legs or not body.endswith("_left")}
+    clusters = {body: names for body, names in CLUSTERS.items() if not body.endswith("_left")}
     smooth = {"name": "butterworth", "cutoff": CUTOFF}
     return {
         "mbdkit": 1,
         "subject": SUBJECT,
-        "model": {"name": "leg", "root": "trunk", **({"legs": 2} if both_legs else {"muscles": "walking-two-legs"})},
+        "model": {"name": "leg", "root": "trunk", "muscles": "walking-two-legs"},
         "motion": {"data": data, "clusters": clusters, "smooth": smooth},
-        **({} if both_legs else {"recruitment": RECRUITMENT}),
+        "recruitment": RECRUITMENT,
         **sections,
     }
 
@@ -216,12 +208,11 @@ def drawn_person(random: np.random.Generator, factor: float = 1.0, **sections: A
     to the spec of what was measured.
     """
     wider = Wider(random, factor)
-    columns = _measured(wider)
-    specs = _spec(columns, **sections), _spec(columns, both_legs=True)
+    measured = _spec(_measured(wider), **sections)
     for left in reversed(range(DRAWS)):
         truth = _truth(wider)
         try:
-            return Drawn(*specs, truth, forces_of(truth), DELAY * wider.standard_normal())
+            return Drawn(measured, truth, forces_of(truth), DELAY * wider.standard_normal())
         except MbdkitError:
             if not left:
                 raise
@@ -232,37 +223,31 @@ def _measured(random: Wider) -> dict[str, Array]:
     """Return the columns of markers and plates."""
     walker = _walker()
     markers = walker.markers(random.random)  # artefacts are estimated from the markers, not stated
-    right, left = HIP * random.standard_normal((2, 3))
+    shift = HIP * random.standard_normal(3)
     for name in CLUSTERS["trunk"]:
-        share = PELVIS[name][2] / walker.joints["hip"][0, 2]  # 1 at the place of the right hip, -1 at that of the left
-        shift = (right + left) / 2 + np.array([share, share, 0.0]) * (right - left) / 2
         markers[name] = markers[name] + walker.turned("trunk", tuple(shift))
     for body, names in LANDMARKS.items():
         shift = LANDMARK * random.standard_normal(3)
         for name in names:
             markers[name] = markers[name] + walker.turned(body, tuple(shift))
-    for joint in (f"{name}{leg}" for leg in LEGS for name in ("knee", "ankle")):
-        x, y = (IN_STEP * random.standard_normal(2)).tolist()
+    for joint, turn in _expanded()[2].items():
+        x, y = (IN_STEP / turn * random.standard_normal(2)).tolist()
         walker.move_in_step(markers, joint, (x, y))
-    for body in (f"{name}{leg}" for leg in LEGS for name in TOGETHER):
-        along, about = TOGETHER[body.removesuffix("_left")]
+    for body, (along, about) in TOGETHER.items():
         slide, turn = along * walker.skin(random.random), about * walker.skin(random.random)
         middle = np.mean([markers[name] for name in CLUSTERS[body]], axis=0)
         for name in (*CLUSTERS[body], *LANDMARKS[body]):
             markers[name] = markers[name] + slide + np.cross(turn, markers[name] - middle)
     columns = columns_of(walker, markers)
     late = random.uniform(-0.5, 0.5) * float(walker.time[1] - walker.time[0])  # 0.29 frames
-    gain = dict(zip(walker.loads, np.exp(GAIN * random.standard_normal(2)), strict=True))
-    press = dict(zip(walker.loads, PRESSURE * random.standard_normal(2), strict=True))
+    gain, press = np.exp(GAIN * random.standard_normal()), PRESSURE * random.standard_normal()
     for number, (foot, *_) in enumerate(walker.contacts(), 1):
         plate = [f"plate{number}.{one}" for one in ("force", "point", "torque")]
         force, point, torque = (columns[name] for name in plate)
         moment = np.where(np.isnan(point), 0.0, point) * force[:, 2:]
-        force, moment, torque = (
-            _later(walker.time, x, late) for x in (gain[foot] * force, gain[foot] * moment, torque)
-        )
+        force, moment, torque = (_later(walker.time, x, late) for x in (gain * force, gain * moment, torque))
         acts = force[:, 2] > 10.0
-        beside = np.array([press[foot], MEDIAL if foot == "foot" else -MEDIAL, 0.0])
+        beside = np.array([press, MEDIAL if foot == "foot" else -MEDIAL, 0.0])
         with np.errstate(divide="ignore", invalid="ignore"):
             point = np.where(acts[:, None], moment / force[:, 2:], np.nan) + beside
         columns |= dict(zip(plate, (force * acts[:, None], point, torque), strict=True))
@@ -276,7 +261,7 @@ def _later(at: Array, values: Array, late: float) -> Array:
 
 def _truth(random: Wider) -> InverseSpec:
     """Return the spec of the drawn person with its own motion, loads and muscles."""
-    walker, (data, flat) = _walker(), json.loads(json.dumps(_expanded()))
+    walker, (data, flat, _) = _walker(), json.loads(json.dumps(_expanded()))
     muscles = data["model"]["muscles"]
     common = STRENGTH * random.standard_normal()
     for muscle in muscles.values():
@@ -364,12 +349,11 @@ def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: 
     """
     person = drawn_person(random, factor, uncertainty={"samples": samples})
     with redirect_stderr(io.StringIO()):
-        found, both = mbdkit.inverse(person.measured), mbdkit.inverse(person.both_legs)
+        found = mbdkit.inverse(person.measured)
     assert found.accuracy is not None
     parts, truth = found.accuracy.parts, person.forces
     at_time = np.asarray(truth.time)
-    tally.named += any("misfit:" in text for text in both.warnings)
-    tally.named_by_one += any("misfit:" in text for text in found.warnings)
+    tally.named += any("misfit:" in text for text in found.warnings)
     without = truth.array("muscles/reaction_force_without")
     for joint in JOINTS:
         place = list(found.joint_names).index(joint)

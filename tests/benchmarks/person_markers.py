@@ -159,13 +159,15 @@ class Walker:
         return found
 
     def move_in_step(self, markers: dict[str, Array], joint: str, shift: tuple[float, float]) -> None:
-        """Move the markers of a segment beside a knee or an ankle in step with its flexion, so that both segments seem
-        to turn about a centre that is shifted with the shank [m].
+        """Move the markers of a segment beside a joint in step with its flexion, so that both segments seem to turn
+        about a centre that is shifted with the other segment [m].
         """
-        body = joint.replace("knee", "thigh").replace("ankle", "foot")
-        shank = joint.replace("knee", "shank").replace("ankle", "shank")
-        for name in CLUSTERS[body]:
-            markers[name] = markers[name] + self.turned(shank, (*shift, 0.0)) - self.turned(body, (*shift, 0.0))
+        kind, leg = joint.removesuffix("_left"), "_left" if joint.endswith("_left") else ""
+        body, other = {"hip": ("thigh", "trunk"), "knee": ("thigh", "shank"), "ankle": ("foot", "shank")}[kind]
+        other = other if other == "trunk" else f"{other}{leg}"
+        for name in CLUSTERS[f"{body}{leg}"]:
+            own = self.turned(other, (*shift, 0.0)) - self.turned(f"{body}{leg}", (*shift, 0.0))
+            markers[name] = markers[name] + own
 
     def contacts(self) -> list[tuple[str, int, int]]:
         """Return foot, first frame and the frame after the last one of each contact."""
