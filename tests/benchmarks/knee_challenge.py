@@ -21,7 +21,6 @@ import numpy as np
 import mbdkit
 from mbdkit.plugin import MbdkitError, SpecError, show
 from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.specs import read_source
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
@@ -53,9 +52,6 @@ GONIOMETER = 3.6
 MASS = 64.6
 """Mass of the person [kg]."""
 WEIGHT = 9.81 * MASS
-MUSCLES_OF = "walking-two-legs"
-"""The packaged example whose muscles are used."""
-
 _LEG = {"thigh": ("ThighSuperior", "ThighInferior", "ThighLateral"),
         "shank": ("ShankSuperior", "ShankInferior", "ShankLateral"),
         "foot": ("Heel", "Toe", "MidfootMedial", "MidfootLateral", "Hindfoot")}  # fmt: skip
@@ -78,19 +74,19 @@ def spec_of(markers: Path, **sections: Any) -> dict[str, Any]:
     clusters = {"trunk": ["RAsis", "LAsis", "RPsis", "LPsis", "Sacral"]}
     for leg, side in (("", "R"), (LEFT, "L")):
         clusters |= {body + leg: [side + name for name in names] for body, names in _LEG.items()}
-    muscles = read_source(MUSCLES_OF).data["model"]["muscles"]
+    muscles = {"muscles": "walking-two-legs", "symmetric_muscles": True}
     return {
         "mbdkit": 1,
         "title": f"Knee challenge: {markers.stem}",
         "subject": {"mass": MASS, "height": 1.66, "sex": "male"},
-        "model": {"name": "leg", "legs": 2, "root": "trunk", "symmetric_muscles": True, "muscles": muscles},
+        "model": {"name": "leg", "legs": 2, "root": "trunk", **muscles},
         "motion": {
             "file": str(markers.resolve()),
             "clusters": clusters,
             "smooth": {"name": "butterworth", "cutoff": 8},
             "gaps": {"longest": 0.2},
         },
-        "recruitment": {"exponent": 2, "minimum": 0.01, "reserves": 1.0},
+        "recruitment": {"exponent": 3, "minimum": 0.01, "reserves": 1.0},  # Crowninshield and Brand (1981)
         **sections,
     }
 
