@@ -42,6 +42,18 @@ def test_bounds_and_targets_are_those_of_the_problem_with_inequalities(p):
     assert below  # some of the bounds act
 
 
+@pytest.mark.parametrize("seed", [1, 6])
+def test_a_bound_that_does_not_act_leaves_a_frame_solvable(seed):
+    # The second bound acts in every second row, and deviations are those of forces [N] beside equations of moments.
+    programme, random, size = problems(20.0), np.random.default_rng(seed), 1e4
+    rows, equations, count = programme.matrix.shape
+    matrix = size * np.abs(random.standard_normal((rows, 2, count - equations)))
+    right = size * random.uniform(0.2, 4.0, (rows, 2))
+    right[::2, 1] = -size
+    soft = SoftTargets(matrix, right, np.full((rows, 2), size * DEVIATION), np.array([True, True]))
+    assert np.max(share_softly(programme, 3.0, soft)[1].certificate) < 1e-9
+
+
 def arm(**sections):
     """Return inverse dynamics of a forearm that holds changing loads with two flexors and an extensor."""
     m = mbdkit.Mechanism()

@@ -138,5 +138,6 @@ def largest_joints(run: Run) -> list[str]:
 @summary_lines
 def uncertainty_lines(run: Run) -> list[tuple[str, str]]:
     """Return lines of the summary with the sources of the error bars at the largest forces."""
-    texts = [f"{joint}: {contributions(run, joint).sentence}" for joint in largest_joints(run)]
+    every = [contributions(run, joint) for joint in largest_joints(run)]
+    texts = [f"{one.joint}: {one.sentence}" for one in every if np.isfinite(one.error)]
     return [("" if number else "sources of error", text) for number, text in enumerate(texts)]

@@ -40,7 +40,7 @@ def ranked_doubts(result: Inverse, bars: ResultBars | None, findings: Sequence[F
     def with_effect(one: Finding) -> Finding:
         if not one.level or not known[one.criterion]:
             return one
-        effect = f"(about {known[one.criterion]:.2g} N of the largest force, of {name})"
+        effect = f"(about {float(f'{known[one.criterion]:.2g}'):g} N of the largest force, of {name})"
         return replace(one, sentence=f"{one.sentence.rstrip('.')} {effect}")
 
     return sorted(map(with_effect, findings), key=lambda one: -known[one.criterion] if one.level else 0.0)

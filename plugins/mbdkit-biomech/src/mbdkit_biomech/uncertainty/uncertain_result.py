@@ -114,7 +114,7 @@ class UncertainResult:
             (J,) expected excess of the largest forces by noise [N].
         """
         own = self.squares[1]
-        safe = np.where(whole > 0, whole, 1.0)
+        safe = np.where(whole == 0, 1.0, whole)  # nan where the bars are not known
         rows = [of_data / safe, *(self.shares * (own / safe)), (1.0 - np.sum(self.shares, axis=0)) * (own / safe)]
         kinds = [kind for kind in KINDS if kind != "devices" or self.added is not None]
         by_kind = {kind: np.sqrt(self.share_of(kind) * own) for kind in kinds}

@@ -225,7 +225,7 @@ def _excess_by_noise(data: NoisyData, result: Inverse, sensitivity: np.ndarray) 
     derivatives = np.moveaxis(sensitivity[..., :2], 0, -1).reshape(frames, 2 * joints, -1)
     largest, total = np.max(np.linalg.norm(force, axis=2), axis=0), np.zeros(joints)
     for noise in data.samples(data.asked.samples):
-        change = products(derivatives, data.path.smoothed(noise).every).reshape(frames, joints, 2, -1)
+        change = np.nan_to_num(products(derivatives, data.path.smoothed(noise).every).reshape(frames, joints, 2, -1))
         sizes = np.linalg.norm(force[..., None] + change, axis=2)
         total += np.sum(np.max(sizes, axis=0) - largest[:, None], axis=1)
     return np.asarray(total / data.asked.samples)

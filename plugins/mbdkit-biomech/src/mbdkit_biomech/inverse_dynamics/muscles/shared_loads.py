@@ -268,12 +268,13 @@ def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray
     g = products(np.swapaxes(programme.matrix, 1, 2), y)
     if p == 2:
         x, slope = 0.5 * g, np.full_like(g, 0.5)
+        free = (x > programme.low) & (x < programme.high)
     else:
         size = np.abs(g)
         x = np.sign(g) * elementary.pow(size / p, 1.0 / (p - 1.0))
-        slope = np.abs(x) / np.where(size > 0, size, 1.0) / (p - 1.0)
+        free = (x > programme.low) & (x < programme.high)
+        slope = np.where(free, np.abs(x) / np.where(size > 0, size, 1.0) / (p - 1.0), 0.0)
         slope = np.maximum(slope, LEAST_SLOPE * np.max(slope, axis=1, initial=1e-300)[:, None])
-    free = (x > programme.low) & (x < programme.high)
     return np.clip(x, programme.low, programme.high), np.where(free, slope, 0.0)
 
 
@@ -288,8 +289,8 @@ def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -
     slope = cost - g  # zero between the bounds, not negative at the lower bound, and not positive at the upper one
     slope = np.where((x <= programme.low) & (slope > 0), 0.0, slope)
     slope = np.where((x >= programme.high) & (slope < 0), 0.0, slope)
-    largest = np.maximum(np.max(np.abs(cost), axis=1), np.max(np.abs(g), axis=1))
-    wrong = np.max(np.abs(slope), axis=1) / np.where(largest > 0, largest, 1.0)
+    largest = np.maximum(np.max(np.abs(cost), axis=1, initial=0.0), np.max(np.abs(g), axis=1, initial=0.0))
+    wrong = np.max(np.abs(slope), axis=1, initial=0.0) / np.where(largest > 0, largest, 1.0)
     return np.asarray(np.maximum(wrong, np.max(np.abs(_residual(programme, x)), axis=1, initial=0.0)))
 
 

@@ -168,7 +168,7 @@ def _softened(programme: Programme, soft: SoftTargets, active: np.ndarray) -> Pr
     matrix[:, :equations, :unknowns] = programme.matrix
     matrix[:, equations:, : soft.matrix.shape[2]] = soft.matrix * active[..., None]
     places = np.arange(targets)
-    matrix[:, equations + places, unknowns + places] = soft.deviation
+    matrix[:, equations + places, unknowns + places] = soft.deviation * active
     free = np.where(active, np.inf, 0.0)
     return Programme(
         matrix,
