@@ -122,12 +122,12 @@ def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding
 
 
 def _peaks(result: Inverse, bars: ResultBars | None) -> list[_Peak]:
-    """Return the largest values of all joint forces and actuators that are not zero; residual actuators should be zero
-    and are left out.
+    """Return the largest values of all joint forces and actuators that are not zero; residual actuators and reserves
+    should be small and are left out.
     """
     actuators = np.abs(result.actuators[:, :, 0])
     forces = np.linalg.norm(recorded_states(result).reactions[:, :, :2], axis=2)
-    named = [(one.name, "" if one.kind == "residual" else one.unit) for one in result.problem.recorded_actuators]
+    named = [(one.name, one.unit if one.kind == "actuator" else "") for one in result.problem.recorded_actuators]
     named += [(f"the force in {name}", "N") for name in result.problem.prepared.workspace.mechanism.joints]
     values = np.nan_to_num(np.hstack([actuators, forces]))
     of_ends, likely = np.zeros_like(values), values
