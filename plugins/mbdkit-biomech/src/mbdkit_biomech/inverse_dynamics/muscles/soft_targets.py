@@ -6,8 +6,9 @@ that N is at least ``2 |M| / w``. The frontal moments of muscles, and of the wei
 
 A target t of a linear function ``A a`` of the activations, with the standard deviation s, adds the cost ``|(t - A a) /
 s|^p`` to that of recruitment: an equation ``A a + s r = t`` with an unknown r like the share of a reserve. For a bound,
-the equation holds only in frames whose solution without it is below the bound; since the problem is convex, and a bound
-depends on the muscles of its own leg, this is the solution of the problem with inequalities.
+the equation holds only in frames whose solution without it is below the bound, which are those whose solution with it
+is not above the bound; since the problem is convex, and a bound depends on the muscles of its own leg, this is the
+solution of the problem with inequalities.
 """
 
 from __future__ import annotations
@@ -142,20 +143,23 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 def share_softly(
     programme: Programme, exponent: float, soft: SoftTargets, start: np.ndarray | None = None
 ) -> tuple[Programme, Shared]:
-    """Return the programmes with soft targets, and their solutions; `start` as in `share_loads`, for all equations."""
+    """Return the programmes with soft targets, and their solutions; `start` as in `share_loads`, for all equations or
+    without those of the targets. Bounds that act in similar programmes are tried first.
+    """
     rows, targets = soft.right.shape
-    active = np.broadcast_to(~soft.is_bound, soft.right.shape)
-    whole = _softened(programme, soft, active)
-    if start is not None and start.shape[1] < whole.right.shape[1]:
+    if start is not None and start.shape[1] == programme.right.shape[1]:
         start = np.hstack([start, np.zeros((rows, targets))])
+    active = ~soft.is_bound if start is None else ~soft.is_bound | (start[:, -targets:] != 0)
+    active = np.broadcast_to(active, soft.right.shape)
+    whole = _softened(programme, soft, active)
     shared = share_loads(whole, exponent, start)
     reached = products(soft.matrix, shared.value[:, : soft.matrix.shape[2]])
-    below = soft.is_bound & (reached < soft.right) & np.isfinite(shared.certificate)[:, None]
-    again = np.flatnonzero(below.any(axis=1))
+    wrong = soft.is_bound & ((reached > soft.right) == active) & np.isfinite(shared.certificate)[:, None]
+    again = np.flatnonzero(wrong.any(axis=1))
     if not again.size:
         return whole, shared
-    whole = _softened(programme, soft, active | below)
-    found = share_loads(whole.only(again), exponent)  # multipliers without bounds are too far away for a start
+    whole = _softened(programme, soft, active ^ wrong)
+    found = share_loads(whole.only(again), exponent, shared.multipliers[again])
     for name in ("value", "certificate", "multipliers"):
         getattr(shared, name)[again] = getattr(found, name)
     return whole, shared
