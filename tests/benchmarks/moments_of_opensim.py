@@ -122,7 +122,8 @@ def reference_of(walk: Walk, folder: Path, work: Path) -> dict[str, tuple[np.nda
     run(fit, **span, MarkerDataFileName=markers, OutputMotionFileName=str(work / "fitted.mot"))
     fitted = read_table(work / "fitted.mot", "")
     columns = {name: low_passed(time, fitted.column(name, "")[:, None], FILTER)[:, 0] for name in fitted.headings[1:]}
-    motion, forces, loads = write_table(work / "motion.mot", time, columns), {}, opensim.ExternalLoads()
+    motion, loads = write_table(work / "motion.mot", time, columns), opensim.ExternalLoads()
+    forces: dict[str, np.ndarray] = {}
     for side, plate in zip("rl", plates_of(walk, folder, time), strict=True):
         force, one = plate["force"], opensim.ExternalForce()
         moment = np.nan_to_num(np.cross(plate["point"], force)) + plate["torque"]  # about the origin, the point below
@@ -171,7 +172,6 @@ def points_of(model: Any, columns: Mapping[str, np.ndarray], name: str, body: st
 def lines_of(walk: Walk, folder: Path, **motion: Any) -> Iterator[str]:
     """Yield the lines of the table of a walk; one period of the cutoff is left out at both ends of the record."""
     spec, end = spec_of(walk, folder, **motion), 1 / FILTER.cutoff
-    axes = load_inverse_spec(spec).person.plane.axes
     with tempfile.TemporaryDirectory() as work:
         reference = reference_of(walk, folder, Path(work))
     yield f"\n{walk.title}: difference [N m], share of the largest, instants in bars, half width of bars [N m];"
@@ -184,7 +184,7 @@ def lines_of(walk: Walk, folder: Path, **motion: Any) -> Iterator[str]:
             first, last = walk.left if name.endswith("_left") else (0.0, np.inf)
             own = (time > max(first, time[0] + end)) & (time < min(last, time[-1] - end))
             center = [ours.motion[f"markers.{'hip' if joint == 'hip' else name}.{axis}"].fitted for axis in "xy"]
-            gap = np.stack(center, axis=1) - (point @ axes.T)[:, :2]
+            gap = np.stack(center, axis=1) - load_inverse_spec(spec).person.plane.coordinates(point)[:, :2]
             moved = sign * (gap[:, 0] * force[:, 1] - gap[:, 1] * force[:, 0])
             bar, peak, (x, y) = actuator.value_error[own], np.max(np.abs(moment[own])), 1000 * np.mean(gap[own], axis=0)
             errors = [(actuator.value + change - moment)[own] for change in (0.0, moved)]
