@@ -145,7 +145,8 @@ def read_value(text: str) -> Any:
 def _decoded(raw: bytes, file: str) -> str:
     if raw.startswith(b"\x89HDF"):
         raise SpecError(
-            "this is an HDF5 file, not a spec; use `mbdkit rerun` to run the spec in an archive again", file=file
+            "this is an HDF5 file, not a spec; `mbdkit.load` reads an archive, and `mbdkit rerun` runs its spec again",
+            file=file,
         )
     if len(raw) > LARGEST_FILE:
         raise SpecError(f"this file is larger than {LARGEST_FILE >> 20} MiB, the limit for a spec", file=file)

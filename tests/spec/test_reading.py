@@ -98,7 +98,7 @@ def test_an_error_names_file_line_and_key(name, text, line, key, in_tmp_path):
         ("a.json", b"[]", "mapping"),
         ("a.yaml", b"\xff\xfe\x00", "UTF-8"),
         ("a.yaml", b"a\x00b", "control character"),
-        ("a.yaml", b"\x89HDF\r\n\x1a\n", "rerun"),
+        ("a.yaml", b"\x89HDF\r\n\x1a\n", "`mbdkit.load` reads an archive, and `mbdkit rerun` runs"),
         ("a.yaml", b"a" * (16 * 2**20 + 1), "larger than 16 MiB"),
         ("a.json", b'{"a": 1, "a": 2}', "twice"),
         ("a.json", b'{"a" 1}', "not valid JSON"),

@@ -7,8 +7,9 @@ import pytest
 from tests.wearable.walking_with_brace import brace, driven_limbs, squat_spec, two_limbs
 
 import mbdkit
+from mbdkit.plugin.runs import AddedForces
 from mbdkit_wearable.device import Device, add_devices
-from mbdkit_wearable.worn.worn_device import worn_device
+from mbdkit_wearable.worn.worn_device import WornDevice, worn_device
 
 G = 9.81
 
@@ -77,6 +78,22 @@ def test_plates_without_the_device_leave_no_residuals_of_its_weight() -> None:
     np.testing.assert_allclose(
         apart.array("followers/reaction_force_without"), without.array("joints/reaction_force"), atol=1e-9
     )
+
+
+def test_a_device_follows_each_changed_motion_from_its_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames of several motions must not be computed together: the device would move on from the end of another one."""
+    intervals, forces_of = [], WornDevice.forces
+
+    def forces(device: WornDevice, time: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> AddedForces:
+        intervals.append(np.min(np.diff(time)))
+        return forces_of(device, time, q, v, a)
+
+    monkeypatch.setattr(WornDevice, "forces", forces)
+    spec = squat_spec(worn=True) | {"uncertainty": "none"}
+    spec["motion"]["errors"] = {"samples": 20}  # type: ignore[index]
+    mbdkit.inverse(spec)
+    assert len(intervals) > 10
+    assert min(intervals) > 0
 
 
 def bare() -> dict[str, object]:

@@ -117,10 +117,13 @@ class _Response:
         return next(self.each([series]))
 
     def each(self, every: Sequence[Smoothed]) -> Iterator[_Outcome]:
-        """Yield the outcomes of several series; many frames are computed together, because they are independent."""
+        """Yield the outcomes of several series; many frames are computed together, because they are independent, unless
+        bodies follow the motion over time.
+        """
         base, time, q = self.result, self.result.motion.time, self.result.motion.q
         own, frames = self.independent, len(time)
-        for begin in range(0, len(every), most := max(1, FRAMES // frames)):
+        most = 1 if base.problem.followers else max(1, FRAMES // frames)
+        for begin in range(0, len(every), most):
             count = len(block := every[begin : begin + most])
             shifts = range(0, count * frames, frames)
             intervals = tuple((a + at, b + at, places) for at in shifts for a, b, places in own.intervals)
