@@ -124,7 +124,7 @@ class Tally:
             table.add_row(name, f"{100 * covered:.1f}", f"{100 * scatter:.1f}", f"{ratio:.2f}")
         console.print(table)
         for joint, pairs in self.excess.items():
-            before, after = np.mean(pairs, axis=0)
+            before, after = np.nanmean(pairs, axis=0)
             console.print(f"largest force of the {joint}: mean excess {before:.0f} N, corrected {after:.0f} N")
         console.file.flush()
 
