@@ -37,7 +37,7 @@ from mbdkit_biomech.uncertainty.changed_problem import (
 )
 from mbdkit_biomech.uncertainty.sources import Place, UncertainScalar
 
-ROWS = 10_000
+ROWS = 24_000
 """Number of programmes of recruitment that are solved together; more of them do not fit in the caches."""
 
 THREADS = 2
