@@ -11,7 +11,6 @@ and the plates are what mbdkit gets. The draws do not use its own ones.
 
 from __future__ import annotations
 
-import functools
 import io
 import json
 import time
@@ -19,7 +18,7 @@ from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -230,8 +229,8 @@ def _measured(random: Wider) -> dict[str, Array]:
         shift = LANDMARK * random.standard_normal(3)
         for name in names:
             markers[name] = markers[name] + walker.turned(body, tuple(shift))
-    for joint, turn in _expanded()[2].items():
-        x, y = (IN_STEP / turn * random.standard_normal(2)).tolist()
+    for joint, angle in _expanded()[2].items():
+        x, y = (IN_STEP / angle * random.standard_normal(2)).tolist()
         walker.move_in_step(markers, joint, (x, y))
     for body, (along, about) in TOGETHER.items():
         slide, turn = along * walker.skin(random.random), about * walker.skin(random.random)
@@ -321,7 +320,7 @@ def persons(console: Console, count: int = 20, seed: int = 0, samples: int = 200
     If `doubled`, the deviations of every second person are twice those that are stated.
     """
     tallies = [Tally(), Tally()] if doubled else [Tally()]
-    tally_of = functools.partial(_tally, seed=seed, samples=samples, halves=len(tallies))
+    tally_of = partial(_tally, seed=seed, samples=samples, halves=len(tallies))
     with ProcessPoolExecutor() as pool:
         for number, own in enumerate(pool.map(tally_of, range(count))):
             tallies[number % len(tallies)].merge(own)

@@ -1,7 +1,8 @@
-"""`python -m tests.benchmarks person-times`: time of inverse dynamics of a person with two legs and 18 muscles.
+"""`python -m tests.benchmarks person-times`: time of inverse dynamics of a person with two legs and 22 muscles.
 
 The person is the one of `person_markers`, with the muscles of the example `walking-two-legs` and the default
-uncertainty. The whole command is timed, with reading the markers and writing the archive.
+uncertainty. The knees have no landmarks, so that no compartments bound the forces, which would take longer. The whole
+command is timed, with reading the markers and writing the archive.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def trial(frames: int, folder: Path, **sections: Any) -> Path:
 
 def person_times(console: Console) -> None:
     """Print wall and processor times of the command `mbdkit inverse`."""
-    title = f"mbdkit inverse, two legs, 18 muscles, {SAMPLES} samples, {os.cpu_count()} processors"
+    title = f"mbdkit inverse, two legs, 22 muscles, {SAMPLES} samples, {os.cpu_count()} processors"
     table = Table("frames", "seconds", "processor seconds", title=title)
     for frames in FRAMES:
         with tempfile.TemporaryDirectory() as folder:

@@ -38,7 +38,9 @@ from mbdkit_biomech.uncertainty.changed_problem import (
 from mbdkit_biomech.uncertainty.sources import Place, UncertainScalar
 
 ROWS = 24_000
-"""Number of programmes of recruitment that are solved together; more of them do not fit in the caches."""
+"""Number of programmes of recruitment that are solved together. Fewer cost more calls of NumPy for the frames that need
+many steps, more cost memory: two blocks of this size take about 1 GB.
+"""
 
 THREADS = 2
 """Number of blocks that are solved at once. Results do not depend on it."""

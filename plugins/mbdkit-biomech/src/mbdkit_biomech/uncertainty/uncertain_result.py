@@ -12,7 +12,8 @@ Interactions are what the shares leave.
 
 On average, the largest value of a disturbed curve exceeds that of the curve, to second order by a sum over the sources.
 Errors of what is measured on a person disturb the result, whose largest force is then too large. Muscles and devices of
-the person differ from those of the model, so that the true curve is the disturbed one, and the result too small.
+the person differ from those of the model, so that the true curve is the disturbed one, and the result too small. So do
+its masses, which count as measured here, because they hardly change forces.
 
 First order alone would not suffice. For a person without muscles, its bars are within 10 % of those of samples at all
 times; for nine muscles of one leg in 29 % of the frames, and for 18 muscles of two legs in 46 %. They are mostly too
