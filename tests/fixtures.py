@@ -168,6 +168,15 @@ def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def no_garbage_collection() -> Iterator[None]:
+    """Keep collections, which visit all that earlier tests left in the process, out of times that a test measures."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _files_not_synchronized() -> Iterator[None]:
     """Do not wait until files are on the disk: those of tests need not survive a loss of power."""

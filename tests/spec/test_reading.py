@@ -122,6 +122,7 @@ def test_a_name_that_is_no_file_is_refused_in_a_sentence(name, in_tmp_path):
         load_spec(name)
 
 
+@pytest.mark.usefixtures("no_garbage_collection")
 def test_a_key_deeper_than_any_spec_is_refused_in_a_short_sentence(in_tmp_path):
     key = "a." * 100_000
     (in_tmp_path / "a.yaml").write_text(f"{YAML}forces:\n  ? {key}\n  : 1\n")

@@ -153,16 +153,19 @@ def seconds_until_refused(study: dict[str, Any], words: str) -> float:
     return time.process_time() - begin
 
 
+@pytest.mark.usefixtures("no_garbage_collection")
 def test_a_study_with_too_many_runs_is_refused_before_its_axes_are_expanded(small):
     small["axes"] = [{f"k{index}": {"linspace": [0, 1, 10_000]}} for index in range(40)]
     assert seconds_until_refused(small, "makes too many runs; a study has at most 10000") < 0.5
 
 
+@pytest.mark.usefixtures("no_garbage_collection")
 def test_a_study_that_sets_too_many_values_is_refused_before_its_axes_are_expanded(small):
     small["axes"] = [{f"k{index}": {"linspace": [0, 1, 10_000]} for index in range(1000)}]
     assert seconds_until_refused(small, "lists 10000000 values; the axes of a study list at most 1000000") < 0.5
 
 
+@pytest.mark.usefixtures("no_garbage_collection")
 @pytest.mark.parametrize("key", ["a." * 100_000 + "b", "a" + "[0]" * 100_000])
 def test_a_key_that_is_deeper_than_any_spec_is_refused_in_a_sentence(small, key):
     small["axes"] = [{key: [0]}]
@@ -175,16 +178,20 @@ def test_an_index_with_thousands_of_digits_is_refused_as_part_of_a_name(small):
         _ = points(small)[0].spec
 
 
+@pytest.mark.usefixtures("no_garbage_collection")
 def test_many_values_with_one_label_are_told_apart_soon(small):
-    seconds = []
+    least = []
     for count in (999, 9999):  # ten times as many take a hundred times as long if each is compared with all others
-        small["axes"] = [{"time.step": [{"label": "a", "value": 1 + index} for index in range(count)]}]
-        begin = time.process_time()
-        labels = [point.axes["time.step"] for point in points(small)]
-        seconds.append(time.process_time() - begin)
+        seconds = []
+        for _ in range(3):
+            small["axes"] = [{"time.step": [{"label": "a", "value": 1 + index} for index in range(count)]}]
+            begin = time.process_time()
+            labels = [point.axes["time.step"] for point in points(small)]
+            seconds.append(time.process_time() - begin)
         assert labels[0] == "a"
         assert labels[-1] == f"a ({count})"
-    assert seconds[1] < 30 * seconds[0]
+        least.append(min(seconds))
+    assert least[1] < 40 * least[0]
 
 
 @pytest.mark.parametrize(
