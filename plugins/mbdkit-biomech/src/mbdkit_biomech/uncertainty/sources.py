@@ -106,16 +106,8 @@ class UncertainScalar:
 
 
 def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
-    """Return the uncertainty of a problem, which may be that of `recruitment.deviations`; None if there is none. Raise
-    SpecError if both are given.
-    """
+    """Return the uncertainty of a problem; None if there is none."""
     spec = problem.source
-    short = None if spec.recruitment is None else spec.recruitment.deviations
-    if short is not None and spec.uncertainty is not None:
-        raise SpecError("is the short form of `uncertainty`, which is given too: remove one of them",
-                        key="recruitment.deviations")  # fmt: skip
-    if short is not None:
-        return Uncertainty(**short.model_dump())
     if spec.uncertainty == "none" or (spec.uncertainty is None and spec.subject is None and spec.follows is None):
         return None
     return spec.uncertainty or Uncertainty()
@@ -123,14 +115,10 @@ def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
 
 def sources_of(problem: InverseProblem) -> list[UncertainScalar]:
     """Return the sources of uncertainty of a problem; empty if it has none. Raise SpecError if the spec states the
-    uncertainty of something that it does not have, or asks for no error bars.
+    uncertainty of something that it does not have.
     """
     asked = asked_uncertainty(problem)
-    found = [] if asked is None else [*_Sources(problem, asked).all()]
-    if isinstance(problem.source.uncertainty, Uncertainty) and problem.source.motion.errors == "none":
-        raise SpecError("has no effect, because `motion.errors: none` asks for no error bars: remove one of them",
-                        key="uncertainty")  # fmt: skip
-    return found
+    return [] if asked is None else [*_Sources(problem, asked).all()]
 
 
 def change_of(sources: Sequence[UncertainScalar], values: np.ndarray) -> dict[Place, float]:
@@ -222,7 +210,7 @@ class _Sources:
             for key in keys:
                 self._require(key, "needs `recruitment`: without it, muscles exert no force")
             return
-        if (size := self._size("max_force")) and self.problem.source.recruitment.deviations is None:
+        if size := self._size("max_force"):
             moves: dict[Place, float] = {("max_force", name): size for name in recruiter.muscles}
             yield UncertainScalar("strength of all muscles", "muscles", moves)
         for key in keys[:3]:

@@ -21,8 +21,8 @@ class Uncertainty(Section):
     """How well a person, its loads and its muscles are known; the error bars contain the effects.
 
     Numbers are standard deviations. Those of shares are standard deviations of the logarithms, which are about the
-    relative standard deviations. With `subject`, keys that are left out have the defaults stated here; otherwise, and
-    with `recruitment.deviations`, they are 0. Each scalar varies independently.
+    relative standard deviations. With `subject`, keys that are left out have the defaults stated here; otherwise, they
+    are 0. Each scalar varies independently.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (

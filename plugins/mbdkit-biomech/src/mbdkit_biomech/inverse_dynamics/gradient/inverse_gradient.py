@@ -130,8 +130,7 @@ class _InverseDynamics(GradientProblem[InverseSpec]):
         # measures do not need error bars, which take ten times as long as the rest
         if spec.follows is not None:
             raise SpecError("derivatives do not include bodies that follow the motion", key="follows")
-        keys = ("motion", "errors"), *([("uncertainty",)] if spec.uncertainty is not None else [])
-        spec = varied_inverse(spec, [(key, "none") for key in keys])
+        spec = varied_inverse(spec, [(("motion", "errors"), "none")])
         problem = InverseProblem.of(spec)
         if problem.recruiter is not None:
             require_derivatives_of(problem.recruiter)

@@ -225,7 +225,8 @@ class MeasuredMotion(Section):
     gaps: Gaps | None = None
     """How gaps in the data are bridged; by default, gaps are refused. `gaps` of a column takes precedence."""
     errors: ErrorBars | Literal["none"] = ErrorBars()
-    """How the errors of the results are estimated; `none` leaves them unknown and saves the time of the estimate."""
+    """How the errors of the results are estimated; `none` leaves them unknown, whatever `uncertainty` states, and saves
+    the time of the estimate."""
     plane: PlaneAxes | Literal["fit"] | None = None
     """Plane of motion of a person (`subject`): axes of the laboratory, or `fit`, the default, to find it."""
     clusters: dict[str, list[Named]] | None = None
@@ -356,31 +357,6 @@ class Actuator(Section):
         return self
 
 
-class MuscleDeviations(Section):
-    """How well properties of the muscles are known.
-
-    The numbers are standard deviations of the logarithms of the properties, which are about the relative standard
-    deviations of the properties. Each property of each muscle varies independently.
-    """
-
-    max_force: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Relative standard deviation of the isometric force."""
-    optimal_length: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Relative standard deviation of the optimal length of the fibres."""
-    tendon_length: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Relative standard deviation of the length of the tendon."""
-    samples: Annotated[Count, Field(ge=20)] = 500
-    """Number of samples."""
-
-    @model_validator(mode="after")
-    def _vary_something(self) -> MuscleDeviations:
-        if not self.max_force and not self.optimal_length and not self.tendon_length:
-            raise PydanticCustomError(
-                "mbdkit", "at least one of `max_force`, `optimal_length` and `tendon_length` has to be above 0"
-            )
-        return self
-
-
 class Recruitment(Section):
     """How muscles share the moments of actuators.
 
@@ -388,8 +364,6 @@ class Recruitment(Section):
     force)^exponent`` over the reserves is minimised. Muscles and reserves together exert the moment of each actuator
     that a muscle acts on.
     """
-
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviations",)
 
     exponent: Annotated[int, Field(ge=1, le=20)] | Literal["inf"] = 2
     """Exponent of the terms of the sum over muscles and reserves that is minimised: a whole number, or `inf` to
@@ -409,9 +383,6 @@ class Recruitment(Section):
     dynamics: Literal["none", "activation"] = "none"
     """`activation`: from one frame to the next, activations change at most as fast as activation dynamics with the time
     constants of each muscle allow for excitations between 0 and 1. Otherwise, frames are independent of each other."""
-    deviations: MuscleDeviations | None = None
-    """How accurately properties of the muscles are known; the error bars then include the effects of their uncertainty.
-    By default, the properties count as exact."""
 
 
 class Frontal(Section):
