@@ -23,7 +23,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.turn_criteria import knee_doubts, 
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.errors.stated_deviations import large_deviations
 from mbdkit_biomech.inverse_dynamics.muscles.knees import noisy_channels
-from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts, pulled_knees
+from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
 from mbdkit_biomech.uncertainty.misfit_criterion import misfit_doubts
 from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
 
@@ -85,7 +85,6 @@ def doubts_of_model(result: Inverse, bars: ResultBars | None) -> list[Finding]:
         *turn_doubts(result),
         *knee_doubts(result),
         *compression_doubts(result),
-        *pulled_knees(result),
         *_remarks(remarks),
     ]
 

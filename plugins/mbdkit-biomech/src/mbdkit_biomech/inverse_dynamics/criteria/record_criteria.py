@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.plugin import Finding, listed
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, reactions_of
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
@@ -126,7 +126,7 @@ def _peaks(result: Inverse, bars: ResultBars | None) -> list[_Peak]:
     should be small and are left out.
     """
     actuators = np.abs(result.actuators[:, :, 0])
-    forces = np.linalg.norm(recorded_states(result).reactions[:, :, :2], axis=2)
+    forces = np.linalg.norm(reactions_of(result)[..., :2], axis=2)
     named = [(one.name, one.unit if one.kind == "actuator" else "") for one in result.problem.recorded_actuators]
     named += [(f"the force in {name}", "N") for name in result.problem.prepared.workspace.mechanism.joints]
     values = np.nan_to_num(np.hstack([actuators, forces]))
