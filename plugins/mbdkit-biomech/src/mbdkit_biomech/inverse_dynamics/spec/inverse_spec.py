@@ -171,6 +171,9 @@ class InverseSpec(ModelSpec):
         return self.follows is None or key.follow is None
 
     def _accept(self, mechanism: Mechanism) -> None:
+        for key in ("emg", "frontal"):
+            if self.recruitment is None and getattr(self, key) not in ({}, None, "none"):
+                raise SpecError("needs the section `recruitment`, without which muscles exert no force", key=key)
         if wrong := [name for name in self.unmeasured if name not in mechanism.bodies]:
             known = listed([f"'{name}'" for name in mechanism.bodies])
             raise SpecError(f"should list bodies of the model ({known}), not '{wrong[0]}'", key="unmeasured")
