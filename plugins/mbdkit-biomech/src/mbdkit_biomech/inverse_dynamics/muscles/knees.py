@@ -10,17 +10,7 @@ from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import FOLLOWS
 from mbdkit_biomech.muscles.patella import contact_share
 
 Inverse: TypeAlias = Any
-InverseProblem: TypeAlias = Any
-"""Classes of `mbdkit_biomech.inverse_dynamics.compute`, whose module imports this one."""
-
-
-def knee_names(problem: InverseProblem) -> list[str]:
-    """Return the joints with a patella or with compartments, in the order of the model."""
-    recruiter = problem.recruiter
-    if recruiter is None:
-        return []
-    own = {one.joint for one in recruiter.targets.knees} | {one.joint for one in recruiter.patellas.values()}
-    return [name for name in problem.names.mechanism.joints if name in own]
+"""Class of `mbdkit_biomech.inverse_dynamics.compute`, whose module imports this one."""
 
 
 def noisy_channels(result: Inverse) -> list[str]:
@@ -52,7 +42,7 @@ def knee_forces(result: Inverse, axial: np.ndarray) -> np.ndarray:
         muscles which can close it are lacking.
     """
     recruiter, recruited = result.problem.recruiter, result.recruited
-    names, q = knee_names(result.problem), result.motion.q
+    names, q = result.problem.source.result_names["knees"], result.motion.q
     found = np.full((len(q), len(names), 3), np.nan)
     if recruiter is None or recruited is None:
         return found

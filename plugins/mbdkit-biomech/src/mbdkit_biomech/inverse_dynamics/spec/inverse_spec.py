@@ -213,6 +213,16 @@ class InverseSpec(ModelSpec):
         reserves = [] if self.recruitment is None else reserves_of(self.recruitment, found)
         return {one.name: one.unit for one in [*found, *(reserve.actuator for reserve in reserves)]}
 
+    @property
+    def result_names(self) -> Mapping[str, list[str]]:
+        """Names of the knees with a patella or with compartments, in the order of the model."""
+        if self.recruitment is None:
+            return {"knees": []}
+        mechanism, person = self.mechanism(), None if self.frontal == "none" else self.person
+        own = {one.patella.joint for one in mechanism.muscles.values() if one.patella is not None}
+        own |= set() if person is None else person.knees.keys()
+        return {"knees": [name for name in mechanism.joints if name in own]}
+
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the result."""
         return tuple(defined(self.measures, ("measures",)))
