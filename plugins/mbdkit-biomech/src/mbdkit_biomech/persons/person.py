@@ -332,8 +332,8 @@ def _shape_doubts(segments: Segments) -> Iterator[Finding]:
         yield _doubt(
             "centers",
             f"the clusters of {listed(list(changed), 'and')} have another shape in `motion.static` than in the motion "
-            f"(by up to {changed[worst]:.0%} of the size, of {worst}; doubtful above {most:.0%}): is it a trial of this "
-            "person with the same markers at the same places, and are names or sides exchanged in one of both?",
+            f"(by up to {changed[worst]:.0%} of the size, of {worst}; doubtful above {most:.0%}): is it a trial of "
+            "this person with the same markers at the same places, and are names or sides exchanged in one of both?",
         )
 
 
