@@ -84,6 +84,7 @@ class MeasureCompiler(RunCompiler):
         self.spec = spec
         super().__init__(text, spec.mechanism(), spec.numbers if parameters is None else parameters)
         self.known |= {"events": list(spec.event_names), "actuators": list(spec.actuator_units)}
+        self.known |= {word: list(names) for word, names in spec.result_names.items()}
         self._functionals: list[tuple[str, str, Program, Program]] = []
 
     def measure(self) -> tuple[Program, _Value]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
@@ -206,6 +206,11 @@ class ModelSpec(StrictSpec):
     @property
     def actuator_units(self) -> Mapping[str, str]:
         """Units of the values of the actuators that inverse dynamics may have, N or N m, by name."""
+        return {}
+
+    @property
+    def result_names(self) -> Mapping[str, Sequence[str]]:
+        """Names of the objects of results that are no elements of the mechanism, by the word of their kind."""
         return {}
 
     @property

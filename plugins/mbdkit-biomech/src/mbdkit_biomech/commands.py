@@ -107,8 +107,9 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
     folder, motion = archive.parent.resolve(), before.spec["motion"]
-    loads = before.spec.get("loads", {}).values()
-    files = (motion.get("file"), motion.get("static"), *(load.get("file") for load in loads))
+    own = [before.spec.get(key, {}).values() for key in ("loads", "emg")]
+    tables = [one.get("file") for group in own for one in group if isinstance(one, dict)]
+    files = (motion.get("file"), motion.get("static"), *tables)
     for file in filter(None, files):  # before the spec is loaded, which reads the files of a person
         path = (folder / file).resolve()
         if not (path.is_relative_to(folder) and path.is_file()):

@@ -24,8 +24,12 @@ def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
     return Recorded(name, _TU, units, what, take=lambda s: s.of(MuscleValues).array(name), **more)
 
 
-def _of_knees(name: str, column: int, what: str) -> Recorded:
-    return Recorded(name, _TN, "N", what, take=lambda s: s.handles["knees"][:, :, column])
+def _of_knees(column: int, name: str, place: str, unknown: str) -> Recorded:
+    chart = Chart(
+        name.replace("_", "-"), f"Force {place}", "Positive where surfaces are pressed together.", "force", "N"
+    )
+    what = f"force {place}; nan {unknown}"
+    return Recorded(name, _TN, "N", what, take=lambda s: s.handles["knees"][:, :, column], charts=(chart,))
 
 
 # fmt: off
@@ -95,9 +99,9 @@ KNEES = quantity_group(
     "knees",
     _TIME,
     name_array("knee", "knee", "name of the joint", lambda names: names.names_of("knees")),
-    _of_knees("patellofemoral_force", 0, "force of the patella on the thigh; nan without patella"),
-    _of_knees("medial_force", 1, "force in the medial compartment; nan if frontal moments are not known"),
-    _of_knees("lateral_force", 2, "force in the lateral compartment; nan if frontal moments are not known"),
+    _of_knees(0, "patellofemoral_force", "of the patella on the thigh", "without patella"),
+    _of_knees(1, "medial_force", "in the medial compartment", "if frontal moments are not known"),
+    _of_knees(2, "lateral_force", "in the lateral compartment", "if frontal moments are not known"),
     optional=True, word="knees", one="knee", example="medial_force", axis="knee", is_optional=True,
     may_be_unknown=True,
 )

@@ -18,6 +18,7 @@ from mbdkit.plugin.specs import CriterionName
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
+from mbdkit_biomech.inverse_dynamics.criteria.exchanged_markers import exchanged_markers
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from tests.benchmarks.drawn_faults import FAULTS, outcomes
 
@@ -102,6 +103,23 @@ def test_exchanged_markers_are_named(exchanged: tuple[str, str], bodies: str) ->
     sentence = f"markers {one} and {other} of {bodies} are probably exchanged: with the columns of the other one, the"
     said = said_of_markers(m, places)
     assert any(sentence in one for one in said), said
+
+
+def test_markers_that_fit_are_not_exchanged() -> None:
+    m = mbdkit.Mechanism()
+    m.body("thigh", mass=1.0, inertia=0.1, position=(0.0, -0.2), angle=-np.pi / 2)
+    m.body("shank", mass=1.0, inertia=0.1, position=(0.0, -0.6), angle=-np.pi / 2)
+    m.revolute("knee", "thigh", "shank", at=(0.0, -0.4))
+    for name, body, at in (("hip", "thigh", -0.2), ("bend", "thigh", 0.2), ("ankle", "shank", 0.2)):
+        m.marker(name, body, point=(at, 0.0))
+    t = np.linspace(0.0, 1.0, 21)
+    knee = 0.4 * np.exp(1j * (-1.5 + 0.2 * np.sin(t)))
+    places = {"hip": 0j * t, "bend": knee, "ankle": knee + 0.403 * np.exp(1j * (-1.5 - 0.3 * np.sin(t)))}
+    data = {f"{name}.{axis}": part for name, z in places.items() for axis, part in (("x", z.real), ("y", z.imag))}
+    spec = load_inverse_spec({"mbdkit": 1, "model": m.to_spec(), "motion": {"data": {"time": t, **data}}})
+    problem = InverseProblem.of(spec)
+    pose = problem.prepared.equations.q0
+    assert exchanged_markers(problem.fitter, problem.measured, 5, pose) is None
 
 
 @pytest.mark.parametrize("swing", [pytest.param(0.06, id="small-residuals"), pytest.param(0.3, id="large-residuals")])

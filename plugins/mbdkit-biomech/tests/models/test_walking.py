@@ -155,6 +155,14 @@ def test_knees_carry_what_instrumented_knees_measure_in_walking(walked: Run) -> 
     assert np.max(walked.array("muscles/certificate")) < 1e-12
 
 
+def test_a_leg_without_muscles_is_named(walked: Run) -> None:
+    assert not any("no muscle acts on" in warning for warning in walked.warnings)
+    given = ("model.symmetric_muscles=false", "motion.errors=none", "measures={}")
+    with mbdkit.inverse(load_inverse_spec("walking-two-legs", given)) as run:
+        said = "no muscle acts on hip_flexion_left, knee_flexion_left and ankle_dorsiflexion_left"
+        assert any(said in warning and "symmetric_muscles" in warning for warning in run.warnings)
+
+
 @pytest.fixture(scope="module")
 def walked_with_muscles():
     spec = load_inverse_spec("walking-muscles", ["motion.errors=none"])

@@ -66,7 +66,8 @@ def arm(**sections):
     time = np.linspace(0.0, 2.0, 81)
     emg = 0.3 + 0.2 * np.sin(3 * time)
     noise = 0.2 + 0.2 * np.random.default_rng(1).random(81)
-    data = {"time": time, "a": 0.4 * np.sin(3 * time), "emg": emg, "noise": noise, "raw": emg - 0.3}
+    data = {"time": time, "a": 0.4 * np.sin(3 * time), "emg": emg, "noise": noise}
+    data |= {"volts": 1e-4 * emg, "percent": 100 * emg, "gap": np.where(np.abs(time - 1.0) < 0.3, np.nan, emg)}
     motion = {"data": data, "columns": {"elbow.angle": "a"}, "errors": "none"}
     spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "recruitment": {"capacity": "isometric"}}
     return mbdkit.inverse({**spec, **sections})
@@ -97,9 +98,55 @@ def test_noise_is_left_out_by_name_and_changes_nothing():
         ({"bicep": "emg"}, "emg.bicep"),
         ({"biceps": "emgs"}, "emg.biceps.column"),
         ({"biceps": {"column": "emg", "maximum": 0.1}}, "emg.biceps.maximum"),
+        ({"biceps": "percent"}, "emg.biceps.maximum"),
+        ({"biceps": "volts"}, "emg.biceps.maximum"),
+        ({"biceps": {"column": "emg", "file": "none.csv"}}, "emg"),
     ],
 )
 def test_wrong_emg_is_refused(emg, key):
     with pytest.raises(SpecError) as error:
         arm(emg=emg)
     assert error.value.key == key
+
+
+def test_gaps_of_emg_are_those_of_other_columns():
+    with pytest.raises(SpecError, match="column 'gap': the value is missing"):
+        arm(emg={"biceps": "gap"})
+
+
+def test_emg_needs_recruitment():
+    with pytest.raises(SpecError, match="recruitment") as error:
+        arm(emg={"biceps": "emg"}, recruitment=None)
+    assert error.value.key == "emg"
+
+
+def test_emg_of_another_rate_is_read_from_its_own_file(tmp_path):
+    with arm() as alone:
+        time = np.arange(-0.1, 2.2, 0.001)
+        wanted = np.interp(time + 0.07, alone.time, alone.muscles["biceps"].activation + 0.1)
+        options = {"deviation": 0.01, "maximum": 2.0}
+        carrier = 0.5 * np.pi * np.sin(2 * np.pi * 80.0 * time)  # whose rectified mean is 1
+        columns = [time, 2.0 * wanted, 2.0 * wanted * carrier]
+        np.savetxt(file := tmp_path / "emg.csv", np.transpose(columns), delimiter=",", header="time,e,raw", comments="")
+        by = [arm(emg={"biceps": {"column": name, "file": str(file), **options}}) for name in ("e", "raw")]
+        own = [run.muscles["biceps"].activation - alone.muscles["biceps"].activation for run in by]
+        assert np.all((own[0] > 0.05) & (own[0] < 0.1001))
+        np.testing.assert_allclose(own[1][8:-8], own[0][8:-8], atol=0.005)
+        with pytest.raises(SpecError, match=r"lasts from -0.1 to 2.199 s, but the motion from 0 to 9 s"):
+            motion = {**alone.spec["motion"], "data": {"time": [0.0, 9.0], "a": [0.0, 0.1]}}
+            arm(motion=motion, emg={"biceps": {"column": "e", "file": str(file)}})
+        for run in by:
+            run.close()
+
+
+def test_an_envelope_that_a_filter_makes_slightly_negative_is_no_raw_signal():
+    with arm() as alone:
+        data = alone.spec["motion"]["data"]
+        below = np.interp(np.asarray(alone.time) + 0.07, alone.time, alone.muscles["biceps"].activation)
+        below = 0.4 * (below - np.min(below)) / np.ptp(below) - 0.02
+        found = []
+        for values in (below, np.maximum(below, 0.0)):
+            motion = {**alone.spec["motion"], "data": {**data, "emg": values.tolist()}}
+            with arm(motion=motion, emg={"biceps": "emg"}) as run:
+                found.append(run.muscles["biceps"].activation.copy())
+        np.testing.assert_array_equal(*found)

@@ -46,7 +46,9 @@ def test_knees_across_the_plane_are_unknown_without_landmarks():
 def test_compartments_hardly_pull():
     _, data = walking()
     model = {"name": "leg", "legs": 2, "root": "trunk", "symmetric_muscles": True, "muscles": "walking-two-legs"}
-    given = {"motion": {"centers": MIDPOINTS}, "model": model, "recruitment": {"reserves": 1.0}, "uncertainty": "none"}
+    measures = {"medial": "max(knees.knee.medial_force)", "pressed": "max(knees.knee.patellofemoral_force)"}
+    given = {"motion": {"centers": MIDPOINTS}, "model": model, "recruitment": {"reserves": 1.0}}
+    given |= {"measures": measures, "uncertainty": "none"}
     with (
         mbdkit.inverse(person_spec(data, **given)) as run,
         mbdkit.inverse(person_spec(data, frontal="none", **given)) as alone,
@@ -62,6 +64,8 @@ def test_compartments_hardly_pull():
         assert np.min(least) > 0.4 * np.min(pulled)
         np.testing.assert_allclose(least[pulled > 0], pulled[pulled > 0], atol=1e-6)
         assert np.all(np.isnan(alone.knees["knee"].medial_force))
+        assert run.measures["medial"] == pytest.approx(np.max(knee.medial_force), rel=1e-3)
+        assert run.measures["pressed"] == pytest.approx(np.max(knee.patellofemoral_force), rel=1e-3)
 
 
 def test_compartments_need_a_person():
@@ -70,3 +74,21 @@ def test_compartments_need_a_person():
     with pytest.raises(SpecError) as error:
         mbdkit.inverse(spec)
     assert error.value.key == "frontal"
+
+
+@pytest.mark.parametrize(
+    ("frontal", "sections", "message"),
+    [
+        ({"width": 46}, {}, "should be at most 0.1, not 46"),
+        ({"width": 0.05}, {}, "needs the section `recruitment`"),
+        ({"width": 0.05}, {"recruitment": {}, "model": {"muscles": "walking-two-legs"}, "loads": {}}, "plates"),
+    ],
+)
+def test_compartments_without_effect_are_refused(frontal, sections, message):
+    _, data = walking()
+    model = {"name": "leg", "legs": 2, "root": "trunk", **sections.pop("model", {})}
+    if "loads" in sections:
+        data = {name: values for name, values in data.items() if not name.startswith("plate")}
+    with pytest.raises(SpecError, match=message) as error:
+        mbdkit.inverse(person_spec(data, frontal=frontal, model=model, **sections))
+    assert error.value.key.startswith("frontal")

@@ -382,6 +382,18 @@ def test_faults_that_are_doubtful(fault: str) -> None:
     assert re.search(sentence, next(str(one) for one in findings if one.level))
 
 
+@pytest.mark.parametrize("fault", ["none", "another person", "exchanged markers"])
+def test_a_static_trial_of_other_markers_is_doubtful(tmp_path: Path, fault: str) -> None:
+    walker, size = Walker.of_example(2), 1.12 if fault == "another person" else 1.0
+    standing = {name: size * np.repeat(points[:1], 10, axis=0) for name, points in walker.markers().items()}
+    if fault == "exchanged markers":
+        standing["RTHU"], standing["LTHU"] = standing["LTHU"], standing["RTHU"]
+    (tmp_path / "static.trc").write_text(trc_text(walker.time[:10], standing))
+    findings = person_of(recorded(heading=2.0), motion={"static": str(tmp_path / "static.trc")}).findings
+    sentences = [one.sentence for one in findings if one.criterion == "centers" and "another shape" in one.sentence]
+    assert len(sentences) == (fault != "none")
+
+
 def test_what_has_no_effect() -> None:
     walker = Walker.of_example(2)
     columns = columns_of(walker, walker.markers(np.random.default_rng(0)), 2.0)

@@ -216,6 +216,8 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[BodySegments, LegPose, H
     for key in ("hip_velocity", "trunk_rate") if o.root == "hip" else ():
         if getattr(o, key) not in (0.0, (0.0, 0.0)):
             raise SpecError("with `root: hip` the trunk is at rest: leave this out, or use `root: trunk`", key=key)
+    if o.root == "hip" and any(item.on == "trunk" for muscle in o.muscles.values() for item in muscle.path):
+        raise SpecError("should be `trunk`, because muscles are attached to it", key="root")
     first = leg(person, o, hip)
     legs, muscles = [first], o.muscles
     if o.legs == 2:

@@ -44,6 +44,12 @@ ACROSS = 0.015
 """Largest standard deviation of the place of a knee across the plane of motion with which frontal moments are known
 [m]: half the width of the compartments, less a third."""
 
+CHANGED, CHANGED_ALL = 0.15, 0.08
+"""Root mean square change of the mean places of the markers of a cluster from the static trial to the motion, as a
+share of the size of the cluster, from which it is doubtful, and the median over all clusters: in walks of two persons,
+shares are 0.001 to 0.03.
+"""
+
 SIDES = 3.0
 """Difference of the lengths of two legs that is doubtful, in standard deviations."""
 
@@ -111,7 +117,7 @@ class Person:
     def lines(self) -> dict[str, str]:
         """Return lines of a summary by label."""
         of, kg = self.subject, self.masses
-        plates = (f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts)
+        plates = [f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts]
         sizes = ((name, length.value, length.deviation) for name, length in self.lengths.items())
         lengths = (f"{name} {size:.3f} +- {deviation:.3f} m, {kg[name]:.3g} kg" for name, size, deviation in sizes)
         centers = (f"{name} {one.method} +- {1000 * max(one.deviation):.0f} mm" for name, one in self.centers.items())
@@ -123,8 +129,7 @@ class Person:
             "subject": f"{of.mass:g} kg, {of.height:g} m, {of.sex}; {', '.join(lengths)}",
             "centres": ", ".join(centers),
             "plane": f"{'found' if self.plane.is_fitted else 'stated'}, residual {1000 * self.plane.residual:.0f} mm",
-            "plates": ", ".join(plates) + offset,
-        }
+        } | ({"plates": ", ".join(plates) + offset} if plates else {})
 
 
 @dataclass(frozen=True)
@@ -164,7 +169,7 @@ class Skeleton:
             plane = plane.reversed()
             signs = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, 1.0]])  # forward and right change theirs
             centers = {joint: replace(one, covariance=signs * one.covariance) for joint, one in centers.items()}
-        findings = [*_side_doubts(segments, plane)]
+        findings = [*_side_doubts(segments, plane), *_shape_doubts(segments)]
         plane = plane.with_residual(list(positions.values()))
         findings += [*_plane_doubts(plane), *_center_doubts(centers)]
         points = {joint: plane.coordinates(own) for joint, own in positions.items()}
@@ -312,6 +317,24 @@ def _side_doubts(segments: Segments, plane: MotionPlane) -> Iterator[Finding]:
     elif (mean["thigh"] > mean["trunk"]) != ((side := segments.side("")) == "r"):
         leg = "right" if side == "r" else "left"
         yield _doubt("centers", f"by the names of its markers, the leg is the {leg} one, but it is on the other side")
+
+
+def _shape_doubts(segments: Segments) -> Iterator[Finding]:
+    """Yield a doubt if markers are at other places of the segments in the motion than in the static trial."""
+    shares = {}
+    for body, cluster in segments.clusters.items():
+        residual = segments.motion.poses[body].residual
+        change = np.nansum(residual, axis=0) / np.maximum(np.sum(~np.isnan(residual), axis=0), 1)
+        shares[body] = float(np.sqrt(np.sum(change * change) / np.sum(cluster.template * cluster.template)))
+    most = CHANGED if np.median(list(shares.values())) < CHANGED_ALL else CHANGED_ALL
+    if segments.static is not None and (changed := {body: one for body, one in shares.items() if one > most}):
+        worst = max(changed, key=lambda body: changed[body])
+        yield _doubt(
+            "centers",
+            f"the clusters of {listed(list(changed), 'and')} have another shape in `motion.static` than in the motion "
+            f"(by up to {changed[worst]:.0%} of the size, of {worst}; doubtful above {most:.0%}): is it a trial of "
+            "this person with the same markers at the same places, and are names or sides exchanged in one of both?",
+        )
 
 
 def _plane_doubts(plane: MotionPlane) -> Iterator[Finding]:

@@ -22,7 +22,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.smoothing_criteria import cutoff_d
 from mbdkit_biomech.inverse_dynamics.criteria.turn_criteria import knee_doubts, turn_doubts, uncertain_turns
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.errors.stated_deviations import large_deviations
-from mbdkit_biomech.inverse_dynamics.muscles.knees import noisy_channels
+from mbdkit_biomech.inverse_dynamics.muscles.knees import left_out_of_recruitment
 from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
 from mbdkit_biomech.uncertainty.misfit_criterion import misfit_doubts
 from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
@@ -78,7 +78,7 @@ def doubts_of_model(result: Inverse, bars: ResultBars | None) -> list[Finding]:
     """Return the doubts about the model, about forces without a point, and about turns and signs of angles."""
     mechanism = result.problem.names.mechanism
     remarks = [*uncertain_turns(result), *large_deviations(result, bars), *inertias_about_joints(mechanism)]
-    remarks += noisy_channels(result)
+    remarks += left_out_of_recruitment(result)
     return [
         *model_doubts(result),
         *missing_points(result.problem),

@@ -15,7 +15,8 @@ from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 
 FITS, BETTER = 0.02, 3.0
 """Two markers are exchanged if the root mean square residual with their columns exchanged is below the first number
-(angles in rad, lengths divided by the longest link), and if any other exchange makes it larger by the second factor.
+(angles in rad, lengths divided by the longest link), and if any other exchange, and none, makes it larger by the second
+factor.
 """
 
 MOST = 150
@@ -35,16 +36,15 @@ def exchanged_markers(fitter: Fitter, measured: Measured, row: int, start: np.nd
         return None  # any exchange may fit
     pairs = sorted(combinations(moving, 2), key=lambda pair: pair[0][0].body != pair[1][0].body)[:MOST]
     frame, tried = measured.target.rows(slice(row, row + 1)), []
-    for (first, a), (second, b) in pairs:
-        values = frame.values.copy()
+    for (first, a), (second, b) in ((moving[0], moving[0]), *pairs) if pairs else ():  # the first one exchanges nothing
+        values, residual = frame.values.copy(), np.inf
         values[:, a], values[:, b] = frame.values[:, b], frame.values[:, a]
-        residual = np.inf
         with suppress(RunError):
             residual = fitter.misfit(FitTarget(frame.time, frame.quantities, values, frame.root_weight), start)[1]
         names = [measured.names[x[0]].removesuffix(".x") for x in (a, b)]
         tried.append((residual, sorted({first.body, second.body}), names))
     tried.sort(key=lambda pair: pair[0])
-    if not tried or tried[0][0] > FITS or (len(tried) > 1 and tried[1][0] < BETTER * tried[0][0]):
+    if not tried or len(set(tried[0][2])) < 2 or tried[0][0] > FITS or tried[1][0] < BETTER * tried[0][0]:
         return None
     _, bodies, names = tried[0]
     on = listed([fitter.bodies[body] for body in bodies], "and")

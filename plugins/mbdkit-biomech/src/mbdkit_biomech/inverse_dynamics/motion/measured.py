@@ -146,13 +146,13 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Meas
         as_given[:, index], may_turn[index] = given, unit == "rad" and _range(every) <= period * (1 + ROUNDED)
         has_unit[index] = (column.unit or table.unit(column.column)) is not None or (unit == "rad" and table.in_degrees)
         raw[:, index] = given if unit == "m" else continued(time, given, period, where)
-        values[:, index] = _bridged(time, raw[:, index], motion.gaps_of(name), where)
+        values[:, index] = with_gaps_bridged(time, raw[:, index], motion.gaps_of(name), where)
         if column.deviation is not None:
             deviation[index] = abs(factor) * column.deviation
         for order, heading in enumerate((column.rate, column.acceleration)):
             if heading is not None:
                 given = factor * table.column(heading, f"{key}.{('rate', 'acceleration')[order]}")[kept]
-                derivatives[order, :, index] = _bridged(time, given, None, (table, heading, kept))
+                derivatives[order, :, index] = with_gaps_bridged(time, given, None, (table, heading, kept))
     weight = np.array([column.weight for column in columns.values()])
     units: list[GivenUnit] = [
         (f"motion.columns.{quoted(name)}", column.column, column.unit, quantity.unit)
@@ -313,7 +313,7 @@ def rows_within(spec: InverseSpec, times: np.ndarray) -> np.ndarray:
     return kept
 
 
-def _bridged(
+def with_gaps_bridged(
     time: np.ndarray, values: np.ndarray, gaps: Gaps | None, where: tuple[MeasuredTable, str, np.ndarray]
 ) -> np.ndarray:
     """Return the values of a column with its gaps bridged; raise SpecError if one may not be bridged."""

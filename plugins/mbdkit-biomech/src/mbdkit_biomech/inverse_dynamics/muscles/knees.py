@@ -6,30 +6,29 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from mbdkit.plugin import listed
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import FOLLOWS
 from mbdkit_biomech.muscles.patella import contact_share
+from mbdkit_biomech.persons.landmarks import LEFT
 
 Inverse: TypeAlias = Any
-InverseProblem: TypeAlias = Any
-"""Classes of `mbdkit_biomech.inverse_dynamics.compute`, whose module imports this one."""
+"""Class of `mbdkit_biomech.inverse_dynamics.compute`, whose module imports this one."""
 
 
-def knee_names(problem: InverseProblem) -> list[str]:
-    """Return the joints with a patella or with compartments, in the order of the model."""
-    recruiter = problem.recruiter
-    if recruiter is None:
-        return []
-    own = {one.joint for one in recruiter.targets.knees} | {one.joint for one in recruiter.patellas.values()}
-    return [name for name in problem.names.mechanism.joints if name in own]
-
-
-def noisy_channels(result: Inverse) -> list[str]:
-    """Return a sentence for each channel of EMG that counts as noise, and is not used."""
-    recruiter, recruited = result.problem.recruiter, result.recruited
+def left_out_of_recruitment(result: Inverse) -> list[str]:
+    """Return sentences on actuators without muscles, and on channels of EMG that count as noise and are not used."""
+    recruiter, recruited, found = result.problem.recruiter, result.recruited, []
     if recruiter is None or recruited is None:
         return []
+    pairs = zip(result.problem.actuators, recruited.sharing.driven.tolist(), strict=True)
+    if alone := [actuator.name for actuator, driven in pairs if not (driven or actuator.is_residual)]:
+        copied = all(name.endswith(LEFT) for name in alone)
+        hint = "; `symmetric_muscles: true` in the model gives the second leg those of the first one" if copied else ""
+        found = [
+            f"no muscle acts on {listed(alone, 'and')}, so that forces of these joints lack those of muscles{hint}"
+        ]
     names, used = list(recruiter.muscles), {one.muscle for one in recruited.targets.emg}
-    return [
+    return found + [
         f"the EMG of {names[one.muscle]} does not follow the activation that the moments of the joints need "
         f"(correlation below {FOLLOWS:g}), so that it counts as noise and is not used"
         for one in recruiter.targets.emg
@@ -52,7 +51,7 @@ def knee_forces(result: Inverse, axial: np.ndarray) -> np.ndarray:
         muscles which can close it are lacking.
     """
     recruiter, recruited = result.problem.recruiter, result.recruited
-    names, q = knee_names(result.problem), result.motion.q
+    names, q = result.problem.source.result_names["knees"], result.motion.q
     found = np.full((len(q), len(names), 3), np.nan)
     if recruiter is None or recruited is None:
         return found

@@ -6,14 +6,22 @@ import numpy as np
 
 from mbdkit.plugin import QuantityNames, SpecError, did_you_mean, quoted
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
-from mbdkit_biomech.inverse_dynamics.motion.measured import source_table, times_of
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.motion.measured import source_table, times_of, with_gaps_bridged
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import low_passed
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Compartments, EmgTarget, Targets
-from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Butterworth, Emg, Frontal
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Butterworth, Emg, Frontal, TimeColumn
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 ENVELOPE = Butterworth(name="butterworth", cutoff=6.0)
 """Filter of a rectified raw signal."""
+
+RAW = 0.1
+"""A signal is raw if its most negative value exceeds this share of its largest one; filters make envelopes slightly
+negative."""
+
+AT_REST, MOST = 0.01, 1.5
+"""Largest activation of a channel without `maximum` from which its unit is wrong, and largest possible activation."""
 
 
 def measured_targets(spec: InverseSpec, names: QuantityNames, time: np.ndarray) -> Targets:
@@ -22,24 +30,37 @@ def measured_targets(spec: InverseSpec, names: QuantityNames, time: np.ndarray) 
     Raises
     ------
     SpecError
-        If EMG is that of an unknown muscle, or its column is missing or is not between 0 and 1.
+        If EMG is that of an unknown muscle, its column is missing or is not between 0 and 1, or if compartments are
+        asked for, but no plate is under a knee.
     """
-    emg = []
-    if spec.emg:
-        with spec.recording_files():
-            table = source_table(spec.motion, spec.folder, "motion")
-        for name, asked in spec.emg.items():
-            own = asked if isinstance(asked, Emg) else Emg(column=asked)
-            if table is None:
-                raise SpecError("needs a table with the column, but the motion is that of a run", key="emg")
-            emg.append(_channel(name, own, names, table, times_of(table, spec.motion.time, "motion.time"), time))
+    asked = {name: one if isinstance(one, Emg) else Emg(column=one) for name, one in spec.emg.items()}
+    with spec.recording_files():
+        tables = {file: _emg_table(spec, file) for file in dict.fromkeys(one.file for one in asked.values())}
+    emg = [_channel(name, own, names, tables[own.file], spec, time) for name, own in asked.items()]
     return Targets(_knees(spec, names, time), tuple(emg))
+
+
+def _emg_table(spec: InverseSpec, file: str | None) -> tuple[MeasuredTable, np.ndarray]:
+    """Return the table of a file with EMG, or that of the motion, and its times."""
+    if file is not None:
+        table = read_table(spec.folder / file, "emg")
+        return table, times_of(table, TimeColumn(), "emg")
+    motion = source_table(spec.motion, spec.folder, "motion")
+    if motion is None:
+        raise SpecError("needs `file`, a table with the column, because the motion is that of a run", key="emg")
+    return motion, times_of(motion, spec.motion.time, "motion.time")
 
 
 def _knees(spec: InverseSpec, names: QuantityNames, time: np.ndarray) -> tuple[Compartments, ...]:
     if spec.person is None or spec.frontal == "none":
         return ()
     asked, person, joints = spec.frontal or Frontal(), spec.person, [*names.mechanism.joints]
+    if spec.frontal and not person.plates.loads:
+        raise SpecError(
+            "needs force plates in three dimensions: columns such as plate1.force.x in the table of the motion, and "
+            "`plates` in `loads`",
+            key="frontal",
+        )
     return tuple(
         Compartments(
             knee,
@@ -54,23 +75,33 @@ def _knees(spec: InverseSpec, names: QuantityNames, time: np.ndarray) -> tuple[C
 
 
 def _channel(
-    name: str, asked: Emg, names: QuantityNames, table: MeasuredTable, at: np.ndarray, time: np.ndarray
+    name: str,
+    asked: Emg,
+    names: QuantityNames,
+    source: tuple[MeasuredTable, np.ndarray],
+    spec: InverseSpec,
+    time: np.ndarray,
 ) -> EmgTarget:
-    muscles, key = list(names.mechanism.muscles), f"emg.{quoted(name)}"
+    muscles, key, (table, at) = list(names.mechanism.muscles), f"emg.{quoted(name)}", source
     if name not in muscles:
         raise SpecError(f"is no muscle of the model{did_you_mean(name, muscles)}", key=key)
     values = table.column(asked.column, f"{key}.column")
-    known = np.isfinite(values)
-    if not known.any():
-        raise SpecError("has no values", key=f"{key}.column")
-    if np.any(values[known] < 0.0):
-        whole = np.interp(at, at[known], np.abs(values[known] - np.mean(values[known])))
-        values, known = np.maximum(low_passed(at, whole[:, None], ENVELOPE)[:, 0], 0.0), np.ones(len(at), dtype=bool)
-    values = np.interp(time - asked.delay, at[known], values[known]) / (asked.maximum or 1.0)
-    if np.max(values) > 1.5:
+    if not at[0] <= time[0] <= time[-1] <= at[-1]:
         raise SpecError(
-            f"is up to {np.max(values):.3g} times its `maximum`, the envelope in a maximal contraction: give it in the "
-            "unit of the column",
+            f"lasts from {at[0]:.6g} to {at[-1]:.6g} s, but the motion from {time[0]:.6g} to {time[-1]:.6g} s",
+            key=f"{key}.file",
+        )
+    rows = np.flatnonzero((at >= time[0] - asked.delay) & (at <= time[-1]))
+    at, values = at[rows], with_gaps_bridged(at[rows], values[rows], spec.motion.gaps, (table, asked.column, rows))
+    if -np.min(values) > RAW * np.max(values):
+        values = low_passed(at, np.abs(values - np.mean(values))[:, None], ENVELOPE)[:, 0]
+    values = np.interp(time - asked.delay, at, np.maximum(values, 0.0)) / (asked.maximum or 1.0)
+    largest = float(np.max(values))
+    if largest > MOST or (asked.maximum is None and largest < AT_REST):
+        stated = "its" if asked.maximum else "1, which is its default"
+        raise SpecError(
+            f"is up to {largest:.3g} times {stated} `maximum`, the envelope in a maximal contraction: give "
+            "`maximum` in the unit of the column",
             key=f"{key}.maximum",
         )
-    return EmgTarget(muscles.index(name), np.clip(values, 0.0, 1.0), asked.deviation)
+    return EmgTarget(muscles.index(name), np.minimum(values, 1.0), asked.deviation)

@@ -32,7 +32,6 @@ from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import DataDoubts, ve
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import long_gaps
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.motion.fit import raw_misalignment
-from mbdkit_biomech.inverse_dynamics.muscles.knees import knee_names
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
 from mbdkit_biomech.quantities import INVERSE_GROUPS, MUSCLES_OF_RUNS
 
@@ -114,7 +113,11 @@ def _measured(result: Inverse, errors: Mapping[str, float], run: Run) -> Measure
         if long_gaps(result)
         else "the muscles cannot produce the motion in most of its samples"
     )
-    unknown = {name: f"its error is unknown: {cause}" for name, error in errors.items() if math.isnan(error)}
+    unknown = {
+        name: f"its error is unknown: {cause}"
+        for name, error in errors.items()
+        if math.isnan(error) and not math.isnan(values[name])
+    }
     return MeasuredValues(values, values.units, values.reasons, errors, {**unknown, **values.remarks})
 
 
@@ -126,7 +129,7 @@ def _names(result: Inverse) -> ArchiveNames:
         motion=[(name, (unit,)) for name, unit in zip(measured.names, units, strict=True)],
         actuators=members_of_actuators(problem.recorded_actuators),
         muscles=[(name, ()) for name in ({} if problem.recruiter is None else problem.recruiter.muscles)],
-        knees=[(name, ()) for name in knee_names(problem)],
+        knees=[(name, ()) for name in problem.source.result_names["knees"]],
         loads=[(name, (body,)) for name, body in zip(result.loads.names, result.loads.bodies, strict=True)],
         followers=[(name, ()) for name in problem.followers],
     )

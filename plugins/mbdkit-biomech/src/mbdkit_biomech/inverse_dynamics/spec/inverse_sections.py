@@ -395,7 +395,7 @@ class Frontal(Section):
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviation",)
 
-    width: Positive = 0.046
+    width: Annotated[float, Field(gt=0, le=0.1)] = 0.046
     """Distance of the middles of the medial and the lateral compartment [m]."""
     deviation: Annotated[float, Field(ge=0, le=0.1)] | None = None
     """Standard deviation of the centre of the knee across the plane of motion [m]; by default, that of its
@@ -405,11 +405,13 @@ class Frontal(Section):
 class Emg(Section):
     """A column with the EMG of a muscle."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("maximum",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("maximum", "file")
 
     column: Annotated[str, Field(min_length=1)]
-    """Heading of the column, in the table of the motion: an envelope, or a raw signal, which also has negative values
-    and is rectified and filtered at 6 Hz."""
+    """Heading of the column: an envelope, or a raw signal, which also has negative values and is rectified and filtered
+    at 6 Hz."""
+    file: Named | None = None
+    """Table with this column and `time` [s], at any rate; by default, that of the motion."""
     maximum: Positive | None = None
     """Envelope in a maximal contraction, in the unit of the column; by default, the column is divided by it already."""
     deviation: Annotated[float, Field(gt=0, le=10)] = 0.4

@@ -171,6 +171,9 @@ class InverseSpec(ModelSpec):
         return self.follows is None or key.follow is None
 
     def _accept(self, mechanism: Mechanism) -> None:
+        for key in ("emg", "frontal"):
+            if self.recruitment is None and getattr(self, key) not in ({}, None, "none"):
+                raise SpecError("needs the section `recruitment`, without which muscles exert no force", key=key)
         if wrong := [name for name in self.unmeasured if name not in mechanism.bodies]:
             known = listed([f"'{name}'" for name in mechanism.bodies])
             raise SpecError(f"should list bodies of the model ({known}), not '{wrong[0]}'", key="unmeasured")
@@ -209,6 +212,16 @@ class InverseSpec(ModelSpec):
         found = [one for group in groups for one in actuators_of(self.actuators, names, group)]
         reserves = [] if self.recruitment is None else reserves_of(self.recruitment, found)
         return {one.name: one.unit for one in [*found, *(reserve.actuator for reserve in reserves)]}
+
+    @property
+    def result_names(self) -> Mapping[str, list[str]]:
+        """Names of the knees with a patella or with compartments, in the order of the model."""
+        if self.recruitment is None:
+            return {"knees": []}
+        mechanism, person = self.mechanism(), None if self.frontal == "none" else self.person
+        own = {one.patella.joint for one in mechanism.muscles.values() if one.patella is not None}
+        own |= set() if person is None else person.knees.keys()
+        return {"knees": [name for name in mechanism.joints if name in own]}
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the result."""
