@@ -353,7 +353,7 @@ REFUSED: dict[str, tuple[Callable[[Data], Data], dict[str, Any], str]] = {
         r"motion.clusters.shin: is no segment"),
     "markers that slide with the skin": (sliding, {"motion": {"centers": FUNCTIONAL}},
         r"motion.centers.knee: is functional, but no point of one segment stays at a point of the other"),
-    "thigh and shank that turn together": (lambda d: {one: own[:12] for one, own in d.items()},
+    "shank and foot that turn together": (lambda d: {one: own[20:32] for one, own in d.items()},
         {"motion": {"centers": {"ankle": "functional"}}},
         r"motion.centers.ankle: is functional, but the two segments turn together: .* changes by \d+ deg"),
     "a gap that may not be bridged": (lambda d: {one: np.where(np.arange(len(own)) == 40, np.nan, own)
