@@ -52,7 +52,11 @@ def test_bars_of_a_person_contain_data_and_person_by_default():
 
 @pytest.mark.parametrize(
     ("uncertainty", "key"),
-    [({"centers": {"knees": 0.01}}, "uncertainty.centers.knees"), ({"exponent": [2, 3]}, "uncertainty.exponent")],
+    [
+        ({"centers": {"knees": 0.01}}, "uncertainty.centers.knees"),
+        ({"masses": {"thighs": 0.1}}, "uncertainty.masses.thighs"),
+        ({"exponent": [2, 3]}, "uncertainty.exponent"),
+    ],
 )
 def test_wrong_uncertainty_of_a_person_is_refused(uncertainty, key):
     with pytest.raises(SpecError) as error:

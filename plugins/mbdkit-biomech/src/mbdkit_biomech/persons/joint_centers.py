@@ -55,8 +55,9 @@ contains 5 mm by which it may differ from the centre of rotation, an assumption.
 REGRESSION = 0.01
 """Standard deviation of `hip_center` along each axis [m]: G. Mantovani, K. C. G. Ng and M. Lamontagne, Gait Posture 44
 (2016) 48-54, found distances of 12.3 mm with a standard deviation of 5.9 mm for 67 adults, which is 7.9 mm along each
-axis, from landmarks on the bone. Skin and markers shift the centre by a further 6 mm, which is not corrected. Together,
-the distance is 16 mm on average; R. Hara et al., Sci. Rep. 6 (2016) 37707, quote 15 to more than 30 mm."""
+axis, from landmarks on the bone. Their skin, 9.7 +- 7.0 mm in front and 19.6 +- 10.9 mm behind, and markers with a
+radius of 7 mm add 6.4 +- 5.9 mm forward, which is not corrected. The root mean square of 11.7 mm forward and 7.9 mm up
+is 10 mm, a distance of 16 mm on average; R. Hara et al., Sci. Rep. 6 (2016) 37707, quote 15 to more than 30 mm."""
 
 
 TOGETHER: Mapping[str, tuple[float, float]] = {"thigh": (0.006, 0.061), "shank": (0.006, 0.044)}
@@ -133,24 +134,16 @@ class SegmentPair:
     """(3, 3) rows: directions forward, up and right in the laboratory."""
 
     def in_step(self, points: tuple[np.ndarray, np.ndarray], turn: float) -> np.ndarray:
-        """Return the covariance (3, 3), in the laboratory, of the shift of a functional centre by skin that moves in
-        step with the joint [m^2].
+        """Return the covariance (3, 3), in the laboratory, of the shift of a functional centre, `points` in the frames
+        of both clusters [m], by skin that moves in step with the joint [m^2].
 
         While the joint turns by an angle f about the axis n, the skin moves the points of both clusters at the centre
-        apart by u, which leaves no residual, but shifts the centre by n x u / f. Translations and turns of both
-        clusters, whose centroids are at distances from the centre, add to u. Their standard deviations are
-        `TOGETHER`: in walking, they are the main motions of the skin, and those of the thigh are in step with the knee
-        (A. Barre et al., J. Biomech. 62 (2017) 21-26). With clusters 0.2 m from a knee, they move thigh and shank apart
-        by 17 mm forward (standard deviation), 14 mm on average; bone pins showed up to 13.0 mm on average (Benoit et
-        al. 2006). By motions of `WALKING`, hips are 18 mm off on average, in space; with several axes, whose errors are
-        independent, 13 mm were found (J. L. Hicks and J. G. Richards, Gait Posture 22 (2005) 138-145).
-
-        Parameters
-        ----------
-        points
-            The centre in the frames of both clusters [m].
-        turn
-            Range of the angle of the joint [rad].
+        apart by u, which leaves no residual, but shifts the centre by n x u / f. The deviations of translations and
+        turns of both clusters are `TOGETHER`: they are the main motions of the skin in walking, and those of the thigh
+        are in step with the knee (A. Barre et al., J. Biomech. 62 (2017) 21-26). With clusters 0.2 m from a knee, u is
+        14 mm forward on average; bone pins showed up to 13.0 mm (Benoit et al. 2006). By motions of `WALKING`, hips
+        are 18 mm off on average; by motions along several axes, whose errors are independent, 13 mm were found (J. L.
+        Hicks and J. G. Richards, Gait Posture 22 (2005) 138-145).
         """
         moved, side = np.zeros((3, 3)), self.axes[2]
         for cluster, rotation, point in zip(self.clusters, self.reference, points, strict=True):

@@ -14,8 +14,8 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, did_you_mean, listed, quoted
-from mbdkit_biomech.persons.calibration import require_joints
+from mbdkit.plugin import SpecError, did_you_mean
+from mbdkit_biomech.persons.calibration import require_known
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 InverseProblem: TypeAlias = Any
@@ -28,9 +28,9 @@ Kind: TypeAlias = Literal["person", "muscles", "devices"]
 
 DEFAULTS: Mapping[str, Any] = {
     "masses": {"trunk": 0.1, "thigh": 0.2, "shank": 0.1, "foot": 0.3},
-    "inertias": {"trunk": 0.2, "thigh": 0.2, "shank": 0.3, "foot": 0.6}, "pressure": 0.005, "plate_gain": 0.01, "max_force": 0.2, "optimal_length": 0.05,
-    "tendon_length": 0.02, "muscle_points": 0.005, "muscle_delay": 0.02, "exponent": (2.0, 4.0),
-    "minimum": (0.01, 0.05),
+    "inertias": {"trunk": 0.2, "thigh": 0.2, "shank": 0.3, "foot": 0.6}, "pressure": 0.005, "plate_gain": 0.01,
+    "max_force": 0.2, "optimal_length": 0.05, "tendon_length": 0.02, "muscle_points": 0.005, "muscle_delay": 0.02,
+    "exponent": (2.0, 4.0), "minimum": (0.01, 0.05),
 }  # fmt: skip
 """Values of keys that are left out with `subject`; the page `persons` of the guide gives the source of each."""
 
@@ -156,10 +156,7 @@ class _Sources:
         for key in ("lengths", "masses", "inertias"):
             size = self._size(key)
             sizes = size if isinstance(size, dict) else dict.fromkeys(segments, size)
-            for segment in sizes:
-                if segment not in segments:
-                    hint = did_you_mean(segment, segments) or f"; segments: {listed(list(segments))}"
-                    raise SpecError(f"is no segment{hint}", key=f"uncertainty.{key}.{quoted(segment)}")
+            require_known(sizes, segments, f"uncertainty.{key}", "segment")
             yield from (self._scalar(key, segment, own) for segment, own in sizes.items() if own)
         yield from self._of_loads()
         yield from self._angles()
@@ -191,7 +188,7 @@ class _Sources:
             return
         given = self.asked.centers
         sizes = given if isinstance(given, dict) else dict.fromkeys(self.person.centers, given)
-        require_joints(sizes, self.person.centers, "uncertainty.centers")
+        require_known(sizes, self.person.centers, "uncertainty.centers")
         alike: dict[tuple[str, bool], dict[Place, float]] = {}
         for joint, center in self.person.centers.items():
             size = sizes.get(joint)
