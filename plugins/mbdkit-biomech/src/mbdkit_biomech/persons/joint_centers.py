@@ -152,7 +152,7 @@ class SegmentPair:
             moved = moved + shift * shift * np.eye(3) + product(cross, cross.T)
         quarter, along = np.cross(np.eye(3), side), side[:, None] * side  # n x u; along n, as much is assumed
         shifted = product(product(quarter, moved), quarter.T) + product(product(along, moved), along)
-        return shifted / min(max(turn, 1e-3), WALKING) ** 2
+        return np.asarray(shifted / min(max(turn, 1e-3), WALKING) ** 2)
 
     @property
     def key(self) -> str:
