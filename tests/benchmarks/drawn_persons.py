@@ -37,7 +37,7 @@ from mbdkit_biomech.persons.plate_contacts import later
 from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
 
 SUBJECT = {"mass": 75, "height": 1.8, "sex": "male"}
-HIP, LANDMARK, PRESSURE, POINTS = 0.0079, 0.007, 0.005, 0.005
+HIP, LANDMARK, PRESSURE, POINTS = 0.01, 0.007, 0.005, 0.005
 """Standard deviations: hips, landmarks, points of application and points of muscles, along each axis [m]."""
 MEDIAL, COMPARTMENTS, HARD = 0.03, 0.046, 0.001
 """Distances of the ground's force from the knee and of its compartments, and the deviation of this bound of nature [m].
@@ -46,13 +46,14 @@ TOGETHER = {"thigh": (0.002, 0.02), "shank": (0.002, 0.015)}
 """Standard deviations of the motion of all markers of a segment together: along and about each axis [m, rad]. They are
 a third of those that fluoroscopy shows, with which markers of thigh and shank move apart at the knee as in measured
 walking, by 10 mm; the rest is in step with the joint."""
-IN_STEP = 0.006
-"""Standard deviation of the translation of skin in step with a joint over the range of its angle [m]."""
 CUTOFF = 6.0
 """Cutoff of the motion and of the loads of the person, and of the smoothing of the data [Hz]. The source of the motion
 has no impact at heel strike; loads that have it would contradict Newton's law."""
-GAIN, MASS, INERTIA, STRENGTH, FIBER, TENDON = 0.01, 0.1, 0.2, 0.2, 0.05, 0.02
+GAIN, STRENGTH, FIBER, TENDON = 0.01, 0.2, 0.05, 0.02
 """Standard deviations of logarithms; `STRENGTH` is that of a common factor and that of one for each muscle."""
+MASS = {"trunk": 0.1, "thigh": 0.2, "shank": 0.1, "foot": 0.3}
+INERTIA = {"trunk": 0.2, "thigh": 0.2, "shank": 0.3, "foot": 0.6}
+"""Standard deviations of the logarithms of masses, and of moments of inertia at these masses."""
 DELAY = 0.02
 """Standard deviation of the time by which the forces of all muscles are late [s]."""
 TRUNK_ZERO, FOOT_ZERO = 0.05, 0.06
@@ -147,9 +148,9 @@ def _walker() -> Walker:
 
 
 @lru_cache(maxsize=1)
-def _expanded() -> tuple[dict[str, Any], float, dict[str, float]]:
-    """Return the spec of the model that is scaled to exact markers, as plain data, the angle of its flat foot less that
-    of the walker, and the range of the angle of each joint [rad].
+def _expanded() -> tuple[dict[str, Any], float]:
+    """Return the spec of the model that is scaled to exact markers, as plain data, and the angle of its flat foot less
+    that of the walker.
     """
     walker = _walker()
     spec = load_inverse_spec(_spec(columns_of(walker, walker.markers())))
@@ -157,7 +158,7 @@ def _expanded() -> tuple[dict[str, Any], float, dict[str, float]]:
     data: dict[str, Any] = json.loads(spec.expanded.canonical_json())
     data["model"] |= {"thigh_length": THIGH, "shank_length": SHANK}
     flat = float(np.median(spec.person.columns["bodies.foot.angle"] - walker.angles["foot"]))
-    return data, flat, {joint: one.turn for joint, one in spec.person.centers.items()}
+    return data, flat
 
 
 def forces_of(truth: InverseSpec) -> Run:
@@ -229,9 +230,8 @@ def _measured(random: Wider) -> dict[str, Array]:
         shift = LANDMARK * random.standard_normal(3)
         for name in names:
             markers[name] = markers[name] + walker.turned(body, tuple(shift))
-    for joint, angle in _expanded()[2].items():
-        x, y = (IN_STEP / angle * random.standard_normal(2)).tolist()
-        walker.move_in_step(markers, joint, (x, y))
+    for joint in JOINTS:
+        walker.move_in_step(markers, joint, random)
     for body, (along, about) in TOGETHER.items():
         slide, turn = along * walker.skin(random.random), about * walker.skin(random.random)
         middle = np.mean([markers[name] for name in CLUSTERS[body]], axis=0)
@@ -260,7 +260,7 @@ def _later(at: Array, values: Array, late: float) -> Array:
 
 def _truth(random: Wider) -> InverseSpec:
     """Return the spec of the drawn person with its own motion, loads and muscles."""
-    walker, (data, flat, _) = _walker(), json.loads(json.dumps(_expanded()))
+    walker, (data, flat) = _walker(), json.loads(json.dumps(_expanded()))
     muscles = data["model"]["muscles"]
     common = STRENGTH * random.standard_normal()
     for muscle in muscles.values():
@@ -308,8 +308,8 @@ def _weighed(data: Mapping[str, Any], random: Wider) -> dict[str, Any]:
         key: {name: json.loads(one.model_dump_json(exclude_none=True)) for name, one in group.items()}
         for key, group in whole.items()
     }
-    for body in model["bodies"].values():
-        mass, inertia = np.exp(MASS * random.standard_normal()), np.exp(INERTIA * random.standard_normal())
+    for name, body in model["bodies"].items():
+        mass, inertia = np.exp(MASS[name] * random.standard_normal()), np.exp(INERTIA[name] * random.standard_normal())
         body["mass"], body["inertia"] = float(mass) * body["mass"], float(mass * inertia) * body["inertia"]
     return {"name": "mechanism", "gravity": list(own.gravity), **model}
 

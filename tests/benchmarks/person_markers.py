@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from scipy.signal import butter, filtfilt
@@ -28,6 +29,9 @@ HIP = (-0.24 * DEPTH - 0.0099, -0.30 * WIDTH - 0.0109, 0.33 * WIDTH + 0.0073)
 """The right hip relative to the middle of the anterior superior iliac spines: forward, up and right [m]."""
 SKIN = {"trunk": 0.002, "thigh": 0.006, "shank": 0.003, "foot": 0.002}
 """Standard deviation of the artefact of a marker by segment [m]."""
+IN_STEP = {"thigh": (0.006, 0.061), "shank": (0.006, 0.044)}
+"""Standard deviations of the translation along and the turn about each axis of a cluster in step with a joint over the
+range of its angle, of thighs and of other segments [m, rad]."""
 CORRELATION = 0.08
 """Time in which the artefact of a marker changes [s]."""
 MARKERS: dict[str, dict[str, tuple[float, float, float]]] = {
@@ -60,6 +64,13 @@ https://github.com/mechmotum/gait-closed-loop-id."""
 """Comment in the table of the example."""
 
 CLUSTERS = {body: cluster(body) for body in ("trunk", *(f"{name}{leg}" for leg in ("", "_left") for name in MARKERS))}
+
+
+class RandomNumbers(Protocol):
+    """A source of random numbers."""
+
+    def standard_normal(self, size: int) -> Array:
+        """Return Gaussian numbers with a mean of 0."""
 
 
 @dataclass
@@ -158,16 +169,20 @@ class Walker:
             found[foot] = np.column_stack([x, y]) * acts[:, None], np.column_stack([pressed, 0.0 * pressed])
         return found
 
-    def move_in_step(self, markers: dict[str, Array], joint: str, shift: tuple[float, float]) -> None:
-        """Move the markers of a segment beside a joint in step with its flexion, so that both segments seem to turn
-        about a centre that is shifted with the other segment [m].
-        """
+    def move_in_step(self, markers: dict[str, Array], joint: str, random: RandomNumbers) -> None:
+        """Move and turn the clusters of both segments of a joint by random amounts in step with its flexion."""
         kind, leg = joint.removesuffix("_left"), "_left" if joint.endswith("_left") else ""
-        body, other = {"hip": ("thigh", "trunk"), "knee": ("thigh", "shank"), "ankle": ("foot", "shank")}[kind]
-        other = other if other == "trunk" else f"{other}{leg}"
-        for name in CLUSTERS[f"{body}{leg}"]:
-            own = self.turned(other, (*shift, 0.0)) - self.turned(f"{body}{leg}", (*shift, 0.0))
-            markers[name] = markers[name] + own
+        bodies = {"hip": ("trunk", "thigh"), "knee": ("thigh", "shank"), "ankle": ("shank", "foot")}[kind]
+        bodies = tuple(body if body == "trunk" else f"{body}{leg}" for body in bodies)
+        flexion = self.angles[bodies[0]] - self.angles[bodies[1]]
+        share = ((flexion - np.mean(flexion)) / np.ptp(flexion))[:, None]
+        for body in bodies:
+            along, about = IN_STEP["thigh" if body.startswith("thigh") else "shank"]
+            x, y, turn = (np.array([along, along, about]) * random.standard_normal(3)).tolist()
+            middle = np.mean([markers[name] for name in CLUSTERS[body]], axis=0)
+            for name in CLUSTERS[body]:
+                turned = np.cross([0.0, 0.0, turn], markers[name] - middle)
+                markers[name] = markers[name] + share * (self.turned(body, (x, y, 0.0)) + turned)
 
     def contacts(self) -> list[tuple[str, int, int]]:
         """Return foot, first frame and the frame after the last one of each contact."""

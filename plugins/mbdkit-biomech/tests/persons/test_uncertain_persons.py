@@ -12,6 +12,7 @@ from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
+from mbdkit_biomech.uncertainty.sources import sources_of
 from tests.benchmarks.drawn_persons import JOINTS, Tally, add_person
 
 
@@ -52,12 +53,29 @@ def test_bars_of_a_person_contain_data_and_person_by_default():
 
 @pytest.mark.parametrize(
     ("uncertainty", "key"),
-    [({"centers": {"knees": 0.01}}, "uncertainty.centers.knees"), ({"exponent": [2, 3]}, "uncertainty.exponent")],
+    [
+        ({"centers": {"knees": 0.01}}, "uncertainty.centers.knees"),
+        ({"masses": {"thighs": 0.1}}, "uncertainty.masses.thighs"),
+        ({"exponent": [2, 3]}, "uncertainty.exponent"),
+    ],
 )
 def test_wrong_uncertainty_of_a_person_is_refused(uncertainty, key):
     with pytest.raises(SpecError) as error:
         mbdkit.inverse(person_spec(uncertainty=uncertainty))
     assert error.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("stated", "masses"), [(None, [0.1, 0.2, 0.1, 0.3]), (0.05, [0.05] * 4), ({"foot": 0.2}, [0.1, 0.2, 0.1, 0.2])]
+)
+def test_masses_have_a_deviation_by_segment_and_both_hips_are_wrong_alike(stated, masses):
+    spec = loaded(uncertainty={"masses": stated}, motion={"errors": {"samples": 20}})
+    moves = [one.moves for one in sources_of(InverseProblem.of(spec))]
+    found = {place[1]: size for one in moves for place, size in one.items() if place[0] == "masses"}
+    assert found == dict(zip(("trunk", "thigh", "shank", "foot"), masses, strict=True))
+    joints = [{place[1] for place in one} for one in moves if next(iter(one))[0] == "centers"]
+    assert joints.count({"hip", "hip_left"}) == 2  # along two directions
+    assert {"knee"} in joints
 
 
 def test_without_uncertainty_bars_say_that_the_person_is_missing():

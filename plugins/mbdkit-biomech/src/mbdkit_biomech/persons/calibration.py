@@ -165,7 +165,7 @@ class Segments:
 
     def centers(self, asked: Mapping[str, Center], plane: MotionPlane) -> dict[str, JointCenter]:
         """Return the joint centres by joint; raise SpecError with the reason if a centre is not determined."""
-        require_joints(asked, self.joints, "motion.centers")
+        require_known(asked, self.joints, "motion.centers")
         return {joint: self._center(joint, asked.get(joint), plane) for joint in self.joints}
 
     def _center(self, joint: str, method: Center | None, plane: MotionPlane) -> JointCenter:
@@ -239,12 +239,12 @@ class Segments:
         return np.asarray(np.nanmean(own, axis=0))
 
 
-def require_joints(asked: Iterable[str], joints: Collection[str], key: str) -> None:
-    """Raise SpecError if names below a key of the spec are not among the joints of a person."""
-    for joint in asked:
-        if joint not in joints:
-            hint = did_you_mean(joint, joints) or f"; joints: {listed(joints)}"
-            raise SpecError(f"is no joint of the person{hint}", key=f"{key}.{quoted(joint)}")
+def require_known(asked: Iterable[str], known: Collection[str], key: str, kind: str = "joint") -> None:
+    """Raise SpecError if names below a key of the spec are not among the joints or segments of a model."""
+    for name in asked:
+        if name not in known:
+            hint = did_you_mean(name, known) or f"; {kind}s: {listed(known)}"
+            raise SpecError(f"is no {kind}{hint}", key=f"{key}.{quoted(name)}")
 
 
 def angle_of(direction: np.ndarray) -> np.ndarray:

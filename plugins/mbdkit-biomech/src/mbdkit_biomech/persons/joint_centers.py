@@ -10,7 +10,7 @@ I - J^-1) p`` for each frame (`rigid_clusters`), are subtracted (W. A. Fuller, M
 The covariance is that of the least-squares estimate for the artefacts of the markers (`rigid_clusters`), which are
 correlated in time. If the residual of the fit is larger than they explain, because the skin moves all markers of a
 segment together, the covariance is multiplied by the ratio of the squares (R. T. Birge, Phys. Rev. 40 (1932) 207).
-Skin that moves in step with the joint shifts the centre without a residual (`IN_STEP`).
+Skin that moves in step with the joint shifts the centre without a residual (`SegmentPair.in_step`).
 
 Combined: a centre by landmarks or regression is a second observation of p, which is independent of the motion. The
 least-squares estimate by both weighs them by their covariances. If they differ by more than their covariances explain,
@@ -38,9 +38,9 @@ ACROSS = 0.05
 EXPECTED = 0.005
 """Standard deviation of the residual of a functional calibration that weighs the pseudo-observation [m]."""
 
-LARGEST_DEVIATION = 0.02
-"""Functional centres are refused if their standard deviation in the plane of motion is larger [m]: published errors of
-other methods are smaller (`LANDMARKS`, `REGRESSION`)."""
+LARGEST_DEVIATION = 0.05
+"""Functional centres are refused if their standard deviation in the plane of motion is larger [m], about a tenth of a
+thigh or shank. In walking, that of hips and ankles by the motion alone is 20 to 40 mm along the segments."""
 
 LARGEST_RESIDUAL = 0.02
 """Functional centres are refused if the root mean square distance of both points is larger [m]. In walking it is below
@@ -52,9 +52,12 @@ the knee are 12 mm apart on average (M. J. Simmonds and S. Kumar, Int. J. Ind. E
 12 / sqrt(pi) = 6.8 mm along each axis of the skin. The middle of two such landmarks would be known to 4.8 mm; this
 contains 5 mm by which it may differ from the centre of rotation, an assumption."""
 
-REGRESSION = 0.0079
+REGRESSION = 0.01
 """Standard deviation of `hip_center` along each axis [m]: G. Mantovani, K. C. G. Ng and M. Lamontagne, Gait Posture 44
-(2016) 48-54, found distances of 12.3 mm with a standard deviation of 5.9 mm for 67 adults."""
+(2016) 48-54, found distances of 12.3 mm with a standard deviation of 5.9 mm for 67 adults, which is 7.9 mm along each
+axis, from landmarks on the bone. Their skin, 9.7 +- 7.0 mm in front and 19.6 +- 10.9 mm behind, and markers with a
+radius of 7 mm add 6.4 +- 5.9 mm forward, which is not corrected. The root mean square of 11.7 mm forward and 7.9 mm up
+is 10 mm, a distance of 16 mm on average; R. Hara et al., Sci. Rep. 6 (2016) 37707, quote 15 to more than 30 mm."""
 
 
 TOGETHER: Mapping[str, tuple[float, float]] = {"thigh": (0.006, 0.061), "shank": (0.006, 0.044)}
@@ -64,11 +67,9 @@ degrees of the shank, which A. Ancillao, E. Aertbelien and J. De Schutter, Hum. 
 walking by fluoroscopy. In the angle of the knee they add up to 4.3 degrees; D. L. Benoit et al., Gait Posture 24 (2006)
 152-164, found up to 4.4 degrees with markers on bone pins."""
 
-IN_STEP = 0.006
-"""Standard deviation along each axis of the translation of skin in step with a joint over the range of its angle [m].
-It leaves no residual, but a translation d over an angle f shifts a functional centre by d / f: 6 mm for knees that bend
-by 60 degrees, and 9 mm for hips that turn by 40 degrees. Such motions are the largest of the thigh in walking (O. Barre
-et al., J. Biomech. 62 (2017) 21-26). This is a third of their range, 18 mm (`TOGETHER`), an assumption."""
+WALKING = 1.05
+"""Angle over which skin moves by `TOGETHER` in step with a joint [rad]: that of a knee in walking. Skin of larger
+motions moves in proportion (T. Bonci et al., J. Biomech. 47 (2014) 2354-2361)."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,27 @@ class SegmentPair:
     axes: np.ndarray
     """(3, 3) rows: directions forward, up and right in the laboratory."""
 
+    def in_step(self, points: tuple[np.ndarray, np.ndarray], turn: float) -> np.ndarray:
+        """Return the covariance (3, 3), in the laboratory, of the shift of a functional centre, `points` in the frames
+        of both clusters [m], by skin that moves in step with the joint [m^2].
+
+        While the joint turns by an angle f about the axis n, the skin moves the points of both clusters at the centre
+        apart by u, which leaves no residual, but shifts the centre by n x u / f. The deviations of translations and
+        turns of both clusters are `TOGETHER`: they are the main motions of the skin in walking, and those of the thigh
+        are in step with the knee (A. Barre et al., J. Biomech. 62 (2017) 21-26). With clusters 0.2 m from a knee, u is
+        14 mm forward on average; bone pins showed up to 13.0 mm (Benoit et al. 2006). By motions of `WALKING`, hips
+        are 18 mm off on average; by motions along several axes, whose errors are independent, 13 mm were found (J. L.
+        Hicks and J. G. Richards, Gait Posture 22 (2005) 138-145).
+        """
+        moved, side = np.zeros((3, 3)), self.axes[2]
+        for cluster, rotation, point in zip(self.clusters, self.reference, points, strict=True):
+            shift, angle = together(cluster.body)
+            cross = angle * np.cross(np.eye(3), product(rotation, point))
+            moved = moved + shift * shift * np.eye(3) + product(cross, cross.T)
+        quarter, along = np.cross(np.eye(3), side), side[:, None] * side  # n x u; along n, as much is assumed
+        shifted = product(product(quarter, moved), quarter.T) + product(product(along, moved), along)
+        return np.asarray(shifted / min(max(turn, 1e-3), WALKING) ** 2)
+
     @property
     def key(self) -> str:
         """Key of the spec with the method."""
@@ -156,13 +178,20 @@ class SegmentPair:
         square = float(np.mean(np.sum(gap * gap, axis=1)))
         sizes, alike = np.zeros(2), np.zeros(2)
         for side, (artefact, cluster, point) in enumerate(zip(self.artefacts, self.clusters, points, strict=True)):
-            shift, turn = TOGETHER["thigh" if cluster.body.startswith("thigh") else "shank"]
+            shift, turn = together(cluster.body)
             sizes[side] = artefact.deviation * artefact.deviation * float(np.trace(cluster.covariance(point)))
             alike[side] = 3 * shift * shift + 2 * turn * turn * float(np.sum(point * point))
         whole = sizes + alike
         slip = np.sqrt(np.maximum(0.0, square * whole / np.sum(whole) - sizes) / 3.0).tolist()
         weight = float(whole[1] / np.sum(whole))
         return CenterFit(float(np.sqrt(square)), (slip[0], slip[1]), (weight, 1.0 - weight))
+
+
+def together(body: str) -> tuple[float, float]:
+    """Return the motion of the skin of a segment as a whole; that of trunk and foot is assumed to be that of the
+    shank.
+    """
+    return TOGETHER["thigh" if body.startswith("thigh") else "shank"]
 
 
 def turn_of(first: Poses, second: Poses) -> float:
@@ -173,13 +202,6 @@ def turn_of(first: Poses, second: Poses) -> float:
     relative = product(first.rotation[::step].mT, second.rotation[::step, None]).reshape(-1, 9)
     trace = np.min(product(relative, relative.T))
     return float(elementary.acos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))
-
-
-def in_step(turn: float) -> float:
-    """Return the standard deviation of the shift of the functional centre of a joint that turns by an angle [rad], by
-    skin in step with it [m]; see `IN_STEP`.
-    """
-    return IN_STEP / max(turn, IN_STEP)
 
 
 def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> JointCenter:
@@ -241,8 +263,7 @@ def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> Jo
     birge = max(1.0, residual * residual / expected)
     covariance = product(product(inverse, birge * spread + across[:, None] * across), inverse)
     common = np.concatenate([one.T for one in pair.reference])  # a shift of both points in the laboratory
-    shift = in_step(radians)
-    covariance = covariance + shift * shift * product(common, common.T)
+    covariance = covariance + product(product(common, pair.in_step(points, radians)), common.T)
     misfit = square = 0.0
     if other is not None:
         to_plane = product(pair.axes, pair.reference[0])[:2]

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from mbdkit.plugin import SpecError, did_you_mean
-from mbdkit_biomech.persons.calibration import require_joints
+from mbdkit_biomech.persons.calibration import require_known
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 InverseProblem: TypeAlias = Any
@@ -27,9 +27,10 @@ Place: TypeAlias = tuple[str, ...]
 Kind: TypeAlias = Literal["person", "muscles", "devices"]
 
 DEFAULTS: Mapping[str, Any] = {
-    "masses": 0.1, "inertias": 0.2, "pressure": 0.005, "plate_gain": 0.01, "max_force": 0.2, "optimal_length": 0.05,
-    "tendon_length": 0.02, "muscle_points": 0.005, "muscle_delay": 0.02, "exponent": (2.0, 4.0),
-    "minimum": (0.01, 0.05),
+    "masses": {"trunk": 0.1, "thigh": 0.2, "shank": 0.1, "foot": 0.3},
+    "inertias": {"trunk": 0.2, "thigh": 0.2, "shank": 0.3, "foot": 0.6}, "pressure": 0.005, "plate_gain": 0.01,
+    "max_force": 0.2, "optimal_length": 0.05, "tendon_length": 0.02, "muscle_points": 0.005, "muscle_delay": 0.02,
+    "exponent": (2.0, 4.0), "minimum": (0.01, 0.05),
 }  # fmt: skip
 """Values of keys that are left out with `subject`; the page `persons` of the guide gives the source of each."""
 
@@ -141,8 +142,10 @@ class _Sources:
         yield from self._centers()
         segments = dict.fromkeys(segment_of(name, self.person) for name in self.problem.names.mechanism.bodies)
         for key in ("lengths", "masses", "inertias"):
-            if size := self._size(key):
-                yield from (self._scalar(key, segment, size) for segment in segments)
+            size = self._size(key)
+            sizes = size if isinstance(size, dict) else dict.fromkeys(segments, size)
+            require_known(sizes, segments, f"uncertainty.{key}", "segment")
+            yield from (self._scalar(key, segment, own) for segment, own in sizes.items() if own)
         yield from self._of_loads()
         yield from self._angles()
         if self.person is not None and self.person.plates.offset is not None and self.person.plates.loads:
@@ -155,6 +158,8 @@ class _Sources:
     def _size(self, key: str) -> Any:
         """Return the value of a key: that of the spec, or the default of a person."""
         given = getattr(self.asked, key)
+        if isinstance(given, dict) and self.person is not None:
+            return DEFAULTS[key] | given
         return given if given is not None or self.person is None else DEFAULTS.get(key)
 
     def _scalar(self, key: str, element: str, size: float, kind: Kind = "person") -> UncertainScalar:
@@ -171,16 +176,20 @@ class _Sources:
             return
         given = self.asked.centers
         sizes = given if isinstance(given, dict) else dict.fromkeys(self.person.centers, given)
-        require_joints(sizes, self.person.centers, "uncertainty.centers")
+        require_known(sizes, self.person.centers, "uncertainty.centers")
+        alike: dict[tuple[str, bool], dict[Place, float]] = {}
         for joint, center in self.person.centers.items():
             size = sizes.get(joint)
             (xx, xy), (_, yy) = (center.covariance[:2, :2] if size is None else size * size * np.eye(2)).tolist()
             first = np.sqrt(xx)
             shared = xy / first if first > 0 else 0.0
-            name = f"centre of the {joint.replace('_', ' ')}"
+            name = "hip" if joint.startswith("hip") else joint  # both hips are wrong alike: they share a pelvis
             for x, y in ((first, shared), (0.0, np.sqrt(max(0.0, yy - shared * shared)))):
                 if x or y:
-                    yield UncertainScalar(name, "person", {("centers", joint, "x"): x, ("centers", joint, "y"): y})
+                    own = alike.setdefault((name, bool(x)), {})
+                    own |= {("centers", joint, "x"): x, ("centers", joint, "y"): y}
+        for (name, _), moves in alike.items():
+            yield UncertainScalar(f"centre of the {name.replace('_', ' ')}", "person", moves)
 
     def _of_loads(self) -> Iterator[UncertainScalar]:
         loads = self.problem.loads

@@ -35,10 +35,11 @@ class Uncertainty(Section):
     their calibration."""
     lengths: Share | None = None
     """Distances in each segment from its centre of mass, in addition to what follows from the centres; default 0."""
-    masses: Share | None = None
-    """Mass of each segment; default 0.1."""
-    inertias: Share | None = None
-    """Moment of inertia of each segment, at constant mass; default 0.2."""
+    masses: Share | dict[str, Share] | None = None
+    """Mass of each segment, one value for all or one by segment; default 0.2 for thighs, 0.3 for feet, and 0.1 for
+    others."""
+    inertias: Share | dict[str, Share] | None = None
+    """Moment of inertia of each segment, at constant mass; default 0.3 for shanks, 0.6 for feet, and 0.2 for others."""
     max_force: Share | None = None
     """Isometric forces: of a factor of all muscles together, and of one factor for each muscle; default 0.2."""
     optimal_length: Share | None = None
