@@ -29,12 +29,13 @@ def left_out_of_recruitment(result: Inverse) -> list[str]:
         found = [
             f"no muscle acts on {listed(alone, 'and')}, so that forces of these joints lack those of muscles{hint}"
         ]
+    end = np.degrees(FLEXION[-1])
     bent = {one.joint: np.degrees(np.max(one.flexion(result.motion.q))) for one in recruiter.patellas.values()}
     found += [
-        f"{joint} bends by {most:.0f} degrees, but data of the patella end at {np.degrees(FLEXION[-1]):.0f}; its shares "
-        "and angles are those there, and forces between thigh and calf are left out"
+        f"{joint} bends by {most:.0f} degrees, but data of the patella end at {end:.0f}; its shares and "
+        "angles are those there, and forces between thigh and calf are left out"
         for joint, most in bent.items()
-        if most > np.degrees(FLEXION[-1])
+        if most > end
     ]
     names, used = list(recruiter.muscles), {one.muscle for one in recruited.targets.emg}
     return found + [
