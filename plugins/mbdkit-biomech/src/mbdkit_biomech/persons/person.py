@@ -44,6 +44,9 @@ ACROSS = 0.015
 """Largest standard deviation of the place of a knee across the plane of motion with which frontal moments are known
 [m]: half the width of the compartments, less a third."""
 
+APART = 0.02
+"""Mean distance of two knees or ankles across the plane of motion from which they are no longer doubtful [m]."""
+
 BESIDE = 0.04
 """Mean distance across the plane of motion of the ground's force from the ankle from which it is doubtful [m], about
 half the width of a foot: in walks of two persons, it is 2 to 20 mm.
@@ -178,6 +181,7 @@ class Skeleton:
         plane = plane.with_residual(list(positions.values()))
         findings += [*_plane_doubts(plane), *_center_doubts(centers)]
         points = {joint: plane.coordinates(own) for joint, own in positions.items()}
+        findings += _place_doubts(points)
         lengths = {}
         for name in ENDS:
             lengths[name], doubts = _length(name, segments, centers, points)
@@ -327,12 +331,26 @@ def _side_doubts(segments: Segments, plane: MotionPlane) -> Iterator[Finding]:
         if wrong:
             raise SpecError(
                 f"sides are exchanged: the markers of {listed(wrong, 'and')}, the right side, are to the left of those "
-                f"of {listed([name + LEFT for name in wrong], 'and')} as the person faces",
+                f"of {listed([name + LEFT for name in wrong], 'and')} as the person faces"
+                f"{'' if plane.is_fitted else ' by `motion.plane`, which is to be checked first'}",
                 key=f"motion.clusters.{wrong[0]}",
             )
     elif (mean["thigh"] > mean["trunk"]) != ((side := segments.side("")) == "r"):
         leg = "right" if side == "r" else "left"
         yield _doubt("centers", f"by the names of its markers, the leg is the {leg} one, but it is on the other side")
+
+
+def _place_doubts(points: Mapping[str, np.ndarray]) -> Iterator[Finding]:
+    """Yield a doubt for each knee or ankle that is hardly to the right of that of the left leg."""
+    for joint in (name for name in ("knee", "ankle") if name + LEFT in points):
+        apart = float(np.nanmean((points[joint] - points[joint + LEFT])[:, 2]))
+        if apart < APART:
+            yield _doubt(
+                "centers",
+                f"{joint} is {1000 * abs(apart):.0f} mm to the {'left' if apart < 0 else 'right'} of {joint}{LEFT} on "
+                f"average (doubtful unless {1000 * APART:g} mm to the right): check `motion.centers` and the landmarks "
+                "of this joint, whose sides may be exchanged",
+            )
 
 
 def _shape_doubts(segments: Segments) -> Iterator[Finding]:
