@@ -82,6 +82,15 @@ def test_compartments_hardly_pull():
         assert run.measures["pressed"] == pytest.approx(np.max(knee.patellofemoral_force), rel=1e-3)
 
 
+def test_measures_of_compartments_need_no_patella():
+    _, data = walking()
+    model = {"name": "leg", "legs": 2, "root": "trunk", "symmetric_muscles": True, "muscles": "walking-muscles"}
+    sections = {"model": model, "recruitment": {"reserves": 1.0}, "measures": {"a": "max(knees.knee.lateral_force)"}}
+    with mbdkit.inverse(person_spec(data, motion={"centers": MIDPOINTS}, uncertainty="none", **sections)) as run:
+        assert run.measures["a"] == pytest.approx(np.max(run.knees["knee"].lateral_force), rel=1e-3)
+        assert np.all(np.isnan(run.knees["knee"].patellofemoral_force))
+
+
 def test_compartments_need_a_person():
     motion = {"data": {"time": [0.0, 0.1], "a": [0.0, 0.1]}, "columns": {"J1.angle": "a"}}
     spec = {"mbdkit": 1, "model": {"name": "single-pendulum"}, "motion": motion, "frontal": {"width": 0.05}}
