@@ -99,10 +99,10 @@ def test_a_patella_needs_a_pin_below_the_thigh_and_is_refused_in_runs():
         mbdkit.run(spec)
 
 
-def squat(muscles):
-    """Return inverse dynamics of a squat to 105 degrees of the knee, with the muscles of an example."""
+def squat(muscles, degrees=105):
+    """Return inverse dynamics of a squat with this flexion of the knee and the muscles of an example."""
     data = read_source("squat").data
-    data["parameters"] |= {"knee": "degrees(105)", "ankle": "degrees(30)"}
+    data["parameters"] |= {"knee": f"degrees({degrees})", "ankle": "degrees(30)"}
     data["time"] = {"end": 3.0, "step": 0.03}
     with mbdkit.run(data) as run:
         trunk, thigh, shank, foot = (run[name].angle for name in ("trunk", "thigh", "shank", "foot"))
@@ -130,6 +130,9 @@ def test_a_deep_squat_presses_the_knee_throughout():
         weight = 9.81 * 75 / 2
         assert np.min(along) > weight  # the ground presses with half of the weight, and muscles only add to it
         assert run.verdict != "bad"
+        assert not any("data of the patella end" in one for one in run.warnings)
+    with squat("walking-two-legs", 130) as run:
+        assert any("knee bends by 130 degrees, but data of the patella end at 120" in one for one in run.warnings)
 
 
 def test_a_knee_that_muscles_pull_apart_is_bad():

@@ -132,8 +132,8 @@ def test_emg_of_another_rate_is_read_from_its_own_file(tmp_path):
         own = [run.muscles["biceps"].activation - alone.muscles["biceps"].activation for run in by]
         assert np.all((own[0] > 0.05) & (own[0] < 0.1001))
         np.testing.assert_allclose(own[1][8:-8], own[0][8:-8], atol=0.005)
+        motion = {**alone.spec["motion"], "data": {"time": [0.0, 9.0], "a": [0.0, 0.1]}}
         with pytest.raises(SpecError, match=r"lasts from -0.1 to 2.199 s, but the motion from 0 to 9 s"):
-            motion = {**alone.spec["motion"], "data": {"time": [0.0, 9.0], "a": [0.0, 0.1]}}
             arm(motion=motion, emg={"biceps": {"column": "e", "file": str(file)}})
         for run in by:
             run.close()

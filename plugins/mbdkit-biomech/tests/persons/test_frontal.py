@@ -43,6 +43,20 @@ def test_knees_across_the_plane_are_unknown_without_landmarks():
     assert any("where knees are across the plane of motion is not known" in str(one) for one in person.findings)
 
 
+def test_forces_beside_the_feet_are_doubtful():
+    walker, data = walking()
+    assert not any(
+        "of the ankle on average" in str(one) for one in loaded(motion={"centers": MIDPOINTS}).person.findings
+    )
+    findings = [str(one) for one in loaded(data).person.findings if one.criterion == "plates" and one.level]
+    for foot, way in (("foot", "left"), ("foot_left", "right")):
+        force, ankle = walker.loads[foot][0][:, 1], walker.joints[foot.replace("foot", "ankle")][:, 1]
+        lever = 1000 * np.sum(force * (INWARD + SIDEWAYS * ankle)) / np.sum(force)
+        (said,) = (one for one in findings if f"force on {foot} acts" in one)
+        assert f"to the {way} of the ankle" in said
+        assert float(said.split(" acts ")[1].split(" mm")[0]) == pytest.approx(lever, abs=3.0)
+
+
 def test_compartments_hardly_pull():
     _, data = walking()
     model = {"name": "leg", "legs": 2, "root": "trunk", "symmetric_muscles": True, "muscles": "walking-two-legs"}
@@ -66,6 +80,15 @@ def test_compartments_hardly_pull():
         assert np.all(np.isnan(alone.knees["knee"].medial_force))
         assert run.measures["medial"] == pytest.approx(np.max(knee.medial_force), rel=1e-3)
         assert run.measures["pressed"] == pytest.approx(np.max(knee.patellofemoral_force), rel=1e-3)
+
+
+def test_measures_of_compartments_need_no_patella():
+    _, data = walking()
+    model = {"name": "leg", "legs": 2, "root": "trunk", "symmetric_muscles": True, "muscles": "walking-muscles"}
+    sections = {"model": model, "recruitment": {"reserves": 1.0}, "measures": {"a": "max(knees.knee.lateral_force)"}}
+    with mbdkit.inverse(person_spec(data, motion={"centers": MIDPOINTS}, uncertainty="none", **sections)) as run:
+        assert run.measures["a"] == pytest.approx(np.max(run.knees["knee"].lateral_force), rel=1e-3)
+        assert np.all(np.isnan(run.knees["knee"].patellofemoral_force))
 
 
 def test_compartments_need_a_person():

@@ -385,6 +385,8 @@ FOUND: dict[str, tuple[Callable[[Data], Data], dict[str, Any], str, str]] = {
         "landmarks and motion determine centres of knee that differ"),
     "a leg that is too short": (lambda d: moved(d, "RKN", (0.0, 0.0, -0.06)),
         {"motion": {"centers": {"knee": "static"}}}, "lengths", "long differ by more than"),
+    "landmarks of the other knee": (lambda d: d, {"motion": {"centers": {"knee": {"midpoint": ["LKNE", "LKNM"]}}}},
+        "centers", "knee is .* mm to the (left|right) of knee_left on average"),
 }  # fmt: skip
 
 

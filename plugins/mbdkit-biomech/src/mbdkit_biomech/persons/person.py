@@ -44,6 +44,14 @@ ACROSS = 0.015
 """Largest standard deviation of the place of a knee across the plane of motion with which frontal moments are known
 [m]: half the width of the compartments, less a third."""
 
+APART = 0.02
+"""Mean distance of two knees or ankles across the plane of motion from which they are no longer doubtful [m]."""
+
+BESIDE = 0.04
+"""Mean distance across the plane of motion of the ground's force from the ankle from which it is doubtful [m], about
+half the width of a foot: in walks of two persons, it is 2 to 20 mm.
+"""
+
 CHANGED, CHANGED_ALL = 0.15, 0.08
 """Root mean square change of the mean places of the markers of a cluster from the static trial to the motion, as a
 share of the size of the cluster, from which it is doubtful, and the median over all clusters: in walks of two persons,
@@ -173,6 +181,7 @@ class Skeleton:
         plane = plane.with_residual(list(positions.values()))
         findings += [*_plane_doubts(plane), *_center_doubts(centers)]
         points = {joint: plane.coordinates(own) for joint, own in positions.items()}
+        findings += _place_doubts(points)
         lengths = {}
         for name in ENDS:
             lengths[name], doubts = _length(name, segments, centers, points)
@@ -207,11 +216,22 @@ class Skeleton:
         )  # fmt: skip
 
     def _knees(self, plates: PlateResult) -> tuple[dict[str, KneeLoad], list[Finding]]:
-        """Return the knees above plates, and a remark if their places across the plane are not known."""
-        found, unknown = {}, []
+        """Return the knees above plates, and what was found about places of forces and knees across the plane."""
+        found, unknown, findings = {}, [], []
         for leg in self.segments.legs:
             knee, loads = f"knee{leg}", [one for one in plates.loads.values() if one.body == f"foot{leg}"]
             deviation = float(np.sqrt(self.centers[knee].covariance[2, 2]))
+            if loads and np.sqrt(self.centers[f"ankle{leg}"].covariance[2, 2]) <= ACROSS:
+                moments = sum(one.frontal_moment(self.points[f"ankle{leg}"]) for one in loads)
+                vertical = sum(one.force[:, 1] for one in loads)
+                beside = float(np.nansum(moments) / np.sum(vertical, where=~np.isnan(moments)))
+                if abs(beside) > BESIDE:
+                    where = f"{1000 * abs(beside):.0f} mm to the {'left' if beside > 0 else 'right'} of the ankle"
+                    sentence = (
+                        f"the force on foot{leg} acts {where} on average (doubtful from {1000 * BESIDE:.0f} mm): check "
+                        "the place of its plates across the plane of motion, on which the forces in the knee depend"
+                    )
+                    findings.append(_doubt("plates", sentence))
             if loads and deviation > ACROSS:
                 unknown.append(f"{knee} {1000 * deviation:.0f} mm")
             elif loads:
@@ -224,7 +244,7 @@ class Skeleton:
             f"{1000 * ACROSS:.0f} mm are accepted), so that their compartments do not bound the forces of muscles: use "
             "markers on the medial and lateral sides of the knees, in the motion or in a static trial"
         )
-        return found, [Finding("centers", None, sentence)] if unknown else []
+        return found, findings + [Finding("centers", None, sentence)] * bool(unknown)
 
     def _shifts(self, columns: Sequence[str]) -> dict[str, np.ndarray]:
         """Return the shifts of columns by artefacts; see `Person.shifts`."""
@@ -311,12 +331,26 @@ def _side_doubts(segments: Segments, plane: MotionPlane) -> Iterator[Finding]:
         if wrong:
             raise SpecError(
                 f"sides are exchanged: the markers of {listed(wrong, 'and')}, the right side, are to the left of those "
-                f"of {listed([name + LEFT for name in wrong], 'and')} as the person faces",
+                f"of {listed([name + LEFT for name in wrong], 'and')} as the person faces"
+                f"{'' if plane.is_fitted else ' by `motion.plane`, which is to be checked first'}",
                 key=f"motion.clusters.{wrong[0]}",
             )
     elif (mean["thigh"] > mean["trunk"]) != ((side := segments.side("")) == "r"):
         leg = "right" if side == "r" else "left"
         yield _doubt("centers", f"by the names of its markers, the leg is the {leg} one, but it is on the other side")
+
+
+def _place_doubts(points: Mapping[str, np.ndarray]) -> Iterator[Finding]:
+    """Yield a doubt for each knee or ankle that is hardly to the right of that of the left leg."""
+    for joint in (name for name in ("knee", "ankle") if name + LEFT in points):
+        apart = float(np.nanmean((points[joint] - points[joint + LEFT])[:, 2]))
+        if apart < APART:
+            yield _doubt(
+                "centers",
+                f"{joint} is {1000 * abs(apart):.0f} mm to the {'left' if apart < 0 else 'right'} of {joint}{LEFT} on "
+                f"average (doubtful unless {1000 * APART:g} mm to the right): check `motion.centers` and the landmarks "
+                "of this joint, whose sides may be exchanged",
+            )
 
 
 def _shape_doubts(segments: Segments) -> Iterator[Finding]:

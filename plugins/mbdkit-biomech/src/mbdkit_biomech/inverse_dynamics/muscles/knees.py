@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.plugin import listed
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import FOLLOWS
-from mbdkit_biomech.muscles.patella import contact_share
+from mbdkit_biomech.muscles.patella import FLEXION, contact_share
 from mbdkit_biomech.persons.landmarks import LEFT
 
 Inverse: TypeAlias = Any
@@ -16,7 +16,9 @@ Inverse: TypeAlias = Any
 
 
 def left_out_of_recruitment(result: Inverse) -> list[str]:
-    """Return sentences on actuators without muscles, and on channels of EMG that count as noise and are not used."""
+    """Return sentences on actuators without muscles, on knees that bend farther than the data of patellas, and on
+    channels of EMG that count as noise and are not used.
+    """
     recruiter, recruited, found = result.problem.recruiter, result.recruited, []
     if recruiter is None or recruited is None:
         return []
@@ -27,6 +29,14 @@ def left_out_of_recruitment(result: Inverse) -> list[str]:
         found = [
             f"no muscle acts on {listed(alone, 'and')}, so that forces of these joints lack those of muscles{hint}"
         ]
+    end = np.degrees(FLEXION[-1])
+    bent = {one.joint: np.degrees(np.max(one.flexion(result.motion.q))) for one in recruiter.patellas.values()}
+    found += [
+        f"{joint} bends by {most:.0f} degrees, but data of the patella end at {end:.0f}; its shares and "
+        "angles are those there, and forces between thigh and calf are left out"
+        for joint, most in bent.items()
+        if most > end
+    ]
     names, used = list(recruiter.muscles), {one.muscle for one in recruited.targets.emg}
     return found + [
         f"the EMG of {names[one.muscle]} does not follow the activation that the moments of the joints need "

@@ -107,7 +107,7 @@ def _provenance(result: Inverse) -> dict[str, str | int | float]:
 
 
 def _measured(result: Inverse, errors: Mapping[str, float], run: Run) -> MeasuredValues:
-    values = take_all(run, result.problem.spec)
+    values = take_all(run, result.problem.source)
     cause = (
         "it depends on a gap that is longer than the smoothing can bridge"
         if long_gaps(result)
