@@ -20,7 +20,7 @@ determine the set of all solutions: unknowns whose reduced costs do not vanish a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import linprog
@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import connected_components
 from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit.plugin.equations import elementary
 
-FIRST_STEPS, STEPS = 25, 60
+FIRST_STEPS, STEPS = 25, 200
 """Largest numbers of evaluations of the first attempt, and of each proximal problem; 5 to 15 are usual."""
 PROXIMAL = (1e-2, 1e-4, 1e-6, 1e-8, 0.0)
 """Proximal terms of the successive problems, relative to half the trace of the product of the matrix and its transpose.
@@ -216,14 +216,12 @@ def _newton(
         there = np.maximum(base + size * step, own.lowest)
         x, slope = _unknowns(own, there, p)
         gradient = _residual(own, x) - proximal * trace * (there - center)
+        along = np.sum(gradient * step, axis=1, keepdims=True)
         held = (there <= own.lowest) & (gradient <= 0)
-        gradient[held] = 0.0
-        norm, along = np.max(np.abs(gradient), axis=1, keepdims=True), np.sum(gradient * step, axis=1, keepdims=True)
+        norm = np.max(np.where(held, 0.0, np.abs(gradient)), axis=1, keepdims=True)
         jacobian = products(own.matrix * slope[:, None], np.swapaxes(own.matrix, 1, 2))
         jacobian += ((proximal + REGULAR * norm + 1e-15) * trace)[..., None] * eye
-        if held.any():
-            jacobian = np.where(held[:, :, None] | held[:, None], eye, jacobian)
-        newton = least_norms(jacobian, gradient, 0.0)
+        newton = _best_step(jacobian, gradient, held, own.lowest - there)
         moves, before = along >= -OVERSHOOT * rise, residual[left, None]
         better = np.flatnonzero(moves & (norm < before))
         y[left[better]], residual[left[better]] = there[better], norm[better, 0]
@@ -238,6 +236,20 @@ def _newton(
         if len(on) < len(left):
             left, own, trace, center = left[on], own.only(on), trace[on], center[on]
     return y, residual
+
+
+def _best_step(jacobian: np.ndarray, gradient: np.ndarray, held: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Return steps d (T, K) that maximise ``gradient d - d jacobian d / 2``; components `held` are zero, and those that
+    would then be below their bounds `most` are at them.
+    """
+    eye = np.eye(gradient.shape[1])
+    step = least_norms(np.where(held[:, :, None] | held[:, None], eye, jacobian), np.where(held, 0.0, gradient), 0.0)
+    if (rows := np.flatnonzero(np.any(step < most, axis=1))).size:
+        below, jacobian = held[rows] | (step < most)[rows], jacobian[rows]
+        fixed = np.where(below, most[rows], 0.0)
+        right = np.where(below, fixed, gradient[rows] - products(jacobian, fixed))
+        step[rows] = least_norms(np.where(below[:, :, None] | below[:, None], eye, jacobian), right, 0.0)
+    return step
 
 
 def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
@@ -290,13 +302,12 @@ def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarr
     low = np.hstack([np.maximum(programme.low, 0.0), np.zeros((frames, len(signed)))])
     high = np.hstack([programme.high, -programme.low[:, signed]])
     solved, lowest = np.zeros(frames, dtype=bool), programme.lowest.copy()
-    whole = Programme(matrix, programme.right, low, high, np.ones(matrix.shape[2]))
+    whole = Programme(matrix, programme.right, low, high, np.ones(matrix.shape[2]), lowest)
     for row in range(frames):
         found = _optimal_face(whole, row, is_largest=math.isinf(exponent))
         if found is not None:
             (low[row], high[row], lowest[row]), solved[row] = found, True
-    face = replace(whole, lowest=lowest)
-    split, certificate, _ = _dual_newton(face, 2.0)
+    split, certificate, _ = _dual_newton(whole, 2.0)
     value = split[:, :count].copy()
     value[:, signed] -= split[:, count:]
     wrong = np.maximum(certificate, _violation(programme, value, np.zeros_like(programme.right)))
