@@ -42,7 +42,7 @@ OVERSHOOT = 0.25
 Unlike the dual function itself, the derivative is not disturbed by rounding errors near the solution (W. W. Hager and
 H. Zhang, SIAM J. Optim. 16:170-192, 2005).
 """
-ENDED, REACHED = 1e-14, 1e-12
+ENDED, REACHED = 1e-14, 1e-13
 """Residuals of the equations, relative to their size, at which the iteration ends, and which need no second attempt."""
 NEARLY = 1e-9
 """Residual below which the iteration also ends if a step does not halve it, because of rounding errors."""
