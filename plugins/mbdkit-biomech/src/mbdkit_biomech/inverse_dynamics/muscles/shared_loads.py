@@ -5,12 +5,12 @@ dual problem is solved. Its unknowns are the multipliers y of the K equations; K
 from the same component of ``g = matrix^T y`` and is clipped to its bounds, so that ``matrix x(y) = right`` is a system
 of K equations for y. The Jacobian, ``matrix diag(dx/dg) matrix^T``, is symmetric. Newton's method for the concave dual
 function solves the system to rounding errors; for p = 2 the system is piecewise linear, and the iteration ends once the
-right bounds are active. An inequality ``matrix x >= right`` is an equation whose multiplier must not be negative: steps
-are projected, and a multiplier of 0 that would fall is held (D. P. Bertsekas, SIAM J. Control Optim. 20:221-246, 1982).
-The Jacobian is regularised in proportion to the residual, which keeps the convergence quadratic where it is singular
-(D.-H. Li et al., Comput. Optim. Appl. 28:131-147, 2004). All frames step at once, each with its own length of the step.
-Frames that need too many steps, such as those with saturated muscles, are solved again by the method of multipliers:
-a proximal term is reduced from problem to problem, each of which starts from the multipliers of the previous one.
+right bounds are active. An inequality ``matrix x >= right`` is an equation whose multiplier must not be negative:
+multipliers that would fall below 0 become 0, and the others are computed for this (D. P. Bertsekas, SIAM J. Control
+Optim. 20:221-246, 1982). The Jacobian is regularised in proportion to the residual (D.-H. Li et al., Comput. Optim.
+Appl. 28:131-147, 2004). All frames are advanced at once, each with its own length of the step. Frames that need too
+many steps, such as those with saturated muscles, are solved again by the method of multipliers: a proximal term is
+reduced from problem to problem, each of which starts from the multipliers of the previous one.
 
 For p = 1, and for p = infinity, where the largest ``|x / weight|`` is minimised, HiGHS solves linear programmes. If
 there are several solutions, the one with the smallest sum of squares is chosen. The multipliers of one solution
@@ -30,22 +30,23 @@ from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit.plugin.equations import elementary
 
 FIRST_STEPS, STEPS = 25, 200
-"""Largest numbers of evaluations of the first attempt, and of each proximal problem; 5 to 15 are usual."""
+"""Largest numbers of evaluations in the first attempt, and in each proximal problem; 5 to 15 are usual."""
 PROXIMAL = (1e-2, 1e-4, 1e-6, 1e-8, 0.0)
 """Proximal terms of the successive problems, relative to half the trace of the product of the matrix and its transpose.
 """
-REGULAR = 1e-8
-"""Regularisation of the Jacobian, likewise, for a residual of 1."""
+REGULAR, ROUNDING = 1e-8, 1e-15
+"""Regularisation of the Jacobian, likewise, for a residual of 1, and its lower bound."""
 OVERSHOOT = 0.25
-"""A step is accepted unless the derivative along it has then changed its sign, and exceeds this share of the first one.
+"""A step is too long if the derivative of the dual function along it has the other sign at its end, and more than this
+share of its size at the beginning.
 
-Unlike the dual function itself, the derivative is not disturbed by rounding errors near the solution (W. W. Hager and
-H. Zhang, SIAM J. Optim. 16:170-192, 2005).
+Unlike the function, its derivative is not disturbed by rounding errors near the solution (W. W. Hager and H. Zhang,
+SIAM J. Optim. 16:170-192, 2005).
 """
 ENDED, REACHED = 1e-14, 1e-13
-"""Residuals of the equations, relative to their size, at which the iteration ends, and which need no second attempt."""
+"""Residuals of the equations, relative to their size, at which the iteration ends, and that need no second attempt."""
 NEARLY = 1e-9
-"""Residual below which the iteration also ends if a step does not halve it, because of rounding errors."""
+"""Residual below which the iteration also ends if a step does not halve it: the rest are rounding errors."""
 SOLVED = 1e-9
 """A frame counts as solved if its certificate (see `Shared`) is at most this; otherwise, it counts as a frame without
 solution.
@@ -97,7 +98,7 @@ class Programme:
         unknowns at their finite upper bounds.
         """
         largest = np.where(np.isfinite(self.high), np.abs(self.high), 0.0)
-        size: np.ndarray = np.abs(self.right) + np.sum(np.abs(self.matrix) * largest[:, None], axis=2)
+        size: np.ndarray = np.abs(self.right) + products(np.abs(self.matrix), largest)
         return np.where(size > 0, size, 1.0)
 
     def only(self, rows: np.ndarray) -> Programme:
@@ -168,15 +169,17 @@ def _each_part(programme: Programme, p: float, start: np.ndarray | None) -> tupl
     value = np.clip(0.0, programme.low, programme.high)  # of unknowns in no equation
     certificate, multipliers = np.zeros(len(value)), np.zeros_like(programme.right)
     for part in range(count):
-        rows = parts == part
-        columns = np.any(acts[rows], axis=0)
-        matrix, low, high = (
-            programme.matrix[:, rows][:, :, columns],
-            programme.low[:, columns],
-            programme.high[:, columns],
+        rows = np.flatnonzero(parts == part)
+        columns = np.flatnonzero(np.any(acts[rows], axis=0))
+        own = Programme(  # arrays are contiguous
+            programme.matrix.take(rows, 1).take(columns, 2),
+            programme.right.take(rows, 1),
+            programme.low.take(columns, 1),
+            programme.high.take(columns, 1),
+            programme.weight[columns],
+            programme.lowest.take(rows, 1),
         )
-        own = Programme(matrix, programme.right[:, rows], low, high, programme.weight[columns], programme.lowest[:, rows])
-        x, wrong, y = _dual_newton(own, p, None if start is None else start[:, rows])
+        x, wrong, y = _dual_newton(own, p, None if start is None else start.take(rows, 1))
         value[:, columns], multipliers[:, rows], certificate = x, y, np.maximum(certificate, wrong)
     return value, certificate, multipliers
 
@@ -193,10 +196,10 @@ def _dual_newton(
         begin = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
     y, residual = _newton(programme, begin, p, 0.0, FIRST_STEPS)
     if (left := np.flatnonzero(residual > REACHED)).size:
-        own, again = programme.only(left), begin[left]
+        own, again, before = programme.only(left), begin[left], residual[left]
         for proximal in PROXIMAL:
             again, residual = _newton(own, again, p, proximal, STEPS)
-        y[left] = again
+        y[left] = np.where((residual < before)[:, None], again, y[left])
     x, _ = _unknowns(programme, y, p)
     return x, _certificate(programme, x, y, p), y
 
@@ -220,7 +223,7 @@ def _newton(
         held = (there <= own.lowest) & (gradient <= 0)
         norm = np.max(np.where(held, 0.0, np.abs(gradient)), axis=1, keepdims=True)
         jacobian = products(own.matrix * slope[:, None], np.swapaxes(own.matrix, 1, 2))
-        jacobian += ((proximal + REGULAR * norm + 1e-15) * trace)[..., None] * eye
+        jacobian += ((proximal + REGULAR * norm + ROUNDING) * trace)[..., None] * eye
         newton = _best_step(jacobian, gradient, held, own.lowest - there)
         moves, before = along >= -OVERSHOOT * rise, residual[left, None]
         better = np.flatnonzero(moves & (norm < before))
@@ -272,8 +275,7 @@ def _residual(programme: Programme, x: np.ndarray) -> np.ndarray:
 
 
 def _violation(programme: Programme, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the largest residual (T,) of the equations, and of the inequalities that do not hold or have a multiplier.
-    """
+    """Return the largest residual (T,) of equations, and of inequalities that do not hold or have a multiplier."""
     residual = _residual(programme, x)
     holds = (y <= programme.lowest) & (residual <= 0)
     return np.asarray(np.max(np.where(holds, 0.0, np.abs(residual)), axis=1, initial=0.0))
