@@ -103,8 +103,10 @@ class Programme:
 
     def only(self, rows: np.ndarray) -> Programme:
         """Return the programmes of a selection of frames."""
-        arrays = (one[rows] for one in (self.matrix, self.right, self.low, self.high))
-        return Programme(*arrays, self.weight, self.lowest[rows])
+        matrix, right, low, high, lowest = (
+            one[rows] for one in (self.matrix, self.right, self.low, self.high, self.lowest)
+        )
+        return Programme(matrix, right, low, high, self.weight, lowest)
 
 
 @dataclass(frozen=True)
