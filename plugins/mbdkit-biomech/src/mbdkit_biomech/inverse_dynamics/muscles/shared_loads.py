@@ -43,8 +43,10 @@ share of its size at the beginning.
 Unlike the function, its derivative is not disturbed by rounding errors near the solution (W. W. Hager and H. Zhang,
 SIAM J. Optim. 16:170-192, 2005).
 """
-ENDED, REACHED = 1e-14, 1e-13
-"""Residuals of the equations, relative to their size, at which the iteration ends, and that need no second attempt."""
+ENDED = 1e-10
+"""Residual of the equations, relative to their size, after which the next step, the last one, reaches rounding errors."""
+REACHED = 1e-13
+"""Certificate (see `Shared`) above which a frame is solved again."""
 NEARLY = 1e-9
 """Residual below which the iteration also ends if a step does not halve it: the rest are rounding errors."""
 SOLVED = 1e-9
@@ -196,22 +198,23 @@ def _dual_newton(
         x, _, _ = _dual_newton(programme, 2.0)
         cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
         begin = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
-    y, residual = _newton(programme, begin, p, 0.0, FIRST_STEPS)
-    if (left := np.flatnonzero(residual > REACHED)).size:
-        own, again, before = programme.only(left), begin[left], residual[left]
-        for proximal in PROXIMAL:
-            again, residual = _newton(own, again, p, proximal, STEPS)
-        y[left] = np.where((residual < before)[:, None], again, y[left])
+    y = _newton(programme, begin, p, 0.0, FIRST_STEPS)
     x, _ = _unknowns(programme, y, p)
-    return x, _certificate(programme, x, y, p), y
+    certificate = _certificate(programme, x, y, p)
+    if (left := np.flatnonzero(certificate > REACHED)).size:
+        own, again = programme.only(left), begin[left]
+        for proximal in PROXIMAL:
+            again = _newton(own, again, p, proximal, STEPS)
+        other, _ = _unknowns(own, again, p)
+        wrong = _certificate(own, other, again, p)
+        better = wrong < certificate[left]
+        rows = left[better]
+        x[rows], y[rows], certificate[rows] = other[better], again[better], wrong[better]
+    return x, certificate, y
 
 
-def _newton(
-    programme: Programme, start: np.ndarray, p: float, proximal: float, steps: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return multipliers (T, K) that maximise the dual function minus ``proximal |y - start|^2 / 2``, and the largest
-    components (T,) of its gradient.
-    """
+def _newton(programme: Programme, start: np.ndarray, p: float, proximal: float, steps: int) -> np.ndarray:
+    """Return multipliers (T, K) that maximise the dual function minus ``proximal |y - start|^2 / 2``."""
     y, residual = start.copy(), np.full(len(start), np.inf)
     trace = np.sum(programme.matrix**2, axis=(1, 2)) * 0.5
     trace, eye = np.where(trace > 0, trace, 1.0)[:, None], np.eye(start.shape[1])
@@ -228,9 +231,9 @@ def _newton(
         jacobian += ((proximal + REGULAR * norm + ROUNDING) * trace)[..., None] * eye
         newton = _best_step(jacobian, gradient, held, own.lowest - there)
         moves, before = along >= -OVERSHOOT * rise, residual[left, None]
-        better = np.flatnonzero(moves & (norm < before))
-        y[left[better]], residual[left[better]] = there[better], norm[better, 0]
         ended = (norm <= max(ENDED, 0.01 * proximal)) | ((norm < NEARLY) & (norm > 0.5 * before))
+        better = np.flatnonzero(moves & (norm < before))
+        y[left[better]], residual[left[better]] = (there + ended * newton)[better], norm[better, 0]
         on = np.flatnonzero(~(moves & ended))
         if not on.size:
             break
@@ -240,7 +243,7 @@ def _newton(
         rise = np.where(moves, np.sum(gradient * newton, axis=1, keepdims=True), rise)[on]
         if len(on) < len(left):
             left, own, trace, center = left[on], own.only(on), trace[on], center[on]
-    return y, residual
+    return y
 
 
 def _best_step(jacobian: np.ndarray, gradient: np.ndarray, held: np.ndarray, most: np.ndarray) -> np.ndarray:
