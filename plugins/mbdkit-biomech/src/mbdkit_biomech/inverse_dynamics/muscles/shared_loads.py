@@ -44,7 +44,7 @@ Unlike the function, its derivative is not disturbed by rounding errors near the
 SIAM J. Optim. 16:170-192, 2005).
 """
 ENDED = 1e-10
-"""Residual of the equations, relative to their size, after which the next step, the last one, reaches rounding errors."""
+"""Residual of the equations, relative to their size, after which a last step reaches rounding errors."""
 REACHED = 1e-13
 """Certificate (see `Shared`) above which a frame is solved again."""
 NEARLY = 1e-9
