@@ -3,10 +3,14 @@
 In each frame, ``sum of |x / weight|^p`` is minimised subject to ``matrix x = right`` and bounds of x. For p > 1, the
 dual problem is solved. Its unknowns are the multipliers y of the K equations; K is small. Each component of x follows
 from the same component of ``g = matrix^T y`` and is clipped to its bounds, so that ``matrix x(y) = right`` is a system
-of K equations for y. The Jacobian, ``matrix diag(dx/dg) matrix^T``, is symmetric. Newton's method with a line search on
-the concave dual function solves the system to rounding errors. For p = 2 the system is piecewise linear, and the
-iteration ends once the right bounds are active. A proximal term keeps the Jacobian regular (method of multipliers). The
-term is reduced from problem to problem, and each problem starts from the multipliers of the previous one.
+of K equations for y. The Jacobian, ``matrix diag(dx/dg) matrix^T``, is symmetric. Newton's method for the concave dual
+function solves the system to rounding errors; for p = 2 the system is piecewise linear, and the iteration ends once the
+right bounds are active. An inequality ``matrix x >= right`` is an equation whose multiplier must not be negative:
+multipliers that would fall below 0 become 0, and the others are computed for this (D. P. Bertsekas, SIAM J. Control
+Optim. 20:221-246, 1982). The Jacobian is regularised in proportion to the residual (D.-H. Li et al., Comput. Optim.
+Appl. 28:131-147, 2004). All frames are advanced at once, each with its own length of the step. Frames that need too
+many steps, such as those with saturated muscles, are solved again by the method of multipliers: a proximal term is
+reduced from problem to problem, each of which starts from the multipliers of the previous one.
 
 For p = 1, and for p = infinity, where the largest ``|x / weight|`` is minimised, HiGHS solves linear programmes. If
 there are several solutions, the one with the smallest sum of squares is chosen. The multipliers of one solution
@@ -16,7 +20,7 @@ determine the set of all solutions: unknowns whose reduced costs do not vanish a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import linprog
@@ -25,17 +29,26 @@ from scipy.sparse.csgraph import connected_components
 from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit.plugin.equations import elementary
 
-ITERATIONS = 60
-"""Largest number of Newton iterations of one proximal problem; 5 to 15 are usual."""
-PROXIMAL = (1e-2, 1e-4, 1e-10, *(1e-11,) * 8)
+FIRST_STEPS, STEPS = 25, 200
+"""Largest numbers of evaluations in the first attempt, and in each proximal problem; 5 to 15 are usual."""
+PROXIMAL = (1e-2, 1e-4, 1e-6, 1e-8, 0.0)
 """Proximal terms of the successive problems, relative to half the trace of the product of the matrix and its transpose.
-
-Three problems usually suffice.
 """
-ROUNDING = 1e-14
-"""Rounding errors of the dual function, relative to its terms."""
+REGULAR, ROUNDING = 1e-8, 1e-15
+"""Regularisation of the Jacobian, likewise, for a residual of 1, and its lower bound."""
+OVERSHOOT = 0.25
+"""A step is too long if the derivative of the dual function along it has the other sign at its end, and more than this
+share of its size at the beginning.
+
+Unlike the function, its derivative is not disturbed by rounding errors near the solution (W. W. Hager and H. Zhang,
+SIAM J. Optim. 16:170-192, 2005).
+"""
+ENDED = 1e-10
+"""Residual of the equations, relative to their size, after which a last step reaches rounding errors."""
 REACHED = 1e-13
-"""Residual of the equations, relative to their size, at which the iteration ends."""
+"""Certificate (see `Shared`) above which a frame is solved again."""
+NEARLY = 1e-9
+"""Residual below which the iteration also ends if a step does not halve it: the rest are rounding errors."""
 SOLVED = 1e-9
 """A frame counts as solved if its certificate (see `Shared`) is at most this; otherwise, it counts as a frame without
 solution.
@@ -67,6 +80,8 @@ class Programme:
         (T, N) bounds; may be infinite.
     weight
         (N,) weights of the unknowns, positive.
+    lowest
+        (T, K) lowest multipliers: -inf for equations, 0 for inequalities ``matrix x >= right``.
     """
 
     matrix: np.ndarray
@@ -74,6 +89,10 @@ class Programme:
     low: np.ndarray
     high: np.ndarray
     weight: np.ndarray
+    lowest: np.ndarray = field(default_factory=lambda: np.array(-np.inf))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lowest", np.broadcast_to(self.lowest, self.right.shape))
 
     @property
     def size(self) -> np.ndarray:
@@ -81,12 +100,15 @@ class Programme:
         unknowns at their finite upper bounds.
         """
         largest = np.where(np.isfinite(self.high), np.abs(self.high), 0.0)
-        size: np.ndarray = np.abs(self.right) + np.sum(np.abs(self.matrix) * largest[:, None], axis=2)
+        size: np.ndarray = np.abs(self.right) + products(np.abs(self.matrix), largest)
         return np.where(size > 0, size, 1.0)
 
     def only(self, rows: np.ndarray) -> Programme:
         """Return the programmes of a selection of frames."""
-        return Programme(self.matrix[rows], self.right[rows], self.low[rows], self.high[rows], self.weight)
+        matrix, right, low, high, lowest = (
+            one[rows] for one in (self.matrix, self.right, self.low, self.high, self.lowest)
+        )
+        return Programme(matrix, right, low, high, self.weight, lowest)
 
 
 @dataclass(frozen=True)
@@ -130,6 +152,7 @@ def share_loads(programme: Programme, exponent: float, start: np.ndarray | None 
         programme.low / weight,
         programme.high / weight,
         np.ones_like(weight),
+        programme.lowest,
     )
     if exponent == 1 or math.isinf(exponent):
         value, certificate, multipliers = _linear(scaled, exponent)
@@ -150,15 +173,17 @@ def _each_part(programme: Programme, p: float, start: np.ndarray | None) -> tupl
     value = np.clip(0.0, programme.low, programme.high)  # of unknowns in no equation
     certificate, multipliers = np.zeros(len(value)), np.zeros_like(programme.right)
     for part in range(count):
-        rows = parts == part
-        columns = np.any(acts[rows], axis=0)
-        matrix, low, high = (
-            programme.matrix[:, rows][:, :, columns],
-            programme.low[:, columns],
-            programme.high[:, columns],
+        rows = np.flatnonzero(parts == part)
+        columns = np.flatnonzero(np.any(acts[rows], axis=0))
+        own = Programme(  # arrays are contiguous
+            programme.matrix.take(rows, 1).take(columns, 2),
+            programme.right.take(rows, 1),
+            programme.low.take(columns, 1),
+            programme.high.take(columns, 1),
+            programme.weight[columns],
+            programme.lowest.take(rows, 1),
         )
-        own = Programme(matrix, programme.right[:, rows], low, high, programme.weight[columns])
-        x, wrong, y = _dual_newton(own, p, None if start is None else start[:, rows])
+        x, wrong, y = _dual_newton(own, p, None if start is None else start.take(rows, 1))
         value[:, columns], multipliers[:, rows], certificate = x, y, np.maximum(certificate, wrong)
     return value, certificate, multipliers
 
@@ -167,105 +192,77 @@ def _dual_newton(
     programme: Programme, p: float, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return solutions (T, N), certificates (T,) and multipliers (T, K) for p > 1 and weights of 1."""
-    frames, equations, _ = programme.matrix.shape
-    y = np.zeros((frames, equations)) if start is None else start.copy()
+    begin = np.zeros_like(programme.right) if start is None else start
     if p > 2 and start is None:
         # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
         cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
-        y = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
-    trace = np.sum(programme.matrix**2, axis=(1, 2)) * 0.5
-    trace = np.where(trace > 0, trace, 1.0)
-    left = np.arange(frames)
-    for proximal in PROXIMAL if start is None else PROXIMAL[1:]:
-        y[left] = _proximal_newton(programme.only(left), y[left], p, proximal * trace[left])
-        x, _ = _unknowns(programme, y, p)
-        residual = np.max(np.abs(_residual(programme, x)), axis=1, initial=0.0)
-        left = np.flatnonzero(residual > REACHED)
-        if not left.size:
-            break
-    y = _polished(programme, y, p, trace)
+        begin = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
+    y = _newton(programme, begin, p, 0.0, FIRST_STEPS)
     x, _ = _unknowns(programme, y, p)
-    return x, _certificate(programme, x, y, p), y
+    certificate = _certificate(programme, x, y, p)
+    if (left := np.flatnonzero(certificate > REACHED)).size:
+        own, again = programme.only(left), begin[left]
+        for proximal in PROXIMAL:
+            again = _newton(own, again, p, proximal, STEPS)
+        other, _ = _unknowns(own, again, p)
+        wrong = _certificate(own, other, again, p)
+        better = wrong < certificate[left]
+        rows = left[better]
+        x[rows], y[rows], certificate[rows] = other[better], again[better], wrong[better]
+    return x, certificate, y
 
 
-def _polished(programme: Programme, y: np.ndarray, p: float, trace: np.ndarray) -> np.ndarray:
-    """Return the multipliers after a further Newton step, in frames in which this step reduces the residual."""
-    x, slope = _unknowns(programme, y, p)
-    before = _residual(programme, x)
-    regular = 1e-14 * trace[:, None, None] * np.eye(y.shape[1])
-    jacobian = products(programme.matrix * slope[:, None], np.swapaxes(programme.matrix, 1, 2)) + regular
-    moved = y + least_norms(jacobian, before, 0.0)
-    after = _residual(programme, _unknowns(programme, moved, p)[0])
-    better = np.max(np.abs(after), axis=1, initial=0.0) < np.max(np.abs(before), axis=1, initial=0.0)
-    return np.where(better[:, None], moved, y)
-
-
-def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal: np.ndarray) -> np.ndarray:
-    """Return the multipliers (T, K) that maximise the dual function minus ``proximal |y - start|^2 / 2``."""
-    y = start.copy()
-    eye = np.eye(y.shape[1])
-    left, own, near, own_start = np.arange(len(y)), programme, proximal, start
-    here = _DualPoint.of(own, y, p, near, own_start)
-    for _ in range(ITERATIONS):
-        gradient = _residual(own, here.x) - near[:, None] * (here.y - own_start)
-        jacobian = products(own.matrix * here.slope[:, None], np.swapaxes(own.matrix, 1, 2)) + near[:, None, None] * eye
-        step = least_norms(jacobian, gradient, 0.0)
-        rise, norm = np.sum(gradient * step, axis=1), np.max(np.abs(gradient), axis=1)
-        rounding = ROUNDING * (here.cost + np.sum(np.abs(here.y * own.right), axis=1))
-        size, there = 1.0, _DualPoint.of(own, here.y + step, p, near, own_start)
-        waiting = np.flatnonzero(there.dual < here.dual + 1e-4 * size * rise - rounding)
-        for _ in range(39):  # only the frames that wait for a shorter step are evaluated again
-            if not waiting.size:
-                break
-            size *= 0.5
-            moved = here.y[waiting] + size * step[waiting]
-            shorter = _DualPoint.of(own.only(waiting), moved, p, near[waiting], own_start[waiting])
-            there.put(waiting, shorter)
-            waiting = waiting[shorter.dual < (here.dual + 1e-4 * size * rise - rounding)[waiting]]
-        moves = np.ones(len(left), dtype=bool)
-        moves[waiting] = False
-        y[left[moves]] = there.y[moves]
-        on = np.flatnonzero((norm > 0.1 * REACHED) & moves)
+def _newton(programme: Programme, start: np.ndarray, p: float, proximal: float, steps: int) -> np.ndarray:
+    """Return multipliers (T, K) that maximise the dual function minus ``proximal |y - start|^2 / 2``."""
+    y, residual = start.copy(), np.full(len(start), np.inf)
+    trace = np.sum(programme.matrix**2, axis=(1, 2)) * 0.5
+    trace, eye = np.where(trace > 0, trace, 1.0)[:, None], np.eye(start.shape[1])
+    left, own, center, base = np.arange(len(y)), programme, start, start
+    step, size, rise = np.zeros_like(start), np.ones((len(y), 1)), np.zeros((len(y), 1))
+    for _ in range(steps):
+        there = np.maximum(base + size * step, own.lowest)
+        x, slope = _unknowns(own, there, p)
+        gradient = _residual(own, x) - proximal * trace * (there - center)
+        along = np.sum(gradient * step, axis=1, keepdims=True)
+        held = (there <= own.lowest) & (gradient <= 0)
+        norm = np.max(np.where(held, 0.0, np.abs(gradient)), axis=1, keepdims=True)
+        jacobian = products(own.matrix * slope[:, None], np.swapaxes(own.matrix, 1, 2))
+        jacobian += ((proximal + REGULAR * norm + ROUNDING) * trace)[..., None] * eye
+        newton = _best_step(jacobian, gradient, held, own.lowest - there)
+        moves, before = along >= -OVERSHOOT * rise, residual[left, None]
+        ended = (norm <= max(ENDED, 0.01 * proximal)) | ((norm < NEARLY) & (norm > 0.5 * before))
+        better = np.flatnonzero(moves & (norm < before))
+        y[left[better]], residual[left[better]] = (there + ended * newton)[better], norm[better, 0]
+        on = np.flatnonzero(~(moves & ended))
         if not on.size:
             break
-        left, own, near, own_start, here = left[on], own.only(on), near[on], own_start[on], there.only(on)
+        shorter = np.clip(rise / np.where(moves, 1.0, rise - along), 0.1, 0.5)
+        size, base = np.where(moves, 1.0, size * shorter)[on], np.where(moves, there, base)[on]
+        step = np.where(moves, newton, step)[on]
+        rise = np.where(moves, np.sum(gradient * newton, axis=1, keepdims=True), rise)[on]
+        if len(on) < len(left):
+            left, own, trace, center = left[on], own.only(on), trace[on], center[on]
     return y
 
 
-@dataclass
-class _DualPoint:
-    """Multipliers y (T, K) of proximal problems, the unknowns x and their slopes (T, N), the cost (T,) of the unknowns,
-    and the dual function (T,) with the proximal term.
+def _best_step(jacobian: np.ndarray, gradient: np.ndarray, held: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Return steps d (T, K) that maximise ``gradient d - d jacobian d / 2``; components `held` are zero, and those that
+    would then be below their bounds `most` are at them.
     """
-
-    y: np.ndarray
-    x: np.ndarray
-    slope: np.ndarray
-    cost: np.ndarray
-    dual: np.ndarray
-
-    @classmethod
-    def of(cls, programme: Programme, y: np.ndarray, p: float, proximal: np.ndarray, start: np.ndarray) -> _DualPoint:
-        """Return the evaluation at multipliers; `proximal` (T,) and `start` (T, K) define the proximal term."""
-        x, slope = _unknowns(programme, y, p)
-        cost = np.sum(x * x if p == 2 else elementary.pow(np.abs(x), p), axis=1)
-        dual = cost + np.sum(y * _residual(programme, x), axis=1)
-        return cls(y, x, slope, cost, dual - 0.5 * proximal * np.sum((y - start) ** 2, axis=1))
-
-    def only(self, rows: np.ndarray) -> _DualPoint:
-        """Return the evaluation of a selection of frames."""
-        return _DualPoint(self.y[rows], self.x[rows], self.slope[rows], self.cost[rows], self.dual[rows])
-
-    def put(self, rows: np.ndarray, other: _DualPoint) -> None:
-        """Replace the evaluations of a selection of frames."""
-        for name in ("y", "x", "slope", "cost", "dual"):
-            getattr(self, name)[rows] = getattr(other, name)
+    eye = np.eye(gradient.shape[1])
+    step = least_norms(np.where(held[:, :, None] | held[:, None], eye, jacobian), np.where(held, 0.0, gradient), 0.0)
+    if (rows := np.flatnonzero(np.any(step < most, axis=1))).size:
+        below, jacobian = held[rows] | (step < most)[rows], jacobian[rows]
+        fixed = np.where(below, most[rows], 0.0)
+        right = np.where(below, fixed, gradient[rows] - products(jacobian, fixed))
+        step[rows] = least_norms(np.where(below[:, :, None] | below[:, None], eye, jacobian), right, 0.0)
+    return step
 
 
 def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the unknowns (T, N) that minimise the Lagrangian, and their derivatives with respect to g."""
-    g = products(np.swapaxes(programme.matrix, 1, 2), y)
+    g = products(y[:, None], programme.matrix)[:, 0]
     if p == 2:
         x, slope = 0.5 * g, np.full_like(g, 0.5)
         free = (x > programme.low) & (x < programme.high)
@@ -282,6 +279,13 @@ def _residual(programme: Programme, x: np.ndarray) -> np.ndarray:
     return np.asarray(programme.right - products(programme.matrix, x))
 
 
+def _violation(programme: Programme, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the largest residual (T,) of equations, and of inequalities that do not hold or have a multiplier."""
+    residual = _residual(programme, x)
+    holds = (y <= programme.lowest) & (residual <= 0)
+    return np.asarray(np.max(np.where(holds, 0.0, np.abs(residual)), axis=1, initial=0.0))
+
+
 def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> np.ndarray:
     """Return the largest violation (T,) of the optimality conditions, see `Shared`."""
     cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
@@ -291,7 +295,7 @@ def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -
     slope = np.where((x >= programme.high) & (slope < 0), 0.0, slope)
     largest = np.maximum(np.max(np.abs(cost), axis=1, initial=0.0), np.max(np.abs(g), axis=1, initial=0.0))
     wrong = np.max(np.abs(slope), axis=1, initial=0.0) / np.where(largest > 0, largest, 1.0)
-    return np.asarray(np.maximum(wrong, np.max(np.abs(_residual(programme, x)), axis=1, initial=0.0)))
+    return np.asarray(np.maximum(wrong, _violation(programme, x, y)))
 
 
 def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -304,50 +308,54 @@ def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarr
     matrix = np.concatenate([programme.matrix, -programme.matrix[:, :, signed]], axis=2)
     low = np.hstack([np.maximum(programme.low, 0.0), np.zeros((frames, len(signed)))])
     high = np.hstack([programme.high, -programme.low[:, signed]])
-    solved = np.zeros(frames, dtype=bool)
+    solved, lowest = np.zeros(frames, dtype=bool), programme.lowest.copy()
+    whole = Programme(matrix, programme.right, low, high, np.ones(matrix.shape[2]), lowest)
     for row in range(frames):
-        found = _optimal_face(matrix[row], programme.right[row], (low[row], high[row]), math.isinf(exponent))
+        found = _optimal_face(whole, row, is_largest=math.isinf(exponent))
         if found is not None:
-            (low[row], high[row]), solved[row] = found, True
-    face = Programme(matrix, programme.right, low, high, np.ones(matrix.shape[2]))
-    split, certificate, _ = _dual_newton(face, 2.0)
+            (low[row], high[row], lowest[row]), solved[row] = found, True
+    split, certificate, _ = _dual_newton(whole, 2.0)
     value = split[:, :count].copy()
     value[:, signed] -= split[:, count:]
-    wrong = np.max(np.abs(_residual(programme, value)), axis=1, initial=0.0)
-    return value, np.where(solved, np.maximum(certificate, wrong), np.inf), np.full_like(programme.right, np.nan)
+    wrong = np.maximum(certificate, _violation(programme, value, np.zeros_like(programme.right)))
+    return value, np.where(solved, wrong, np.inf), np.full_like(programme.right, np.nan)
 
 
 def _optimal_face(
-    matrix: np.ndarray, right: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], is_largest: bool
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return bounds (N,) that define the set of all solutions of a linear programme; None if it has no solution.
+    programme: Programme, row: int, *, is_largest: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return bounds (N,) and lowest multipliers (K,) that define the set of all solutions of a linear programme, whose
+    unknowns are not negative; None if it has no solution.
 
     Parameters
     ----------
-    matrix, right
-        Equations of one frame, (K, N) and (K,).
-    bounds
-        Bounds (N,) of the unknowns, none of which may be negative.
+    row
+        Index of the frame.
     is_largest
         Whether the largest unknown, represented by an additional unknown, is minimised instead of the sum.
     """
-    (low, high), count = bounds, len(bounds[0])
-    more = {}
+    matrix, right, low, high = programme.matrix[row], programme.right[row], programme.low[row], programme.high[row]
+    is_equal, count = np.isinf(programme.lowest[row]), len(low)
+    less, most = -matrix[~is_equal], -right[~is_equal]
     if is_largest:
-        matrix = np.hstack([matrix, np.zeros((len(matrix), 1))])
-        more = {"A_ub": np.hstack([np.eye(count), -np.ones((count, 1))]), "b_ub": np.zeros(count)}
-        low, high = np.append(low, 0.0), np.append(high, np.inf)
+        matrix, less = (np.hstack([one, np.zeros((len(one), 1))]) for one in (matrix, less))
+        less = np.vstack([less, np.hstack([np.eye(count), -np.ones((count, 1))])])
+        low, high, most = np.append(low, 0.0), np.append(high, np.inf), np.append(most, np.zeros(count))
     cost = np.append(np.zeros(count), 1.0) if is_largest else np.ones(count)
-    best = linprog(cost, A_eq=matrix, b_eq=right, bounds=np.column_stack([low, high]), options=TIGHT, **more)
+    bounds = np.column_stack([low, high])
+    best = linprog(cost, less, most, matrix[is_equal], right[is_equal], bounds, options=TIGHT)
     if best.status != 0:
         return None
     reduced = best.lower.marginals[:count] + best.upper.marginals[:count]
-    least, most = low[:count].copy(), high[:count].copy()
+    lowest, most = programme.lowest[row].copy(), high[:count].copy()
+    acts = best.ineqlin.marginals[: len(lowest) - np.sum(is_equal)] < -REDUCED_COST
+    lowest[np.flatnonzero(~is_equal)[acts]] = -np.inf
     if is_largest:
         most = np.minimum(most, best.x[-1])
-        reduced = reduced + best.ineqlin.marginals
+        reduced = reduced + best.ineqlin.marginals[-count:]
     fixed = np.abs(reduced) > REDUCED_COST
-    return np.where(fixed & (reduced < 0), most, least), np.where(fixed & (reduced > 0), least, most)
+    least = low[:count]
+    return np.where(fixed & (reduced < 0), most, least), np.where(fixed & (reduced > 0), least, most), lowest
 
 
 def smallest_supplement(programme: Programme) -> np.ndarray:

@@ -6,9 +6,7 @@ that N is at least ``2 |M| / w``. The frontal moments of muscles, and of the wei
 
 A target t of a linear function ``A a`` of the activations, with the standard deviation s, adds the cost ``|(t - A a) /
 s|^p`` to that of recruitment: an equation ``A a + s r = t`` with an unknown r like the share of a reserve. For a bound,
-the equation holds only in frames whose solution without it is below the bound, which are those whose solution with it
-is not above the bound; since the problem is convex, and a bound depends on the muscles of its own leg, this is the
-solution of the problem with inequalities.
+it is the inequality ``A a + s r >= t``.
 """
 
 from __future__ import annotations
@@ -143,41 +141,34 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 def share_softly(
     programme: Programme, exponent: float, soft: SoftTargets, start: np.ndarray | None = None
 ) -> tuple[Programme, Shared]:
-    """Return the programmes with soft targets, and their solutions; `start` as in `share_loads`, for all equations or
-    without those of the targets. Bounds that act in similar programmes are tried first.
+    """Return the programmes with soft targets, and their solutions; `start` as in `share_loads`.
+
+    In the programmes that are returned, targets are equations; those of bounds that do not act, and their unknowns, are
+    zero.
     """
-    rows, targets = soft.right.shape
-    if start is not None and start.shape[1] == programme.right.shape[1]:
-        start = np.hstack([start, np.zeros((rows, targets))])
-    active = ~soft.is_bound if start is None else ~soft.is_bound | (start[:, -targets:] != 0)
-    active = np.broadcast_to(active, soft.right.shape)
-    whole = _softened(programme, soft, active)
+    whole = _softened(programme, soft)
     shared = share_loads(whole, exponent, start)
-    reached = products(soft.matrix, shared.value[:, : soft.matrix.shape[2]])
-    wrong = soft.is_bound & ((reached > soft.right) == active) & np.isfinite(shared.certificate)[:, None]
-    again = np.flatnonzero(wrong.any(axis=1))
-    if not again.size:
-        return whole, shared
-    whole = _softened(programme, soft, active ^ wrong)
-    found = share_loads(whole.only(again), exponent, shared.multipliers[again])
-    for name in ("value", "certificate", "multipliers"):
-        getattr(shared, name)[again] = getattr(found, name)
-    return whole, shared
+    targets, muscles = soft.matrix.shape[1:]
+    idle = soft.is_bound & (products(soft.matrix, shared.value[:, :muscles]) >= soft.right)
+    for one in (whole.matrix, whole.right, whole.low, whole.high):
+        one[:, -targets:][idle] = 0.0
+    return replace(whole, lowest=np.array(-np.inf)), shared
 
 
-def _softened(programme: Programme, soft: SoftTargets, active: np.ndarray) -> Programme:
-    """Return programmes with an equation and an unknown for each target; where not `active` (T, S), both are zero."""
+def _softened(programme: Programme, soft: SoftTargets) -> Programme:
+    """Return programmes with an equation or inequality, and an unknown, for each target."""
     (rows, equations, unknowns), targets = programme.matrix.shape, soft.right.shape[1]
     matrix = np.zeros((rows, equations + targets, unknowns + targets))
     matrix[:, :equations, :unknowns] = programme.matrix
-    matrix[:, equations:, : soft.matrix.shape[2]] = soft.matrix * active[..., None]
+    matrix[:, equations:, : soft.matrix.shape[2]] = soft.matrix
     places = np.arange(targets)
-    matrix[:, equations + places, unknowns + places] = soft.deviation * active
-    free = np.where(active, np.inf, 0.0)
+    matrix[:, equations + places, unknowns + places] = soft.deviation
+    free = np.full((rows, targets), np.inf)
     return Programme(
         matrix,
-        np.hstack([programme.right, soft.right * active]),
+        np.hstack([programme.right, soft.right]),
         np.hstack([programme.low, -free]),
         np.hstack([programme.high, free]),
         np.concatenate([programme.weight, np.ones(targets)]),
+        np.hstack([programme.lowest, np.where(soft.is_bound, 0.0, -free)]),
     )
