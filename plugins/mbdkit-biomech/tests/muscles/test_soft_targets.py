@@ -7,6 +7,7 @@ from tests.muscles.shared_loads import problems
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import SoftTargets, share_softly
 
 DEVIATION = 0.2
@@ -53,6 +54,18 @@ def test_a_bound_that_does_not_act_leaves_a_frame_solvable(seed):
     right[::2, 1] = -size
     soft = SoftTargets(matrix, right, np.full((rows, 2), size * DEVIATION), np.array([True, True]))
     assert np.max(share_softly(programme, 3.0, soft)[1].certificate) < 1e-9
+
+
+@pytest.mark.parametrize("p", [3.0, 4.0])
+def test_targets_that_are_almost_reached_leave_frames_solvable(p):
+    programme, random = problems(20.0), np.random.default_rng(76)
+    own = share_loads(programme, p).value
+    matrix = np.zeros((len(own), 1, own.shape[1] - programme.matrix.shape[1]))
+    matrix[:, 0, 0] = 1.0
+    for size in (0.0, 1e-9, 1e-6, 1e-3):
+        right = own[:, :1] + size * random.standard_normal((len(own), 1))
+        soft = SoftTargets(matrix, right, np.full(right.shape, DEVIATION), np.array([False]))
+        assert np.max(share_softly(programme, p, soft)[1].certificate) < 1e-9
 
 
 def arm(**sections):

@@ -203,7 +203,10 @@ class Recruiter:
         if targets:
             soft = targets.soft(axial(own.pull), own.capacity, own.passive)
             programme, shared = share_softly(sharing.programme, self.exponent, soft)
-            sharing, failed = replace(sharing, programme=programme), ~np.isfinite(shared.certificate)
+            failed = ~np.isfinite(shared.certificate)
+            if strict and failed.any():
+                raise self._impossible(sharing, motion.time, failed)
+            sharing = replace(sharing, programme=programme)
         if self.asked.dynamics == "activation" and len(motion.time) > 1:
             shared = self._over_time(sharing, shared, motion.time, strict=strict)
             failed = ~np.isfinite(shared.certificate)
