@@ -7,6 +7,7 @@ from tests.muscles.shared_loads import problems
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit_biomech.inverse_dynamics.errors import error_bars
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import SoftTargets, share_softly
 
@@ -68,7 +69,7 @@ def test_targets_that_are_almost_reached_leave_frames_solvable(p):
         assert np.max(share_softly(programme, p, soft)[1].certificate) < 1e-9
 
 
-def arm(**sections):
+def arm(errors="none", **sections):
     """Return inverse dynamics of a forearm that holds changing loads with two flexors and an extensor."""
     m = mbdkit.Mechanism()
     forearm = m.body("forearm", mass=1.5, inertia=0.02, position=(0.15, 0.0))
@@ -82,7 +83,7 @@ def arm(**sections):
     noise = 0.2 + 0.2 * np.random.default_rng(1).random(81)
     data = {"time": time, "a": 0.4 * np.sin(3 * time), "emg": emg, "noise": noise}
     data |= {"volts": 1e-4 * emg, "percent": 100 * emg, "gap": np.where(np.abs(time - 1.0) < 0.3, np.nan, emg)}
-    motion = {"data": data, "columns": {"elbow.angle": "a"}, "errors": "none"}
+    motion = {"data": data, "columns": {"elbow.angle": {"column": "a", "deviation": 1e-3}}, "errors": errors}
     spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "recruitment": {"capacity": "isometric"}}
     return mbdkit.inverse({**spec, **sections})
 
@@ -97,6 +98,16 @@ def test_activations_keep_near_emg_and_the_moment_stays():
             reached = (run.muscles["biceps"].activation - activation)[3:-3]
             assert np.all((reached > 0.05) & (reached < 0.1001))
             np.testing.assert_allclose(run.actuators["elbow"].value, alone.actuators["elbow"].value, atol=1e-9)
+
+
+def test_error_bars_with_emg_do_not_depend_on_how_many_frames_are_computed_together(monkeypatch):
+    bars = []
+    for frames in (error_bars.FRAMES, 1):
+        monkeypatch.setattr(error_bars, "FRAMES", frames)
+        with arm(emg={"biceps": "emg"}, errors={"samples": 20}) as run:
+            bars.append(run.accuracy.reaction_error)
+    assert np.all(bars[0] > 0)
+    np.testing.assert_allclose(bars[0], bars[1], rtol=1e-6)
 
 
 def test_noise_is_left_out_by_name_and_changes_nothing():

@@ -133,7 +133,11 @@ class _Response:
             series = Smoothed(*(np.concatenate(parts) for parts in zip(*block, strict=True)))
             times, poses = np.tile(time, count), np.tile(q, (count, 1))
             motion = motion_of_series(base.problem.fitter, independent, times, poses, series)
-            found = _outcome(forces_of(base.problem, base.fitted, independent, motion, strict=False))
+            problem, recruiter = base.problem, base.problem.recruiter
+            if recruiter is not None and base.recruited is not None:
+                recruiter = recruiter.with_targets(base.recruited.targets.repeated(count))
+                problem = replace(problem, recruiter=recruiter)
+            found = _outcome(forces_of(problem, base.fitted, independent, motion, strict=False))
             yield from (_Outcome(*(part[at : at + frames] for part in found.parts)) for at in shifts)
 
 

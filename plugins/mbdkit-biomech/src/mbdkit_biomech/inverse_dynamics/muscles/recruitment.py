@@ -145,6 +145,12 @@ class Recruiter:
         other.muscles = muscles
         return other
 
+    def with_targets(self, targets: Targets) -> Recruiter:
+        """Return a recruiter of the same muscles with other targets."""
+        other = copy(self)
+        other.targets = targets
+        return other
+
     @property
     def reserves(self) -> list[NamedActuator]:
         """The reserves, in the order of their actuators."""

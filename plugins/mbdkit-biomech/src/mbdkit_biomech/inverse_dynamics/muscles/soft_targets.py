@@ -124,6 +124,12 @@ class Targets:
         emg = [replace(one, activation=x * one.activation) for one, x in zip(self.emg, gains, strict=True)]
         return Targets(tuple(knees), tuple(emg))
 
+    def repeated(self, count: int) -> Targets:
+        """Return the targets of `count` repetitions of all frames, one after the other."""
+        knees = [replace(one, moment=np.tile(one.moment, count), load=np.tile(one.load, count)) for one in self.knees]
+        emg = [replace(one, activation=np.tile(one.activation, count)) for one in self.emg]
+        return Targets(tuple(knees), tuple(emg))
+
     def without_noise(self, activation: np.ndarray) -> Targets:
         """Return the targets without channels that do not follow the activations (T, M) of recruitment without EMG."""
         kept = [one for one in self.emg if correlation(one.activation, activation[:, one.muscle]) >= FOLLOWS]
