@@ -9,7 +9,14 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.errors import error_bars
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads
-from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import SoftTargets, share_softly
+from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import (
+    Axial,
+    Compartments,
+    EmgTarget,
+    SoftTargets,
+    Targets,
+    share_softly,
+)
 
 DEVIATION = 0.2
 
@@ -108,6 +115,22 @@ def test_error_bars_with_emg_do_not_depend_on_how_many_frames_are_computed_toget
             bars.append(run.accuracy.reaction_error)
     assert np.all(bars[0] > 0)
     np.testing.assert_allclose(bars[0], bars[1], rtol=1e-6)
+
+
+def test_targets_of_repeated_frames_are_those_of_each_frame():
+    random = np.random.default_rng(5)
+    moment, load = random.standard_normal((2, 4))
+    knee = Compartments("knee", 0, 1, 0.046, 0.007, 20 * moment, 700 * np.abs(load))
+    targets = Targets((knee,), (EmgTarget(1, random.uniform(size=4), 0.4),))
+    axial = Axial(random.standard_normal((4, 1)), random.standard_normal((4, 1, 2)))
+    capacity, passive = random.uniform(size=(2, 4, 2))
+    once = targets.soft(axial, capacity, passive)
+    thrice = targets.repeated(3).soft(
+        Axial(*(np.concatenate([one] * 3) for one in axial)),
+        *(np.concatenate([one] * 3) for one in (capacity, passive)),
+    )
+    for name in ("matrix", "right", "deviation"):
+        np.testing.assert_array_equal(getattr(thrice, name), np.concatenate([getattr(once, name)] * 3))
 
 
 def test_noise_is_left_out_by_name_and_changes_nothing():
