@@ -77,7 +77,6 @@ def test_the_size_of_all_files_together_is_limited(tmp_path: Path, monkeypatch: 
         built(tmp_path, osim.document([rods], [PIN]), rod=document(ROD + " " * 2000))
 
 
-@pytest.mark.usefixtures("no_garbage_collection")
 def test_thousands_of_defaults_take_a_time_proportional_to_their_number(tmp_path: Path) -> None:
     def seconds(count: int) -> float:
         defaults = "".join(f"<Kind{k}><value/></Kind{k}>" for k in range(count))
