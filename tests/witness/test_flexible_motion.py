@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from tests.margins import assert_within
 
 from .timoshenko import TimoshenkoBeam
 
@@ -59,7 +60,7 @@ def test_frequencies_converge_to_those_of_timoshenkos_beam(
     exact = BAR.frequencies(ends, 2)
     coarse, fine = (bending(n, nodes, ends, 2) / exact - 1 for n in sizes)
     np.testing.assert_allclose(np.log2(coarse / fine), order, rtol=0, atol=0.1)
-    assert np.max(np.abs(fine)) < most
+    assert_within(fine, most)
 
 
 @pytest.mark.parametrize("ends", SUPPORTS)
@@ -68,9 +69,9 @@ def test_frequencies_of_corrected_elements_converge_with_order_four(ends: tuple[
     strip, plain = (beam.frequencies(ends, 2) for beam in (STRIP, BAR))
     coarse, fine = (bending(n, 2, ends, 2, beam=STRIP, corrected=True) / strip - 1 for n in (16, 32))
     assert np.max(np.abs(coarse)) > 12 * np.max(np.abs(fine))
-    assert np.max(np.abs(fine)) < 5e-5
+    assert_within(fine, 5e-5)
     thick = bending(16, 2, ends, 2, corrected=True) / plain - 1
-    assert np.max(np.abs(thick)) < 0.1 * np.max(np.abs(bending(16, 2, ends, 2) / plain - 1))
+    assert_within(thick, 0.1 * np.max(np.abs(bending(16, 2, ends, 2) / plain - 1)))
 
 
 @pytest.mark.parametrize(
@@ -154,7 +155,7 @@ def test_rotation_stretches_a_beam_after_any_number_of_turns(turns: int) -> None
     # expected: the closed form, approached with the order of the method
     coarse, fine = (extension_error(4, 3, step, turns) for step in (0.005, 0.0025))
     assert np.log2(coarse / fine) == pytest.approx(4.0, abs=0.15)
-    assert abs(fine) < 5e-6
+    assert_within(fine, 5e-6)
 
 
 STATE = [(6.0 - 0.6 * s + 0.02 * s * (10 - s), 0.8 * s, 2.2 - 0.03 * s) for s in range(11)]

@@ -18,6 +18,7 @@ from mbdkit_biomech.inverse_dynamics.signals.digital_filters import (
 )
 from mbdkit_biomech.inverse_dynamics.signals.interpolating_splines import interpolating_spline
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import SmoothingSpline
+from tests.margins import assert_within
 
 RANDOM = np.random.default_rng(0)
 EVEN = np.linspace(2.0, 5.0, 151)
@@ -133,4 +134,4 @@ def test_straight_lines_pass_the_filter() -> None:
 def test_quantiles_of_chi_square(freedoms: float) -> None:
     with mpmath.workdps(30):
         reached = mpmath.gammainc(freedoms / 2, 0, mpmath.mpf(float(quantile(freedoms))) / 2, regularized=True)
-        assert abs(float(reached - mpmath.mpf(str(LEVEL)))) < 1e-15
+        assert_within(float(reached - mpmath.mpf(str(LEVEL))), 1e-15)

@@ -30,6 +30,7 @@ from tests.benchmarks.walking_data import (
     fitted,
     series_in,
 )
+from tests.margins import assert_within
 
 TEXT = example_files("walking")["walking.csv"]
 GAIT = series_in(TEXT)
@@ -72,7 +73,7 @@ def test_the_foot_rests_while_it_is_flat_and_the_body_walks_on() -> None:
     assert np.ptp(ankle.real) < 0.01 < 0.02 * SPEED * STRIDE
     foot = np.exp(1j * GAIT.angles(FLAT)[2])
     for end in (PERSON.heel, PERSON.toe):
-        assert np.max(np.abs((ankle + end * foot).imag)) < 0.03
+        assert_within((ankle + end * foot).imag, 0.03)
     stride = GAIT.hip(np.array([1.2])) - GAIT.hip(np.array([0.2]))
     assert stride[0] == pytest.approx(SPEED * STRIDE, abs=1e-12)
 
@@ -152,7 +153,7 @@ def test_knees_carry_what_instrumented_knees_measure_in_walking(walked: Run) -> 
     for side in ("", "_left"):
         assert 2000 < walked.measures[f"knee_force{side}"] < 3400
         assert without[names.index(f"knee{side}")] < 900
-    assert np.max(walked.array("muscles/certificate")) < 1e-12
+    assert_within(walked.array("muscles/certificate"), 1e-12)
 
 
 def test_a_leg_without_muscles_is_named(walked: Run) -> None:
@@ -181,7 +182,7 @@ def test_the_knee_carries_what_instrumented_knees_measure_in_walking(walked_with
 
 
 def test_muscles_alone_produce_the_moments_and_leave_the_residuals_of_the_free_trunk(walked_with_muscles):
-    assert np.max(walked_with_muscles.array("muscles/certificate")) < 1e-12
+    assert_within(walked_with_muscles.array("muscles/certificate"), 1e-12)
     assert all(not name.startswith("reserve.") for name in walked_with_muscles.actuators)
     for coordinate in ("hip_flexion", "knee_flexion", "ankle_dorsiflexion"):
         moment = sum(

@@ -20,6 +20,7 @@ from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 from mbdkit_studies.compute.batch import simulate_batch
+from tests.margins import assert_within
 from tests.runs.resuming.killed_runs import killed
 
 IMPLICIT = {"name": "radau-iia", "stages": 3}
@@ -81,7 +82,7 @@ def test_runs_agree_with_an_independent_integration(kind: str) -> None:
     muscle, arm_ = run.muscles["biceps"], run["forearm"]
     got = [arm_.angle[-1], arm_.angular_velocity[-1], muscle.activation[-1], muscle.fiber_length[-1]]
     np.testing.assert_allclose(got[: len(wanted)], wanted, rtol=0, atol=1e-10)
-    assert np.abs(run.energy.balance).max() < 1e-11
+    assert_within(run.energy.balance, 1e-11)
 
 
 @pytest.mark.parametrize("kind", ["rigid", "elastic"])
@@ -135,7 +136,7 @@ def test_fibres_start_in_the_equilibrium_of_opensim(
     muscle = run.muscles["m"]
     assert muscle.fiber_length[0] == pytest.approx(fiber, abs=3e-12)
     assert muscle.force[0] == pytest.approx(tension, rel=1e-8)
-    assert abs(muscle.fiber_rate[0]) < 1e-11
+    assert_within(muscle.fiber_rate[0], 1e-11)
 
 
 def test_an_isokinetic_contraction_has_the_closed_form_of_the_curves() -> None:
@@ -162,7 +163,7 @@ def test_a_passive_muscle_makes_no_energy() -> None:
     cycle = "0.05*sin(2*pi*t)"
     elastic = mbdkit.run(slide(cycle, **rest, damping=0.0), integrator=IMPLICIT, time=time).check()
     assert np.ptp(elastic.muscles["m"].force) > 10.0
-    assert abs(elastic.energy.work[-1]) < 1e-9
+    assert_within(elastic.energy.work[-1], 1e-9)
     for kind in ("rigid", "elastic"):
         lossy = mbdkit.run(slide(cycle, kind, **rest), integrator=IMPLICIT, time=time).check()
         supplied = -np.trapezoid(lossy.muscles["m"].power, lossy.time)
@@ -230,7 +231,7 @@ def test_a_path_over_several_bodies_pulls_on_all_of_them(model: Mechanism) -> No
     pull = -muscle.force[:, None] * path.gradient[:, 3:5]
     wanted = 1.5 * run["forearm"].acceleration[:, :2] - pull - [0, -1.5 * 9.81]
     np.testing.assert_allclose(run.joints["elbow"].reaction_force, wanted, atol=1e-9)
-    assert np.abs(run.energy.balance).max() < 1e-7
+    assert_within(run.energy.balance, 1e-7)
 
 
 def rigid_millard() -> Mechanism:

@@ -16,6 +16,7 @@ from mbdkit import Mechanism
 from mbdkit.archive.headlines import headlines
 from mbdkit.spec import example_names, load_spec
 from mbdkit_contact.contact_criteria import rolling_point_masses
+from tests.margins import assert_within
 from tests.witness.bouncing import Discs, compared
 
 
@@ -121,7 +122,7 @@ def test_errors_of_the_largest_normal_force_of_a_compliant_contact_count_in_the_
     found = mbdkit.run({"mbdkit": 1, "model": model}, **more, check=True)
     depth = brentq(lambda d: 9.81 * (height + d) - 0.4 * stiffness * d**2.5, 1e-4, 0.1)
     (force,) = headlines(found)
-    assert abs(force.largest - stiffness * depth**1.5) <= 1.01 * (force.error - force.missed)
+    assert_within(force.largest - stiffness * depth**1.5, 1.01 * (force.error - force.missed))
     assert found.verdict == verdict
     assert ("largest normal force of contact 'floor'" in " ".join(found.verdict_reasons)) == (verdict != "good")
 

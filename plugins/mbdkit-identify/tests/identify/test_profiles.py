@@ -15,6 +15,7 @@ from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import read_experiment
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import segments_of
+from tests.margins import assert_within
 
 from .other_profiles import lmfit_limits, pypesto_limits
 from .regressions import MISRA1A, PUROMYCIN, THURBER, Regression
@@ -111,7 +112,7 @@ def our_limits(problem: Problem, fit: Fit, place: int) -> np.ndarray:
 
 
 def assert_equal(ours: np.ndarray, others: np.ndarray) -> None:
-    assert np.max(np.abs(ours - others) / np.diff(others, axis=1)) < WIDTH
+    assert_within((ours - others) / np.diff(others, axis=1), WIDTH)
 
 
 @pytest.mark.parametrize("regression", REGRESSIONS.values(), ids=REGRESSIONS)

@@ -30,6 +30,7 @@ from mbdkit_report import (
 )
 from mbdkit_report.analysis.growth import Law
 from mbdkit_studies.spec.reference_errors import LAST_ROW, offsets
+from tests.margins import assert_within
 
 TIME = np.linspace(0.0, 100.0, 2001)
 ENVELOPES: dict[Law, np.ndarray] = {
@@ -130,7 +131,7 @@ def test_slope_is_found_within_its_error_under_noise(seed: int) -> None:
     value = 2e-6 * TIME + 1e-5 * np.random.default_rng(seed).standard_normal(len(TIME))
     found = trend(TIME, value)
     assert found.drifts
-    assert abs(found.slope - 2e-6) < 4 * found.error
+    assert_within(found.slope - 2e-6, 4 * found.error)
 
 
 @pytest.mark.parametrize("period", [3.0, 17.0, 60.0])
@@ -157,7 +158,7 @@ def test_radau_loses_energy_and_gauss_does_not() -> None:
     assert radau.drifts
     assert radau.slope < 0
     gauss = balance("gauss")
-    assert abs(gauss.slope) < 1e-2 * abs(radau.slope)
+    assert_within(gauss.slope, 1e-2 * abs(radau.slope))
 
 
 STEPS = 0.5 / 2.0 ** np.arange(12)

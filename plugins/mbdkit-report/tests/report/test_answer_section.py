@@ -19,6 +19,7 @@ from mbdkit_report import Section, Table, bands, run_report
 from mbdkit_report.pages.run_report import mechanism_of
 from mbdkit_report.pages.verdict_text import markdown_text
 from tests.linkages import driven_wheel
+from tests.margins import assert_within
 
 
 def table(document, name):
@@ -44,7 +45,8 @@ def test_the_force_in_the_pin_of_a_falling_rod_is_largest_at_the_bottom():
     )
     assert force == pytest.approx(2.5 * 9.81, rel=1e-5)
     assert time == pytest.approx(math.sqrt(2 / (3 * 9.81)) * ellipk(0.5), abs=0.001)
-    assert abs(force - 2.5 * 9.81) <= error < 1e-4
+    assert_within(force - 2.5 * 9.81, error)
+    assert_within(error, 1e-4)
     assert document.sections[1].sentences[0].startswith(f"The largest force of a joint is {force:.5g}"[:-2])
     assert "largest torque" not in [column.label for column in joints.columns]  # a pin carries none
 

@@ -21,6 +21,7 @@ from mbdkit_studies.compute import pool, worker
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.store import study_index
+from tests.margins import assert_within
 from tests.runs.resuming.killed_runs import killed
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
@@ -173,7 +174,7 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
     assert done.reference(done.points[2]) is None
     assert len(done.failures) == 4
     errors = [point.values["end_error"] for point in done.points]
-    assert errors[0] < 1e-6
+    assert_within(errors[0], 1e-6)
     assert np.isnan(errors[1:]).all()
     again = mbdkit.study(study, out=tmp_path / "out")
     assert again.computed == 0
