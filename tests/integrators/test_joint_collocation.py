@@ -108,7 +108,7 @@ def test_stiff_springs_allow_steps_far_beyond_the_stability_of_explicit_methods(
     step = {} if integrator.get("adaptive") else {"step": 0.05}
     run = mbdkit.run(driven_rods(**stiff), formulation=JOINT, integrator=integrator, time={"end": 1.0, **step})
     run.check()
-    assert run.bodies["r1"].angle[-1] == pytest.approx(second_rod(1.0, **stiff)[0], abs=1e-5)
+    assert run.bodies["r1"].angle[-1] == pytest.approx(second_rod(1.0, **stiff)[0], abs=3e-5)
     assert run.stats["newton_iterations"] <= 8 * run.stats["steps"] + 8 * run.stats["rejected"]
 
 

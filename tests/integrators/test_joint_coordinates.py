@@ -66,7 +66,7 @@ def test_methods_keep_their_order(method: str, order: int, steps: int) -> None:
         rods = run.bodies["r0"], run.bodies["r1"]
         found = [*(one.angle[-1] for one in rods), *(one.angular_velocity[-1] for one in rods)]
         errors.append(np.max(np.abs(np.array(found) - expected)))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)  # margin: order, from errors of mbdkit alone
 
 
 @pytest.mark.parametrize("method", ["rk4", "dopri5"])

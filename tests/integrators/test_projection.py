@@ -143,7 +143,7 @@ def test_projection_keeps_the_order_of_a_method(stabilization: Any) -> None:
         for step in (0.02, 0.01, 0.005)
     ]
     first, second = (np.abs(a - b).max() for a, b in pairwise(ends))
-    assert np.log2(first / second) == pytest.approx(2, abs=0.2)
+    assert np.log2(first / second) == pytest.approx(2, abs=0.2)  # margin: order, from errors of mbdkit alone
 
 
 def test_every_k_steps_means_every_kth_step_counted_from_the_start() -> None:

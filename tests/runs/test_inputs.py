@@ -86,6 +86,7 @@ def test_methods_keep_their_order(hold: str, table: Any, integrator: dict[str, A
         end = run(hold, table, 9.81, integrator=integrator, time={"end": 1.0, "step": size})["rotor"]
         errors.append(np.abs([end.angle[-1] - wanted[0], end.angular_velocity[-1] - wanted[1]]).max())
     # off the grid, the sizes of parts of steps are not halved
+    # margin: order, from errors of mbdkit alone
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35 if table is ON_GRID else 1.0)
     assert_within(errors[1], 1e-6)
 

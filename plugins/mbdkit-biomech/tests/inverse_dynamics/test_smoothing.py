@@ -109,7 +109,8 @@ def test_the_gain_of_a_butterworth_filter(order: int, cutoff: float) -> None:
     z = np.exp(-2j * np.pi * frequency / 100.0)
     gain = np.abs(np.polyval(b[::-1], z) / np.polyval(a[::-1], z))
     ratio = np.tan(np.pi * frequency / 100.0) / np.tan(np.pi * cutoff / 100.0)
-    np.testing.assert_allclose(gain, (1.0 + ratio ** (2 * order)) ** -0.5, rtol=1e-9, atol=1e-15)
+    # sums of small numbers of polynomials with the coefficients of the filter: 3e-10 to 5e-10 on four processors
+    np.testing.assert_allclose(gain, (1.0 + ratio ** (2 * order)) ** -0.5, rtol=3e-9, atol=1e-15)
 
 
 def test_two_passes_halve_the_power_at_the_cutoff_and_shift_no_phase() -> None:
@@ -120,7 +121,7 @@ def test_two_passes_halve_the_power_at_the_cutoff_and_shift_no_phase() -> None:
     # Of the prototype; the bilinear transformation moves the frequency of 3 dB a little.
     once = 1.0 / (1.0 + (np.tan(0.08 * np.pi) / np.tan(np.pi * single_cutoff(8.0, 4) / 100.0)) ** 8)
     np.testing.assert_allclose(filtered_both_ways(b, a, wave, 50)[middle], once * wave[middle], atol=1e-12)
-    assert once == pytest.approx(0.5**0.5, abs=0.01)
+    assert once == pytest.approx(0.5**0.5, abs=0.01)  # margin: the bilinear transformation moves the cutoff
 
 
 def test_straight_lines_pass_the_filter() -> None:

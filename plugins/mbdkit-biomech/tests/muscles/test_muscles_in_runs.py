@@ -96,7 +96,7 @@ def test_methods_keep_their_order(integrator: dict[str, Any], order: int, kind: 
     exact = mbdkit.run(model, integrator=PRECISE, time={"end": 0.1}).muscles["biceps"].fiber_length[-1]
     runs = [mbdkit.run(model, integrator=integrator, time={"end": 0.1, "step": step}) for step in (0.001, 0.0005)]
     coarse, fine = (abs(run.muscles["biceps"].fiber_length[-1] - exact) for run in runs)
-    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.3)
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.3)  # margin: order, from errors of mbdkit alone
 
 
 STRAIGHT = [{"body": "ground", "point": (0.0, 0.0)}, {"body": "slider", "point": (0.0, 0.0)}]
@@ -305,7 +305,7 @@ def test_excitations_of_all_kinds_act_alike(excitation: Any) -> None:
     run = mbdkit.run({"mbdkit": 1, "model": spec, "integrator": integrator, "time": time}).check()
     for name in ("excitation", "activation", "fiber_length"):
         given, exact = (getattr(one.muscles["biceps"], name) for one in (run, wanted))
-        np.testing.assert_allclose(given, exact, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(given, exact, rtol=0, atol=3e-8)
 
 
 def test_a_reflex_sees_length_and_rate_of_its_muscle() -> None:
@@ -325,7 +325,7 @@ def test_events_measures_and_archives_know_muscles(tmp_path: Path) -> None:
     muscle = mbdkit.load(tmp_path / "run.h5").muscles["biceps"]
     before, top, after = muscle.force[muscle.force.argmax() + np.array([-1, 0, 1])]
     vertex = top - (after - before) ** 2 / (8 * (after - 2 * top + before))  # the largest force is between two rows
-    assert run.measures["most"] == pytest.approx(vertex, rel=2e-5)
+    assert run.measures["most"] == pytest.approx(vertex, rel=4e-5)
     (event,) = run.events[:1]
     assert np.interp(event.time, run.time, muscle.force) == pytest.approx(120, abs=0.1)
     assert list(run.states) == ["biceps.activation", "biceps.fiber_length"]

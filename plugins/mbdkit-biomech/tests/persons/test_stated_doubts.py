@@ -72,6 +72,7 @@ def test_the_largest_of_two_equal_peaks_is_too_large_by_the_mean_of_the_larger_o
     with mbdkit.inverse(held({"plate_gain": GAIN}, *peaks)) as run:
         excess = run.accuracy.parts["reaction_peak_bias"][0]
         of_load = 0.8 * LOAD * (AT / ARM - 1.0)
+        # margin: the sum over sources is an approximation
         assert excess == pytest.approx(GAIN * of_load / np.sqrt(np.pi), rel=0.03)
         assert "less its expected excess" in run.summary()
     with mbdkit.inverse(held({"plate_gain": GAIN}, [LOAD] * 5)) as run:  # one error for all times
@@ -87,6 +88,7 @@ def test_too_few_samples_are_named_with_the_scatter_of_the_bars(samples: int, is
 
 @pytest.mark.parametrize("freedoms", [2, 5, 11, 40])
 def test_quantiles_of_many_degrees_of_freedom_are_those_of_scipy(freedoms: int) -> None:
+    # margin: error of the formula for quantiles
     assert quantile_of_many(freedoms) == pytest.approx(chi2.ppf(0.95, freedoms), rel=0.011)
 
 
@@ -156,7 +158,7 @@ def test_a_belt_whose_speed_is_not_stated_is_no_offset_of_the_plates(tmp_path: P
     found = re.search(r"move (\w+) with about \S+ m/s .* state `motion.belt: (\S+)`", doubt.sentence)
     assert found
     assert found[1] == way
-    assert float(found[2]) == pytest.approx(1.3, abs=0.05)
+    assert float(found[2]) == pytest.approx(1.3, abs=0.05)  # margin: seeded noise
 
 
 def test_feet_rest_on_the_belt_of_a_treadmill() -> None:
@@ -172,6 +174,7 @@ def test_feet_rest_on_the_belt_of_a_treadmill() -> None:
         np.testing.assert_allclose(
             person.columns[f"bodies.{body}.angle"], ground.columns[f"bodies.{body}.angle"], atol=1e-6
         )
+    # margin: seeded noise
     assert_within(person.plates.offset.late, 2 * person.plates.offset.deviation)  # none was added
 
 

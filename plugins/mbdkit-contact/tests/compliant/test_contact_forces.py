@@ -157,7 +157,7 @@ def test_a_wheel_rolls_to_rest() -> None:
     slows = arm * G / (radius * (1.0 + inertia / (mass * radius**2)))
     velocity = done["wheel"].velocity[:, 0]
     at = int(np.searchsorted(done.time, 2.0))
-    assert velocity[at] == pytest.approx(1.0 - slows * done.time[at], rel=1e-4)
+    assert velocity[at] == pytest.approx(1.0 - slows * done.time[at], rel=2e-4)
     assert 1.0 / slows < 3.9
     assert_within(velocity[-1], 1e-3)  # below the transition speed
     assert done["wheel"].position[-1, 0] == pytest.approx(0.5 / slows, rel=1e-3)

@@ -98,4 +98,5 @@ def _compare(spec: dict[str, Any], measures: list[str]) -> None:
     found, reference = mbdkit.gradient(spec, measures, list(spec["parameters"])), differences(spec, measures)
     assert found.check is not None
     assert found.check.is_passed, str(found)
+    # margin: an error bar of mbdkit
     assert_within(found.jacobian - reference, 3.0 * found.error + 1e-6 * np.abs(reference))

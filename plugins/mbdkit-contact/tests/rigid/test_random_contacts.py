@@ -30,4 +30,4 @@ def test_an_impact_presses_a_contact_that_rests() -> None:
     exact = positions(computed(model, "event-driven", STEP, end=0.3))
     for step in (2e-3, 5e-4):  # with these steps, the gap at rest is above zero just before the impact
         coarse = positions(computed(model, "time-stepping", step, end=0.3))
-        assert_within(coarse - exact, 5.0 * step)
+        assert_within(coarse - exact, 5.0 * step)  # margin: error of mbdkit's method at these steps

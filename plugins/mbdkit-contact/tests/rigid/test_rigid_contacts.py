@@ -120,6 +120,7 @@ def test_a_block_on_a_belt_sticks_and_slips() -> None:
     found = run(model, 18.0, 0.05)
     slips = found.contacts["belt"].mode == 2.0
     changes = found.time[1:][np.diff(slips.astype(int)) != 0]
+    # margin: resolution of the rows
     assert changes == pytest.approx([5.0, 8.902605407814523, 13.902605407814523, 17.805210815629046], abs=0.051)
     # slip ends where the spring has no force, since kinetic friction is half of static friction
     assert found["block"].position[-1, 0] == pytest.approx(0.2 * (18.0 - 17.805210815629046), abs=1e-10)
@@ -177,6 +178,7 @@ def test_a_pendulum_rebounds_from_a_wall_with_its_joint_closed(treatment: str, m
     assert lost[-1] > 0.1
     balance = found.energy.total + lost - found.energy.total[0]
     # of order one in time-stepping: 0.25, 0.12 and 0.06 J at steps of 1, 0.5 and 0.25 ms
+    # margin: error of mbdkit's method at these steps
     assert_within(balance, 1e-8 if treatment == "event-driven" else 0.2)
 
 
@@ -191,6 +193,7 @@ def test_time_stepping_approaches_the_events_with_an_error_of_order_one(method: 
         errors.append(np.max(np.abs(gaps)) / step)
         assert found.contacts["floor"].normal_force[-1] == pytest.approx(2.0 * G, rel=1e-9)
         assert np.min(found.contacts["floor"].gap) > -1e-12
+        # margin: error of mbdkit's method at these steps
         assert found.energy.dissipated[-1] == pytest.approx(2.0 * G, abs=0.5 * step)
     assert max(errors) < 2.0
 
@@ -265,6 +268,7 @@ def test_a_pile_of_many_circles_is_not_lifted_by_the_projection_of_overlaps() ->
     gap, force = found.array("contacts/gap")[-1], found.array("contacts/normal_force")[-1]
     assert np.sum(np.abs(gap) < 1e-5) > 100
     assert np.max(gap[force > 0.0]) < G * 0.001**2  # none pushes from farther than a body falls in a step
+    # margin: error of mbdkit's method at these steps
     assert_within(found.energy.balance, 0.01 * found.energy.dissipated[-1])
 
 

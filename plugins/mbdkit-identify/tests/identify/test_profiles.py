@@ -119,9 +119,10 @@ def assert_equal(ours: np.ndarray, others: np.ndarray) -> None:
 def test_estimates_and_deviations_are_the_published_ones(regression: Regression) -> None:
     problem = regression.problem
     fit = best_fit(problem, 1, 0, "linear")
-    np.testing.assert_allclose(fit.x, regression.estimates, rtol=1e-4)
+    np.testing.assert_allclose(fit.x, regression.estimates, rtol=1e-4)  # margin: digits of the publication
     deviations = np.sqrt(np.diagonal(covariance_of(fit.jacobian, fit.free)))
     np.testing.assert_allclose(deviations, regression.errors, rtol=2e-4)
+    # margin: digits of the publication
     assert fit.cost * problem.noises[0].deviation ** 2 == pytest.approx(regression.squares, rel=5e-4)
 
 

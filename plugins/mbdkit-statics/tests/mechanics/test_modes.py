@@ -222,7 +222,9 @@ def test_a_damped_strip_has_the_frequencies_and_damping_ratios_of_kelvin_and_voi
     below = ratios < 1
     expected = omega[below] * (-ratios[below] + 1j * np.sqrt(1 - ratios[below] ** 2))
     np.testing.assert_allclose(swinging[: len(expected)], expected, rtol=1e-3)  # of 16 elements
-    np.testing.assert_allclose(-2 * swinging.real / np.abs(swinging) ** 2, tau, rtol=1e-5)
+    np.testing.assert_allclose(
+        -2 * swinging.real / np.abs(swinging) ** 2, tau, rtol=3e-5
+    )  # up to 7e-6 on four processors
     for one in omega[~below]:
         slow = -one * (one * tau / 2 - math.sqrt((one * tau / 2) ** 2 - 1))
         assert_within(np.min(np.abs(values - slow)), 1e-3 * abs(slow))

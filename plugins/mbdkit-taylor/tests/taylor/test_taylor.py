@@ -85,7 +85,7 @@ def test_fixed_steps_have_the_order_of_the_series(order: int) -> None:
         rods = run.bodies["r0"], run.bodies["r1"]
         found = [*(one.angle[-1] for one in rods), *(one.angular_velocity[-1] for one in rods)]
         errors.append(np.max(np.abs(np.array(found) - expected)))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.4)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.4)  # margin: order, from errors of mbdkit alone
 
 
 @pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8, 1e-9, 1e-11, 1e-14])
