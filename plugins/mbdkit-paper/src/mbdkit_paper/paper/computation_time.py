@@ -11,7 +11,7 @@ from scipy.stats import theilslopes
 from mbdkit_paper.paper.published_results import GILL, METHODS, methods_of
 from mbdkit_paper.paper.substitution_timing import measured
 from mbdkit_paper.wording import Words, two_digits
-from mbdkit_report import Answer, Cell, Claim, Column, Figure, Line, Table, exceeds
+from mbdkit_report import Answer, Claim, Column, Figure, Line, Table, exceeds
 from mbdkit_studies import METHOD, OPERATIONS, family, value
 
 if TYPE_CHECKING:
@@ -34,23 +34,20 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
 
     The claim is open if the spread of the times allows a growth that is steep and one that is not.
     """
-    every = family(study, "bodies")
-    points = {method: every.at({METHOD: method}) for method in methods_of(every)}
+    points = {m: family(study, "bodies").at({METHOD: m}) for m in methods_of(family(study, "bodies"))}
     curves = {method: own.along("model.n", SECONDS) for method, own in points.items()}
-    slow = {method: own.along("model.n", SLOW_SECONDS)[1] for method, own in points.items()}
     counts = {m: np.sum([own.along("model.n", name)[1] for name in OPERATIONS], axis=0) for m, own in points.items()}
     numbers = curves[GILL][0]
-    spans = {method: _exponents(*curves[method], slow[method]) for method in METHODS}
+    spans = {m: _exponents(*curves[m], points[m].along("model.n", SLOW_SECONDS)[1]) for m in METHODS}
     least, most = np.max(list(spans.values()), axis=0)
-    answers = {exceeds(least, STEEP), exceeds(most, STEEP)}
+    at_least, at_most = exceeds(least, STEEP), exceeds(most, STEEP)
     grown = ", ".join(f"n^{low:.1f} to n^{high:.1f} ({method})" for method, (low, high) in spans.items())
     evaluated = ", ".join(f"n^{_exponents(numbers, counts[m], counts[m])[1]:.1f} ({m})" for m in METHODS)
-    answer = answers.pop() if len(answers) == 1 else Answer.OPEN
-    claim = WORDS.claim("time-bodies", answer, growth=grown, counts=evaluated, most=most)
+    values = {"growth": grown, "counts": evaluated, "most": most}
+    claim = WORDS.claim("time-bodies", at_most if at_most is at_least else Answer.OPEN, **values)
     cells = np.column_stack([cell for method in curves for cell in (1e3 * curves[method][1], counts[method])])
     rows = [(int(number), *row) for number, row in zip(numbers, cells.tolist(), strict=True)]
-    pairs = [(Column(method, "ms"), Column(f"{method}: operations")) for method in curves]
-    columns = (Column("bodies"), *(column for pair in pairs for column in pair))
+    columns = (Column("bodies"), *(Column(*label) for m in curves for label in ((m, "ms"), (f"{m}: operations",))))
     lines = [Line(method, number, 1e3 * seconds, "both", method) for method, (number, seconds) in curves.items()]
     return claim, WORDS.table("time-bodies", rows, columns), WORDS.figure("time-bodies", lines)
 
@@ -80,14 +77,11 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
     compiled = [
         value(points[number], SECONDS) / max(value(points[number], "rhs_evaluations"), 1.0) for number in chosen
     ]
-    rows: list[tuple[Cell, ...]] = []
-    gains: dict[int, float] = {}
-    for number, substituted, seconds in zip(chosen, symbolic, compiled, strict=True):
-        gains[number] = substituted / seconds
-        rows.append((number, 1e3 * substituted, 1e6 * seconds, gains[number], 1500 * 4 * substituted))
+    pairs = list(zip(chosen, symbolic, compiled, strict=True))
+    gains = {number: substituted / seconds for number, substituted, seconds in pairs}
+    rows = [(n, 1e3 * slow, 1e6 * fast, gains[n], 1500 * 4 * slow) for n, slow, fast in pairs]
     gain = gains.get(2, math.nan)
-    factors = ", ".join(f"{factor:,.0f} ({number} bodies)" for number, factor in gains.items())
-    factors = factors.replace("(1 bodies", "(1 body")
+    factors = ", ".join(f"{one:,.0f} ({n} {'body' if n == 1 else 'bodies'})" for n, one in gains.items())
     values = {"limit": SPEED_UP, "factors": factors, "gain": two_digits(gain)}
     claim = WORDS.claim("substitution", exceeds(gain, SPEED_UP), **values)
     x = np.array(chosen, dtype=float)
