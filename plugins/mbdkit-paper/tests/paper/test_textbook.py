@@ -51,7 +51,7 @@ def test_absolute_coordinates_move_as_the_textbooks_three_angles() -> None:
 
 def test_standard_solver_opens_the_loop_as_published() -> None:
     # expected: "as large as 8 cm" at rtol 1e-3, atol 1e-6; rounding alone moves it by half a centimetre either way,
-    # and 0.7 to 1.1 cm from 8 cm on four processors
+    # and 0.5 to 1.1 cm from 8 cm on five processors
     assert integrate(1e-3, 1e-6).residual == pytest.approx(0.08, abs=0.035)
     assert_within(integrate(1e-6, 1e-9).residual, 1e-4)
 
