@@ -110,12 +110,14 @@ def test_andrews_mechanism_ends_at_the_digits_of_the_test_set(formulation: str, 
     # expected: the refined digits; errors are at most `factor` tolerances, those of velocities relative to the largest
     rtol = 1e-8
     mine = run("andrews-squeezer", 0.03, radau(rtol=rtol, atol=rtol), formulation=formulation)
+    # margin: error at this tolerance
     np.testing.assert_allclose((angles(mine) - END) / (1 + np.abs(END)), 0.0, rtol=0, atol=factor * rtol)
     if formulation != "index-1":
         residual = "position_residual" if formulation != "index-2" else "velocity_residual"
         np.testing.assert_allclose(mine.array(f"constraints/{residual}")[-1], 0.0, rtol=0, atol=1e-12)
     if formulation != "index-3":
         rates = angles(mine, "angular_velocity")
+        # margin: error at this tolerance
         np.testing.assert_allclose(rates, END_RATES, rtol=0, atol=factor * rtol * np.max(np.abs(END_RATES)))
 
 
