@@ -192,7 +192,7 @@ def test_leaf_spring_has_the_stiffness_of_linear_theory_at_small_angles():
     with mbdkit.run(spec) as run:
         bending = 2.1e11 * 0.03 * 1.5e-3**3 / 12
         # margin: error of linear theory
-        assert run.measures["stiffness"] == pytest.approx(3 * bending / (4 * 0.3), rel=0.002)
+        assert run.measures["stiffness"] == pytest.approx(3 * bending / (4 * 0.3), rel=0.0025)
 
 
 def elastica_across_a_knee(angle: float) -> tuple[float, float]:

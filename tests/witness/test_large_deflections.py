@@ -122,7 +122,7 @@ the direction of the load by P L / EA more."""
 def test_a_load_across_a_cantilever_bends_it_into_the_elastica(load: float) -> None:
     # expected: elliptic integrals, printed in Mattiasson's table
     exact = elastica(load)
-    np.testing.assert_allclose(exact, MATTIASSON[load], rtol=0, atol=5.1e-6)  # margin: digits of the publication
+    np.testing.assert_allclose(exact, MATTIASSON[load], rtol=0, atol=6e-6)  # margin: digits of the publication
     found = []
     for elements in (4, 8, 16, 32):
         m, end = clamped((1.0, 0.0), elements, 3, (EQUAL, EQUAL, 1.0))

@@ -79,7 +79,7 @@ def test_frequencies_of_a_rotating_beam_converge_with_the_order_of_the_element(
     exact = THICK.frequencies(2.0, 2)
     coarse, fine = (loudest(swinging(THICK, 2.0, n, nodes), 2) / exact - 1 for n in sizes)
     # margin: order, from errors of mbdkit alone
-    np.testing.assert_allclose(np.log2(coarse / fine), 2 * (nodes - 1), rtol=0, atol=0.15)
+    np.testing.assert_allclose(np.log2(coarse / fine), 2 * (nodes - 1), rtol=0, atol=0.18)
     assert_within(fine, most)  # margin: error of these elements
 
 

@@ -193,7 +193,7 @@ def test_noise_of_loads_has_the_bars_of_its_lever() -> None:
     assert run.accuracy is not None
     assert "push.force.x 0.2 N, push.force.y 0.3 N, push.torque 0.05 N m, push.point.x 0.01 m" in run.accuracy.method
     # margin: the noise of F_x adds to it
-    assert run.accuracy.reaction_error[16, 0] == pytest.approx(1.96 * 0.3, rel=0.1)  # F_y has the larger noise
+    assert run.accuracy.reaction_error[16, 0] == pytest.approx(1.96 * 0.3, rel=0.12)  # F_y has the larger noise
     assert "deviation" in run.spec["loads"]["push"]["torque"]
     assert "count as exact" not in run.summary() + mbdkit.workload(run).text()
     spec["loads"]["push"]["torque"] = "m"

@@ -121,7 +121,7 @@ def test_two_passes_halve_the_power_at_the_cutoff_and_shift_no_phase() -> None:
     # Of the prototype; the bilinear transformation moves the frequency of 3 dB a little.
     once = 1.0 / (1.0 + (np.tan(0.08 * np.pi) / np.tan(np.pi * single_cutoff(8.0, 4) / 100.0)) ** 8)
     np.testing.assert_allclose(filtered_both_ways(b, a, wave, 50)[middle], once * wave[middle], atol=1e-12)
-    assert once == pytest.approx(0.5**0.5, abs=0.01)  # margin: the bilinear transformation moves the cutoff
+    assert once == pytest.approx(0.5**0.5, abs=0.012)  # margin: the bilinear transformation moves the cutoff
 
 
 def test_straight_lines_pass_the_filter() -> None:

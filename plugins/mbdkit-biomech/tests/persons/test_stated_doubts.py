@@ -89,7 +89,7 @@ def test_too_few_samples_are_named_with_the_scatter_of_the_bars(samples: int, is
 @pytest.mark.parametrize("freedoms", [2, 5, 11, 40])
 def test_quantiles_of_many_degrees_of_freedom_are_those_of_scipy(freedoms: int) -> None:
     # margin: error of the formula for quantiles
-    assert quantile_of_many(freedoms) == pytest.approx(chi2.ppf(0.95, freedoms), rel=0.011)
+    assert quantile_of_many(freedoms) == pytest.approx(chi2.ppf(0.95, freedoms), rel=0.013)
 
 
 def computed(data: Any = None, **sections: Any) -> Inverse:

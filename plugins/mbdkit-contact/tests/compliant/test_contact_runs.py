@@ -116,7 +116,7 @@ def test_runs_list_the_times_at_which_a_contact_begins_rolls_and_ends(treatment:
     assert [(one.before, one.after) for one in changes] == [("open", "slip"), ("slip", "stick"), ("stick", "open")]
     times = [math.sqrt(0.1 / G), 2 / 7 * 2.0 / (0.2 * G), 0.4 + G / 100]
     # margin: resolution of the rows
-    assert [one.time for one in changes] == pytest.approx(times, abs=1e-3 if kept else 0.01)  # of the rows
+    assert [one.time for one in changes] == pytest.approx(times, abs=1e-3 if kept else 0.012)  # of the rows
     assert done.events.time[done.events.direction < 0] == pytest.approx(times[1:2], abs=1e-3 if kept else 1e-9)
     (table,) = (one for one in run_tables(done) if one.name == "transitions")
     assert table.rows == tuple(("floor", *one) for one in changes)

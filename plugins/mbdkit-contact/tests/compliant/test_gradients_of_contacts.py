@@ -99,4 +99,4 @@ def _compare(spec: dict[str, Any], measures: list[str]) -> None:
     assert found.check is not None
     assert found.check.is_passed, str(found)
     # margin: an error bar of mbdkit
-    assert_within(found.jacobian - reference, 3.0 * found.error + 1e-6 * np.abs(reference))
+    assert_within(found.jacobian - reference, 3.5 * found.error + 1e-6 * np.abs(reference))

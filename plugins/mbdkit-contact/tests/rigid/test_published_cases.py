@@ -73,7 +73,7 @@ def test_the_woodpecker_toy_pecks_as_in_siconos(treatment: str, step: float) -> 
         row = int(np.argmin(np.abs(found.time - t)))
         state = found["sleeve"].position[row, 1], long * found["sleeve"].angle[row], long * found["bird"].angle[row]
         # margin: how far the source is from this model
-        assert state == pytest.approx(values, rel=0.0, abs=(2.5e-3 if t > 0.1 else 1.2e-3) + late)
+        assert state == pytest.approx(values, rel=0.0, abs=(3e-3 if t > 0.1 else 1.5e-3) + late)
     if treatment == "event-driven":
         assert found.impacts.contact.tolist() == ["high", "beak", "high", "low", "low"]
         assert np.all(found.impacts.energy_lost > 0.0)
@@ -92,7 +92,7 @@ def test_a_slider_crank_with_clearance_moves_as_in_siconos(treatment: str, step:
         row = int(np.argmin(np.abs(found.time - t)))
         # margin: how far the source is from this model
         assert found["crank"].angle[row] / (2 * np.pi) == pytest.approx(
-            turns, abs=2.5e-3 if treatment == "event-driven" else 4e-3
+            turns, abs=3e-3 if treatment == "event-driven" else 4e-3
         )
         assert found["slider"].position[row, 1] / 1e-3 == pytest.approx(height, abs=0.03)
     assert_within(found["slider"].angle, 1e-9)  # both corners of the slider strike together
@@ -138,7 +138,7 @@ def test_a_stick_that_would_gain_energy_as_in_siconos_loses_some(treatment: str,
     assert any("would have created energy at floor" in text for text in found.warnings)
     if treatment == "event-driven":
         # margin: how far the source is from this model
-        assert found.impacts.time == pytest.approx([0.0603, 0.1635], abs=6e-4)
+        assert found.impacts.time == pytest.approx([0.0603, 0.1635], abs=8e-4)
         # margin: how far the source is from this model
         assert found.impacts.normal_impulse[0] == pytest.approx(0.373883, rel=0.02)
 

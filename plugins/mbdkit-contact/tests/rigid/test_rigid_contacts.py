@@ -121,7 +121,7 @@ def test_a_block_on_a_belt_sticks_and_slips() -> None:
     slips = found.contacts["belt"].mode == 2.0
     changes = found.time[1:][np.diff(slips.astype(int)) != 0]
     # margin: resolution of the rows
-    assert changes == pytest.approx([5.0, 8.902605407814523, 13.902605407814523, 17.805210815629046], abs=0.051)
+    assert changes == pytest.approx([5.0, 8.902605407814523, 13.902605407814523, 17.805210815629046], abs=0.065)
     # slip ends where the spring has no force, since kinetic friction is half of static friction
     assert found["block"].position[-1, 0] == pytest.approx(0.2 * (18.0 - 17.805210815629046), abs=1e-10)
 

@@ -56,7 +56,7 @@ def test_law_is_found_under_a_fast_oscillation_and_noise(law: Law, seed: int) ->
 @pytest.mark.parametrize(("law", "exponent"), [("linear", 1.0), ("quadratic", 2.0)])
 def test_exponent_is_that_of_the_power_law(law: Law, exponent: float) -> None:
     growth = growth_law(TIME, oscillating(ENVELOPES[law], 3.1))
-    assert growth.exponent == pytest.approx(exponent, abs=0.05)  # margin: exponent of a fitted law
+    assert growth.exponent == pytest.approx(exponent, abs=0.06)  # margin: exponent of a fitted law
 
 
 @pytest.mark.parametrize("law", ENVELOPES)
@@ -114,7 +114,7 @@ def test_drift_of_an_explicit_method_is_quadratic_in_time(name: str) -> None:
     run = swinging({"name": name})
     growth = growth_law(run.time, worst_history(run))
     assert growth.candidates == ("quadratic",)
-    assert growth.exponent == pytest.approx(2.0, abs=0.1)  # margin: exponent of a fitted law
+    assert growth.exponent == pytest.approx(2.0, abs=0.12)  # margin: exponent of a fitted law
 
 
 @pytest.mark.parametrize("stages", [2, 3])

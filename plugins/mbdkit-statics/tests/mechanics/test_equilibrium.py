@@ -182,7 +182,7 @@ def test_coarse_corrected_elements_bend_far() -> None:
     m.weld("clamp", m.ground, rod[0], at=(0.0, 0.0))
     m.force("tip", rod[-1], value=(0.0, 8.0))
     found = mbdkit.equilibrium(m)
-    assert found[rod[-1]][1] == pytest.approx(0.74457, rel=0.01)  # margin: error of these elements
+    assert found[rod[-1]][1] == pytest.approx(0.74457, rel=0.012)  # margin: error of these elements
     assert found.stability == "stable"
     assert "too coarse: its moments or deflections may be wrong by about 1.5 %" in found.warnings[0]
 

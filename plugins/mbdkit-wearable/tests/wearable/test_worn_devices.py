@@ -74,7 +74,7 @@ def test_plates_without_the_device_leave_no_residuals_of_its_weight() -> None:
     # residuals carry the device of 1 kg, whose links move about as the centres of the limbs, if the plates contain it
     extra = worn.actuators["hip_y"].value - without.actuators["hip_y"].value
     rise = (without["thigh"].acceleration[:, 1] + without["shank"].acceleration[:, 1]) / 2
-    np.testing.assert_allclose(extra, G + rise, atol=0.3)  # margin: links move only about as the centres of the limbs
+    np.testing.assert_allclose(extra, G + rise, atol=0.4)  # margin: links move only about as the centres of the limbs
     assert any("same with and without 'brace'" in warning for warning in apart.warnings)
     np.testing.assert_allclose(
         apart.array("followers/reaction_force_without"), without.array("joints/reaction_force"), atol=1e-9
