@@ -157,9 +157,11 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 def print_margins(least: float, *files: str) -> None:
     """Print the largest ratio of every comparison with its test and reason, for several files its range over them."""
     tables: list[dict[str, list[Any]]] = []
-    for file in files or [ROOT / ".pytest_cache" / "v" / _STORE]:
+    for file in map(Path, files or [ROOT / ".pytest_cache" / "v" / _STORE]):
+        if not file.exists():
+            sys.exit(f"There is no record of margins in {file}; pytest writes it.")
         worst: dict[str, list[Any]] = {}
-        for ratio, place, test, reason in json.loads(Path(file).read_text("utf-8")):
+        for ratio, place, test, reason in json.loads(file.read_text("utf-8")):
             worst.setdefault(place, [ratio, test.rpartition("::")[2], reason])
         tables.append(worst)
     places = dict.fromkeys(place for table in tables for place in table)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_sp
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.misfit_criterion import misfit_doubts
 from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
+from mbdkit_biomech.uncertainty.uncertain_result import UncertainResult
 from tests.benchmarks.person_markers import Walker, columns_of
 from tests.margins import assert_within
 
@@ -84,6 +86,13 @@ def test_too_few_samples_are_named_with_the_scatter_of_the_bars(samples: int, is
     stated = {"plate_gain": GAIN, "masses": 0.3, "lengths": 0.02, "muscle_points": 0.001, "samples": samples}
     with mbdkit.inverse(held(stated, [LOAD] * 5)) as run:
         assert any(f"uncertainty.samples: {samples} samples leave" in text for text in run.warnings) == is_named
+
+
+def test_the_number_of_samples_that_would_do_follows_from_the_scatter() -> None:
+    # expected: standard errors fall with the root of the number, 500 (0.12 / 0.1)^2 = 720, in hundreds
+    scattered = SimpleNamespace(scatter=np.array([0.04, 0.12]), samples=500)
+    told = UncertainResult.too_few.fget(scattered)
+    assert told.endswith("uncertain by up to 12% (standard error); 10% takes about 800")
 
 
 @pytest.mark.parametrize("freedoms", [2, 5, 11, 40])
