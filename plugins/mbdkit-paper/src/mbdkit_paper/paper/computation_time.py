@@ -42,7 +42,7 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
     least, most = np.max(list(spans.values()), axis=0)
     at_least, at_most = exceeds(least, STEEP), exceeds(most, STEEP)
     grown = ", ".join(f"n^{low:.1f} to n^{high:.1f} ({method})" for method, (low, high) in spans.items())
-    evaluated = ", ".join(f"n^{_exponents(numbers, counts[m], counts[m])[1]:.1f} ({m})" for m in METHODS)
+    evaluated = ", ".join(f"n^{_exponents(numbers, counts[m], counts[m])[1]:.1f}" for m in METHODS)
     values = {"growth": grown, "counts": evaluated, "most": most}
     claim = WORDS.claim("time-bodies", at_most if at_most is at_least else Answer.OPEN, **values)
     cells = np.column_stack([cell for method in curves for cell in (1e3 * curves[method][1], counts[method])])
