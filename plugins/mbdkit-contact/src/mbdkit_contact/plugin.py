@@ -177,7 +177,13 @@ def mbdkit_items() -> Iterable[Item]:
             level="bad",
             elements="contacts",
         ),
-        Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0, of="contacts"),
+        Treatment(
+            name="compliant",
+            summary="Forces by the overlap of the shapes.",
+            order=0,
+            of="contacts",
+            method=Target("mbdkit_contact.compliant_steps:compliant"),
+        ),
         Treatment(
             name="event-driven",
             summary="Rigid bodies; impacts and changes between sticking, slipping and separation are located.",

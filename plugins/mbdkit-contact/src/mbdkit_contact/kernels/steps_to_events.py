@@ -341,7 +341,7 @@ def _interpolate(c, m, h, theta, q, v):
 
 
 @subkernel
-def _node(e, c, m, run, t, h, theta, q, v):
+def write_node(e, c, m, run, t, h, theta, q, v):
     """Write the state within a step by dense output, or at one of its ends; return a status."""
     if theta == 0.0 or theta == 1.0:
         copy(c.from_q if theta == 0.0 else m.q, q)
@@ -354,7 +354,7 @@ def _node(e, c, m, run, t, h, theta, q, v):
 
 
 @separate
-def _pieces(e, c, m, run, t, h):
+def pieces(e, c, m, run, t, h):
     """Return into how many cubics the motion of a step is divided, with which their error is below `SAME_PLACE`; also a
     status.
     """
@@ -387,14 +387,14 @@ def _search_touches(e, c, m, run, t, h):
     """
     for i in range(len(m.gaps)):
         m.search.level[i] = min(m.begin[NORMAL, i], 0.0)
-    count, status = _pieces(e, c, m, run, t, h)
+    count, status = pieces(e, c, m, run, t, h)
     q0, v0, q1, v1 = m.touch.nodes[0], m.touch.nodes[1], m.touch.nodes[2], m.touch.nodes[3]
     any_touches = False
     for k in range(count):
         if status == OK:
-            status = _node(e, c, m, run, t, h, k / count, q0, v0)
+            status = write_node(e, c, m, run, t, h, k / count, q0, v0)
         if status == OK:
-            status = _node(e, c, m, run, t, h, (k + 1) / count, q1, v1)
+            status = write_node(e, c, m, run, t, h, (k + 1) / count, q1, v1)
         if status != OK or any_touches:
             break
         set_piece(m, q0, v0, q1, v1, h / count)

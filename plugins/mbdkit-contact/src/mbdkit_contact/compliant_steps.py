@@ -1,0 +1,178 @@
+"""Compliant contacts in controlled steps, which end where shapes begin or cease to touch.
+
+See `mbdkit_contact.kernels.compliant_steps`. Fixed steps are left as they are; `mbdkit_contact.contact_criteria` warns
+if they are so long that bodies can pass through each other.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Method, Step, StepMethod, StepState, Why
+from mbdkit.plugin.methods import SAME_INSTANT, CompiledMethod, Dense, StepTaken, states_at_start
+from mbdkit.plugin.seams import treatment_method
+from mbdkit_contact.contact_section import ContactTreatment
+from mbdkit_contact.events_of_contacts import ContactEvents
+from mbdkit_contact.kernels.compliant_steps import MOST_CUTS, SAME_WAY, attempt, change_at
+
+PIECES = 4
+"""Number of cubics that stand for the motion in a step with dense output."""
+
+
+@treatment_method
+def compliant(
+    method: Method, treatment: ContactTreatment
+) -> StepMethod | ExternalMethod | Callable[[CompiledMethod], CompiledMethod]:
+    """Return the method of a run whose controlled steps end where contacts begin and end."""
+    if method.traits.compiled is not None:
+        return _look_into_compiled
+    steps = method if method.traits.steps is None else method.traits.steps()(method)
+    if isinstance(steps, ExternalMethod):
+        return CompliantLibrary(steps)
+    assert isinstance(steps, StepMethod)
+    return steps if steps.tolerances is None else CompliantSteps(steps)
+
+
+def _look_into_compiled(method: CompiledMethod) -> CompiledMethod:
+    workspace = method.workspace
+    events = ContactEvents(EquationsOfMotion(workspace, states_at_start(workspace)))
+    if events.contacts.names:
+        dense = method.dense.address if method.dense is not None and method.has_dense_output else 0
+        events.bundle.inner[1:] = method.attempt.address, dense, 0
+        workspace.scratch.reacting.add_forces[0] = 0
+        method.attempt, method.looks_at = attempt, events  # type: ignore[attr-defined]
+    return method
+
+
+def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step, end: float) -> float:
+    """Return the share of a step at which a contact begins or ends; 1 if none does."""
+    events = equations.derived(ContactEvents)
+    if not events.contacts.names:
+        return 1.0
+    h, last, path = end - t, made.state, made.dense
+    taken = StepTaken(t, end, begin.q, begin.v, last.q, last.v, begin.z, last.z)
+    shares = np.linspace(0.0, 1.0, 2 if path is None else PIECES + 1).tolist()
+    nodes = [(taken.between if path is None or share in (0.0, 1.0) else path)(share)[:2] for share in shares]
+    ends = [tuple(np.append(x, np.zeros(3)) for x in node) for node in nodes]
+    for k in range(len(shares) - 1):
+        part = shares[k + 1] - shares[k]
+        share = float(change_at(events.pinned.address, *ends[k], *ends[k + 1], part * h))
+        if share < 1.0:
+            share = shares[k] + share * part
+            return share if share < 1.0 - SAME_WAY and share * h > SAME_INSTANT * max(abs(t), 1.0) else 1.0
+    return 1.0
+
+
+class CompliantSteps(StepMethod):
+    """A method in Python with controlled steps that end where compliant contacts begin and end.
+
+    Parameters
+    ----------
+    method
+        The method that takes the steps.
+    """
+
+    def __init__(self, method: StepMethod):
+        self.method = method
+        self.tolerances, self.error_order, self.hint = method.tolerances, method.error_order, method.hint
+        self.carries_multipliers = method.carries_multipliers  # type: ignore[misc]
+
+    def begin(self, equations: EquationsOfMotion, t: float, state: StepState, why: Why) -> object:
+        """See `StepMethod.begin`."""
+        return self.method.begin(equations, t, state, why)
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
+        """Take a step, or the part of it up to where a contact begins or ends."""
+        size = h
+        for _ in range(MOST_CUTS):
+            new = self.method.step(equations, t, state, size)
+            made = new if isinstance(new, Step) else Step(new)
+            if not made.accepted or made.time is not None:
+                return made
+            share = _change(equations, t, state, made, t + size)
+            if share == 1.0:
+                break
+            size *= share
+        return made if size == h else replace(made, time=t + size)
+
+
+class CompliantLibrary(ExternalMethod):
+    """A library with a loop of its own whose steps end where compliant contacts begin and end.
+
+    The library is opened again at these points. If a step begins at a touch, so that perhaps none of its stages was in
+    contact, the library is opened again at the start of this step.
+
+    Parameters
+    ----------
+    library
+        The library.
+    """
+
+    def __init__(self, library: ExternalMethod):
+        self._given = library
+        self.tolerances, self.hint = library.tolerances, library.hint
+        self.carries_multipliers = library.carries_multipliers  # type: ignore[misc]
+
+    def open(self, equations: EquationsOfMotion, t: float, state: StepState, stop: float) -> None:
+        """See `ExternalMethod.open`."""
+        self._library, self._equations, self._stop = copy.copy(self._given), equations, stop
+        self._open(t, state, stop)
+
+    def _open(self, t: float, state: StepState, until: float) -> None:
+        self._now, self._until, self._ended = (t, state), until, False
+        self._library.open(self._equations, t, state, until)
+
+    def advance(self) -> Step:
+        """See `ExternalMethod.advance`."""
+        if self._ended:
+            self._open(*self._now, self._stop)
+        t, begin = self._now
+        for _ in range(MOST_CUTS):
+            made = self._library.advance()
+            assert made.time is not None
+            end = float(made.time)
+            share = _change(self._equations, t, begin, made, end)
+            if share == 1.0 or made.dense is None:
+                break
+            if not self._begins_at_touch():
+                made = _part(made, t, share)
+                self._ended = True
+                break
+            self._open(t, begin, t + share * (end - t))
+        self._now = float(made.time), made.state
+        self._ended |= self._now[0] >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
+        return made
+
+    def _begins_at_touch(self) -> bool:
+        bundle = self._equations.derived(ContactEvents).bundle
+        gaps = bundle.begin[0]
+        return bool(np.any(np.abs(gaps) <= 1e-6 * bundle.limits[1]))
+
+    def cut(self, t: float) -> StepState | None:
+        """See `ExternalMethod.cut`."""
+        return self._library.cut(t)
+
+    def save(self) -> bytes | None:
+        """See `ExternalMethod.save`: nothing where the library is opened again."""
+        own = self._library.save()
+        return b"" if self._ended and own is not None else own
+
+    def restore(self, stored: bytes) -> None:
+        """See `ExternalMethod.restore`."""
+        if stored:
+            self._library.restore(stored)
+
+
+def _part(made: Step, t: float, share: float) -> Step:
+    """Return the part of the step of a library from `t` up to a share of it, from its dense output."""
+    assert made.dense is not None and made.time is not None
+    dense: Dense = made.dense
+    q, v, z, *gained = dense(share)
+    work, lost = gained or (None, None)
+    state = StepState(np.array(q), np.array(v), z=np.array(z), work=work, dissipated=lost)
+    inside = lambda theta: dense(share * theta)  # noqa: E731
+    return replace(made, state=state, dense=inside, time=t + share * (float(made.time) - t), stages=None)

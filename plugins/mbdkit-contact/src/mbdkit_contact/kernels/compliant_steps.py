@@ -1,0 +1,217 @@
+"""Controlled steps of runs with compliant contacts: they end where shapes begin or cease to touch.
+
+Error control sees only the motion, and a step whose stages all lie before and behind a wall shows no trace of it. The
+first touch within a step is therefore found by the bounds of `mbdkit_contact.kernels.first_touch`, as for rigid
+contacts, and the step is taken again up to there. The order of a method holds within contact and without, but not
+across its begin or end, where the force is not smooth. A step that begins at a touch may have no stage in contact
+either: it is taken again up to where its shapes cease to touch, until its stages see the contact.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.kernels import (
+    AT_START_OF_LAST,
+    OK,
+    RealVector,
+    call_entry,
+    entry,
+    kernel,
+    load_run_state,
+    separate,
+    subkernel,
+)
+from mbdkit.plugin.methods import SAME_INSTANT
+from mbdkit_contact.kernels.contact_modes import EXACT_GAP
+from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN, load_events
+from mbdkit_contact.kernels.event_search import begin_search
+from mbdkit_contact.kernels.first_touch import CLEAR, find_near, find_touches, set_piece, set_states
+from mbdkit_contact.kernels.kinematics import ROUND, choose, find_gaps, gap_of, place
+from mbdkit_contact.kernels.steps_to_events import pieces, write_node
+
+SAME_WAY = 1e-9
+"""Gaps up to this share of the way of the shapes in a step count as zero, and so do parts of the step up to this share
+of it.
+"""
+SAMPLES = 8
+"""Number of parts of a step at whose ends gaps of shapes in contact are evaluated."""
+LEAST_PART = 1e-9
+"""Least part of a step, after a touch, that is searched for the contact."""
+MOST_CUTS = 20
+"""Largest number of times that a step is shortened; then, the next step goes on with the search."""
+MOST_HALVES = 60
+"""Largest number of evaluations of a gap in the search for its zero."""
+
+
+@subkernel
+def _lowest(s, pair):
+    """Return the least gap of a pair of shapes whose features are chosen."""
+    lowest = np.inf
+    for i in range(s.pairs[pair, 1], s.pairs[pair, 1] + s.pairs[pair, 2]):
+        lowest = min(lowest, gap_of(s, i))
+    return lowest
+
+
+@subkernel
+def _gap_at(m, i, share):
+    """Return the gap of a contact at a share of the piece; for a circle on a polygon, that of all its edges."""
+    s, pair = m.closed.shapes, m.closed.shapes.contacts[i, 3]
+    set_states(m, i, share)
+    choose(s, pair)
+    return _lowest(s, pair) if s.pairs[pair, 0] == ROUND else gap_of(s, i)
+
+
+@subkernel
+def _find_gaps(m, q, v, gaps):
+    """Write the gaps of all contacts; one of the rows of a circle on a polygon stands for the others."""
+    s = m.closed.shapes
+    place(s, q, v)
+    find_gaps(s, 0.0, gaps)
+    for pair in range(len(s.pairs)):
+        if s.pairs[pair, 0] == ROUND:
+            first = s.pairs[pair, 1]
+            for i in range(first + 1, first + s.pairs[pair, 2]):
+                gaps[first], gaps[i] = min(gaps[first], gaps[i]), np.inf
+
+
+@subkernel
+def _way(m, i):
+    """Return a bound of the way of the shapes of a contact in a piece; infinite if a line turns."""
+    way, c = 0.0, m.touch
+    for side in range(2):
+        bound = c.bounds[m.closed.shapes.contacts[i, side]]
+        way += bound[0]
+        if bound[3] > 0.0:
+            way += bound[3] * c.arms[i, side]
+    return way
+
+
+@separate
+def _zero_of_gap(m, i, a, b):
+    """Return where the gap of a contact changes its sign between two shares of the piece, by bisection and secants."""
+    fa, fb = _gap_at(m, i, a), _gap_at(m, i, b)
+    for k in range(MOST_HALVES):
+        if not (b - a > SAME_WAY * SAME_WAY and (fa > 0.0) != (fb > 0.0)):
+            break
+        share = 0.5
+        if k % 3 != 2:
+            share = min(max(fa / (fa - fb), 1e-12), 1.0 - 1e-12)
+        middle = a + share * (b - a)
+        f = _gap_at(m, i, middle)
+        if f == 0.0:
+            return middle
+        if (f > 0.0) == (fa > 0.0):
+            a, fa = middle, f
+        else:
+            b, fb = middle, f
+    return b
+
+
+@subkernel
+def _release(m, i, same):
+    """Return the share of the piece at which shapes that touch at its start cease to touch; 1 if they do not."""
+    before = 0.0
+    for k in range(1, SAMPLES + 1):
+        share = k / SAMPLES
+        if _gap_at(m, i, share) > same:
+            if k == 1 and not m.begin[NORMAL, i] < -same:  # the whole contact may lie before the first sample
+                while share > LEAST_PART and _gap_at(m, i, share / SAMPLES) > 0.0:
+                    share /= SAMPLES
+                before = share / SAMPLES
+            return _zero_of_gap(m, i, before, share)
+        before = share
+    return 1.0
+
+
+@separate
+def first_change(m, q0, v0, q1, v1, h):
+    """Return the share of a piece of the motion of duration `h`, given by the states at its ends, at which a contact
+    begins or ends; 1 if none does.
+    """
+    touch, x, first = m.touch, m.search, 1.0
+    set_piece(m, q0, v0, q1, v1, h)
+    _find_gaps(m, q1, v1, m.gaps)
+    _find_gaps(m, q0, v0, m.begin[NORMAL])
+    any_near = find_near(m, m.begin[NORMAL], m.gaps)
+    for i in range(len(m.gaps)):
+        way, gap = _way(m, i), m.begin[NORMAL, i]
+        same = SAME_WAY * min(way, m.limits[1])
+        if gap < -same or (gap <= same and _gap_at(m, i, 1e-3) < gap):
+            touch.near[i] = 0
+            if not -gap - m.gaps[i] > CLEAR * way:
+                first = min(first, _release(m, i, same))
+    if not any_near:
+        return first
+    begin_search(m, h)
+    for i in range(len(m.gaps)):
+        x.level[i], x.limits[NORMAL, i] = min(m.begin[NORMAL, i], 0.0), EXACT_GAP * m.limits[1]
+    any_touches = find_touches(m, 0.0, 1.0)
+    if x.event[0] == UNKNOWN:
+        return min(first, x.first[0])
+    if any_touches:
+        for i in range(len(m.gaps)):
+            if x.high[NORMAL, i] < first:
+                first = _zero_of_gap(m, i, max(x.best[NORMAL, i, 0], 0.0), x.high[NORMAL, i])
+    return first
+
+
+@separate
+def _change_in_step(c, m, run, t, h):
+    """Return the share of the last attempt at which a contact begins or ends; 1 if none does."""
+    for d in range(len(m.q)):
+        m.q[d], m.v[d] = c.from_q[d] + c.dq[d], c.from_v[d] + c.dv[d]
+        if not (abs(m.q[d]) < np.inf and abs(m.v[d]) < np.inf):
+            return 1.0
+    set_piece(m, c.from_q, c.from_v, m.q, m.v, h)
+    _find_gaps(m, m.q, m.v, m.gaps)
+    _find_gaps(m, c.from_q, c.from_v, m.begin[NORMAL])
+    count, status = 1, OK
+    if find_near(m, m.begin[NORMAL], m.gaps):
+        count, status = pieces(c, c, m, run, t, h)
+    q0, v0, q1, v1 = m.touch.nodes[0], m.touch.nodes[1], m.touch.nodes[2], m.touch.nodes[3]
+    for k in range(count):
+        if status == OK:
+            status = write_node(c, c, m, run, t, h, k / count, q0, v0)
+        if status == OK:
+            status = write_node(c, c, m, run, t, h, (k + 1) / count, q1, v1)
+        if status != OK:
+            break
+        share = first_change(m, q0, v0, q1, v1, h / count)
+        if share < 1.0:
+            return (k + share) / count
+    return 1.0
+
+
+@entry
+def attempt(run, method, t, h, want_error):
+    """Compute a step of the method, or the part of it up to where a contact begins or ends; see
+    `mbdkit.integrators.loop.step_loop`.
+    """
+    c = load_run_state(run)
+    m = load_events(c.w.reacting.elements[0])
+    m.inner[0] = method
+    status = call_entry(m.inner[1], run, method, t, h, want_error)
+    if want_error == 0.0:
+        return status
+    size = h
+    for _ in range(MOST_CUTS):
+        if status != OK:
+            break
+        share = _change_in_step(c, m, run, t, size)
+        if share >= 1.0 - SAME_WAY or t + share * size <= t + SAME_INSTANT * max(abs(t), 1.0):
+            break
+        size *= share
+        c.base_state[0] = AT_START_OF_LAST
+        status = call_entry(m.inner[1], run, method, t, size, want_error)
+    if h - size > SAME_INSTANT * max(abs(t + h), 1.0):
+        c.progress.part[0] = size
+    return status
+
+
+@kernel
+def change_at(
+    method: int, q0: RealVector, v0: RealVector, q1: RealVector, v1: RealVector, h: float
+) -> float:
+    """See `first_change`."""
+    return first_change(load_events(method), q0, v0, q1, v1, h)
