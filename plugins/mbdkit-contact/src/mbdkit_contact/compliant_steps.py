@@ -17,8 +17,10 @@ from mbdkit.plugin.methods import SAME_INSTANT, CompiledMethod, Dense, StepTaken
 from mbdkit.plugin.seams import treatment_method
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.events_of_contacts import ContactEvents
-from mbdkit_contact.kernels.compliant_steps import MOST_CUTS, SAME_WAY, attempt, change_at
+from mbdkit_contact.kernels.compliant_steps import SAME_PART, SAME_WAY, change_at, look
 
+MOST_CUTS = 20
+"""Largest number of times that a library is opened again in one step."""
 PIECES = 4
 """Number of cubics that stand for the motion in a step with dense output."""
 
@@ -41,10 +43,10 @@ def _look_into_compiled(method: CompiledMethod) -> CompiledMethod:
     workspace = method.workspace
     events = ContactEvents(EquationsOfMotion(workspace, states_at_start(workspace)))
     if events.contacts.names:
-        dense = method.dense.address if method.dense is not None and method.has_dense_output else 0
-        events.bundle.inner[1:] = method.attempt.address, dense, 0
-        workspace.scratch.reacting.add_forces[0] = 0
-        method.attempt, method.looks_at = attempt, events  # type: ignore[attr-defined]
+        has_dense = method.dense is not None and method.has_dense_output
+        events.bundle.inner[2] = method.dense.address if has_dense else 0
+        workspace.scratch.reacting.add_forces[:] = 0, look.address
+        method.looks_at = events  # type: ignore[attr-defined]
     return method
 
 
@@ -63,7 +65,7 @@ def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step
         share = float(change_at(events.pinned.address, *ends[k], *ends[k + 1], part * h))
         if share < 1.0:
             share = shares[k] + share * part
-            return share if share < 1.0 - SAME_WAY and share * h > SAME_INSTANT * max(abs(t), 1.0) else 1.0
+            return share if share < 1.0 - SAME_WAY and share * h > SAME_PART * max(abs(t), h) else 1.0
     return 1.0
 
 
@@ -86,18 +88,12 @@ class CompliantSteps(StepMethod):
         return self.method.begin(equations, t, state, why)
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
-        """Take a step, or the part of it up to where a contact begins or ends."""
-        size = h
-        for _ in range(MOST_CUTS):
-            new = self.method.step(equations, t, state, size)
-            made = new if isinstance(new, Step) else Step(new)
-            if not made.accepted or made.time is not None:
-                return made
-            share = _change(equations, t, state, made, t + size)
-            if share == 1.0:
-                break
-            size *= share
-        return made if size == h else replace(made, time=t + size)
+        """Take a step; reject it if a contact begins or ends within it, and ask for the part before."""
+        new = self.method.step(equations, t, state, h)
+        made = new if isinstance(new, Step) else Step(new)
+        if made.accepted and made.time is None and (share := _change(equations, t, state, made, t + h)) < 1.0:
+            return replace(made, accepted=False, next_step=share * h)
+        return made
 
 
 class CompliantLibrary(ExternalMethod):

@@ -68,7 +68,7 @@ def _new_known(count: int, size: int, pairs: int, held: int) -> Known:
         shares=np.zeros(MOST_SHARES), determined=integers(2), event=integers(2), streak=integers(1),
         normal=np.zeros(count), tangent=np.zeros(count), force=np.zeros(size),
         energy=np.zeros(1), times=np.full(2, np.inf), flags=integers(4, count), number=integers(2),
-        rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(1),
+        rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(2),
         shown=np.zeros((2, held)), shift_q=np.zeros(size), shift_v=np.zeros(size),
     )  # fmt: skip
 
@@ -95,7 +95,7 @@ class ContactEvents:
         self._shapes = self.contacts.shapes
         given: dict[str, Any] = {
             "coefficients": np.column_stack([self.contacts.restitution, self.contacts.static, self.contacts.kinetic]),
-            "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3])]),
+            "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3]), 0.0, 0.0]),
             "places": np.array([held.states.start, len(held.states)]),
             "coordinates": np.array(held.coordinates, dtype=np.int64),
             "known": _new_known(count, size, pairs, len(held.states)),

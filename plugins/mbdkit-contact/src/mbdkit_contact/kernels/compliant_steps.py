@@ -12,17 +12,15 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.kernels import (
-    AT_START_OF_LAST,
     OK,
+    SHORTER,
     RealVector,
-    call_entry,
     entry,
     kernel,
     load_run_state,
     separate,
     subkernel,
 )
-from mbdkit.plugin.methods import SAME_INSTANT
 from mbdkit_contact.kernels.contact_modes import EXACT_GAP
 from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN, load_events
 from mbdkit_contact.kernels.event_search import begin_search
@@ -34,12 +32,12 @@ SAME_WAY = 1e-9
 """Gaps up to this share of the way of the shapes in a step count as zero, and so do parts of the step up to this share
 of it.
 """
+SAME_PART = 1e-14
+"""Parts of a step below this share of the time, or of the step, are too short to be steps."""
 SAMPLES = 8
 """Number of parts of a step at whose ends gaps of shapes in contact are evaluated."""
 LEAST_PART = 1e-9
 """Least part of a step, after a touch, that is searched for the contact."""
-MOST_CUTS = 20
-"""Largest number of times that a step is shortened; then, the next step goes on with the search."""
 MOST_HALVES = 60
 """Largest number of evaluations of a gap in the search for its zero."""
 
@@ -184,29 +182,18 @@ def _change_in_step(c, m, run, t, h):
 
 
 @entry
-def attempt(run, method, t, h, want_error):
-    """Compute a step of the method, or the part of it up to where a contact begins or ends; see
-    `mbdkit.integrators.loop.step_loop`.
+def look(run, method, t, h, unused):
+    """Return `SHORTER` if a contact begins or ends within the last attempt, after writing the size of the part of the
+    step before; see `mbdkit.integrators.loop.step_loop`.
     """
     c = load_run_state(run)
     m = load_events(c.w.reacting.elements[0])
     m.inner[0] = method
-    status = call_entry(m.inner[1], run, method, t, h, want_error)
-    if want_error == 0.0:
-        return status
-    size = h
-    for _ in range(MOST_CUTS):
-        if status != OK:
-            break
-        share = _change_in_step(c, m, run, t, size)
-        if share >= 1.0 - SAME_WAY or t + share * size <= t + SAME_INSTANT * max(abs(t), 1.0):
-            break
-        size *= share
-        c.base_state[0] = AT_START_OF_LAST
-        status = call_entry(m.inner[1], run, method, t, size, want_error)
-    if h - size > SAME_INSTANT * max(abs(t + h), 1.0):
-        c.progress.part[0] = size
-    return status
+    share = _change_in_step(c, m, run, t, h)
+    if share >= 1.0 - SAME_WAY or share * h <= SAME_PART * max(abs(t), h):
+        return OK
+    c.progress.tried_size[0] = share * h
+    return SHORTER
 
 
 @kernel
