@@ -42,6 +42,9 @@ METHODS: tuple[dict[str, Any], ...] = (
 RIGHT = 1e-3
 """Largest error of a position that counts as right, relative to the length of the path (of a rigid block: of slip)."""
 
+MOST = 3
+"""Number of contacts, one after another, up to which errors do not grow too much to be compared."""
+
 Force = Callable[[float, float], float]
 State = np.ndarray
 
@@ -115,8 +118,9 @@ class Thrown:
                     torque += force * (gx * ny - gy * nx)
         return [y[3], y[4], y[5], fx / self.mass, fy / self.mass, torque / self.inertia]
 
-    def end(self, y: State, end: float, shortest: float) -> tuple[State, int]:
-        """Return the state at the time `end`, and the number of contacts that have begun.
+    def end(self, y: State, end: float, shortest: float) -> tuple[State, int, float]:
+        """Return the state at the time `end` or before contact number `MOST` + 1, the number of contacts that have
+        begun, and that time.
 
         `shortest`: least time between two events in a flight [s].
         """
@@ -130,8 +134,10 @@ class Thrown:
                 below = np.flatnonzero((after[1:] < 0.0) & (np.arange(1, len(times)) > 1))
                 first = next((k + 1 for k in below if after[k] >= 0.0), None)
                 if first is None:
-                    return self.flight(y, end - t), contacts
+                    return self.flight(y, end - t), contacts, end
                 root = brentq(lambda x, y=y: np.min(self.gaps(self.flight(y, x))), times[first - 1], times[first], xtol=1e-15)
+                if contacts == MOST:
+                    return self.flight(y, 0.5 * root), contacts, t + 0.5 * root
                 y, t, contacts = self.flight(y, root), t + root, contacts + 1
                 y = self.flight(y, 1e-13)  # just inside
                 t += 1e-13
@@ -149,7 +155,7 @@ class Thrown:
             if t < end:
                 step = self.rates(t, y)
                 y, t = y + 1e-13 * np.array(step), t + 1e-13
-        return y, contacts
+        return y, contacts, t
 
 
 def thrown(rng: np.random.Generator) -> tuple[dict[str, Any], float, State, float, str]:
@@ -203,14 +209,14 @@ def thrown(rng: np.random.Generator) -> tuple[dict[str, Any], float, State, floa
         shapes = [{"circle": {"radius": own}}]
         model["contacts"] = {"k": {"bodies": ["c", "b"], "shapes": [*shapes, body], **contact}}
         scene = Thrown([((far - own, 0.0), (-1.0, 0.0))], [(0.0, 0.0, r)], force, mass * other / (mass + other), 1.0, 0.0)
-        relative, contacts = scene.end(y, end, shortest)
+        relative, contacts, end = scene.end(y, end, shortest)
         centre = (mass * speed * end + other * far) / (mass + other)
         last = np.array([centre + other / (mass + other) * (relative[0] - far), 0.0, 0.0, 0.0, 0.0, 0.0])
     else:
         model["contacts"] = {"k": {"bodies": ["ground", "b"], "shapes": [*shapes, body], **contact}}
         points = [(x, z, 0.0) for x, z in box] if kind.startswith("box") else [(0.0, 0.0, r)]
         scene = Thrown(planes, points, force, mass, inertia, gravity)
-        last, contacts = scene.end(y, end, shortest)
+        last, contacts, end = scene.end(y, end, shortest)
     return model, end, last, far + speed * end, f"{kind} {law} {speed:.3g} m/s r {r:.3g} wall {thick:.3g} contacts {contacts}"
 
 

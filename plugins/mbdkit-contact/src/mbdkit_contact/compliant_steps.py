@@ -13,11 +13,18 @@ from dataclasses import replace
 import numpy as np
 
 from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Method, Step, StepMethod, StepState, Why
-from mbdkit.plugin.methods import SAME_INSTANT, CompiledMethod, Dense, StepTaken, states_at_start
+from mbdkit.plugin.methods import SAME_INSTANT, CompiledMethod, StepTaken, states_at_start
 from mbdkit.plugin.seams import treatment_method
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.events_of_contacts import ContactEvents
-from mbdkit_contact.kernels.compliant_steps import SAME_PART, SAME_WAY, change_at, look
+from mbdkit_contact.kernels.compliant_steps import (
+    LEAST_CHANGE,
+    SAME_PART,
+    SAME_WAY,
+    SHORTER_FROM_TOUCH,
+    change_at,
+    look,
+)
 
 MOST_CUTS = 20
 """Largest number of times that a library is opened again in one step."""
@@ -51,7 +58,7 @@ def _look_into_compiled(method: CompiledMethod) -> CompiledMethod:
 
 
 def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step, end: float) -> float:
-    """Return the share of a step at which a contact begins or ends; 1 if none does."""
+    """Return the share of a step at which a contact begins or ends, 1 if none does."""
     events = equations.derived(ContactEvents)
     if not events.contacts.names:
         return 1.0
@@ -60,13 +67,25 @@ def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step
     shares = np.linspace(0.0, 1.0, 2 if path is None else PIECES + 1).tolist()
     nodes = [(taken.between if path is None or share in (0.0, 1.0) else path)(share)[:2] for share in shares]
     ends = [tuple(np.append(x, np.zeros(3)) for x in node) for node in nodes]
+    touches, found = False, 1.0
     for k in range(len(shares) - 1):
         part = shares[k + 1] - shares[k]
         share = float(change_at(events.pinned.address, *ends[k], *ends[k + 1], part * h))
+        touches |= k == 0 and bool(np.any(events.bundle.touching))
         if share < 1.0:
-            share = shares[k] + share * part
-            return share if share < 1.0 - SAME_WAY and share * h > SAME_PART * max(abs(t), h) else 1.0
-    return 1.0
+            found = shares[k] + share * part
+            break
+    if touches and not _meets_contact(equations, t, begin, last, end):
+        found = min(found, SHORTER_FROM_TOUCH)
+    return found if found < 1.0 - SAME_WAY and found * h > SAME_PART * max(abs(t), h) else 1.0
+
+
+def _meets_contact(equations: EquationsOfMotion, t: float, begin: StepState, last: StepState, end: float) -> bool:
+    """See `mbdkit_contact.kernels.compliant_steps`."""
+    first = equations.derivatives(t, begin.q, begin.v, begin.z)[0]
+    by_contact = equations.derivatives(end, last.q, last.v, last.z)[0] - first
+    own, mass = last.v - begin.v - (end - t) * first, equations.mass
+    return bool(np.sum(mass * own**2) >= (LEAST_CHANGE * (end - t)) ** 2 * np.sum(mass * by_contact**2))
 
 
 class CompliantSteps(StepMethod):
@@ -91,16 +110,16 @@ class CompliantSteps(StepMethod):
         """Take a step; reject it if a contact begins or ends within it, and ask for the part before."""
         new = self.method.step(equations, t, state, h)
         made = new if isinstance(new, Step) else Step(new)
-        if made.accepted and made.time is None and (share := _change(equations, t, state, made, t + h)) < 1.0:
-            return replace(made, accepted=False, next_step=share * h)
-        return made
+        is_whole = made.accepted and made.time is None
+        share = _change(equations, t, state, made, t + h) if is_whole else 1.0
+        return made if share == 1.0 else replace(made, accepted=False, next_step=share * h)
 
 
 class CompliantLibrary(ExternalMethod):
     """A library with a loop of its own whose steps end where compliant contacts begin and end.
 
-    The library is opened again at these points. If a step begins at a touch, so that perhaps none of its stages was in
-    contact, the library is opened again at the start of this step.
+    If a contact begins or ends within a step, the library is opened again at the start of this step, with that point as
+    its end, and then there.
 
     Parameters
     ----------
@@ -132,21 +151,12 @@ class CompliantLibrary(ExternalMethod):
             assert made.time is not None
             end = float(made.time)
             share = _change(self._equations, t, begin, made, end)
-            if share == 1.0 or made.dense is None:
-                break
-            if not self._begins_at_touch():
-                made = _part(made, t, share)
-                self._ended = True
+            if share == 1.0:
                 break
             self._open(t, begin, t + share * (end - t))
         self._now = float(made.time), made.state
         self._ended |= self._now[0] >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
         return made
-
-    def _begins_at_touch(self) -> bool:
-        bundle = self._equations.derived(ContactEvents).bundle
-        gaps = bundle.begin[0]
-        return bool(np.any(np.abs(gaps) <= 1e-6 * bundle.limits[1]))
 
     def cut(self, t: float) -> StepState | None:
         """See `ExternalMethod.cut`."""
@@ -161,14 +171,3 @@ class CompliantLibrary(ExternalMethod):
         """See `ExternalMethod.restore`."""
         if stored:
             self._library.restore(stored)
-
-
-def _part(made: Step, t: float, share: float) -> Step:
-    """Return the part of the step of a library from `t` up to a share of it, from its dense output."""
-    assert made.dense is not None and made.time is not None
-    dense: Dense = made.dense
-    q, v, z, *gained = dense(share)
-    work, lost = gained or (None, None)
-    state = StepState(np.array(q), np.array(v), z=np.array(z), work=work, dissipated=lost)
-    inside = lambda theta: dense(share * theta)  # noqa: E731
-    return replace(made, state=state, dense=inside, time=t + share * (float(made.time) - t), stages=None)

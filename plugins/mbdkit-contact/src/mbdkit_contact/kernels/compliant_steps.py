@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.engine.kernels.system import prepare
 from mbdkit.kernels import (
     OK,
     SHORTER,
@@ -19,7 +20,9 @@ from mbdkit.kernels import (
     kernel,
     load_run_state,
     separate,
+    solve_accelerations,
     subkernel,
+    take_states,
 )
 from mbdkit_contact.kernels.contact_modes import EXACT_GAP
 from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN, load_events
@@ -32,12 +35,18 @@ SAME_WAY = 1e-9
 """Gaps up to this share of the way of the shapes in a step count as zero, and so do parts of the step up to this share
 of it.
 """
-SAME_PART = 1e-14
+SAME_PART = 1e-12
 """Parts of a step below this share of the time, or of the step, are too short to be steps."""
+INTO = 0.25
+"""Largest share of the way through a contact that a step from its begin may go."""
 SAMPLES = 8
 """Number of parts of a step at whose ends gaps of shapes in contact are evaluated."""
 LEAST_PART = 1e-9
 """Least part of a step, after a touch, that is searched for the contact."""
+SHORTER_FROM_TOUCH, LEAST_CHANGE = 0.25, 0.1
+"""A step from a touch is repeated with this share of its size if its velocities change by less than this share of what
+the accelerations at its ends indicate.
+"""
 MOST_HALVES = 60
 """Largest number of evaluations of a gap in the search for its zero."""
 
@@ -108,16 +117,24 @@ def _zero_of_gap(m, i, a, b):
 
 @subkernel
 def _release(m, i, same):
-    """Return the share of the piece at which shapes that touch at its start cease to touch; 1 if they do not."""
-    before = 0.0
+    """Return the share of the piece up to which a step may go that begins in contact; 1 if the contact does not end.
+
+    A step from a touch goes only part of the way through the contact: error control may fail in a step from its begin
+    to its end, of which most stages are outside.
+    """
+    before, begins = 0.0, not m.begin[NORMAL, i] < -same
     for k in range(1, SAMPLES + 1):
         share = k / SAMPLES
-        if _gap_at(m, i, share) > same:
-            if k == 1 and not m.begin[NORMAL, i] < -same:  # the whole contact may lie before the first sample
+        gap = _gap_at(m, i, share)
+        if gap > same or (begins and k == SAMPLES and gap > -same):
+            if k == 1 and begins:  # the whole contact may lie before the first sample
                 while share > LEAST_PART and _gap_at(m, i, share / SAMPLES) > 0.0:
                     share /= SAMPLES
                 before = share / SAMPLES
-            return _zero_of_gap(m, i, before, share)
+            end = _zero_of_gap(m, i, before, share)
+            if not begins:
+                return end
+            return INTO * end if _gap_at(m, i, INTO * end) < -same else 1.0
         before = share
     return 1.0
 
@@ -125,7 +142,7 @@ def _release(m, i, same):
 @separate
 def first_change(m, q0, v0, q1, v1, h):
     """Return the share of a piece of the motion of duration `h`, given by the states at its ends, at which a contact
-    begins or ends; 1 if none does.
+    begins or ends; 1 if none does. Contacts that touch first at the start of the piece are marked in ``m.touching``.
     """
     touch, x, first = m.touch, m.search, 1.0
     set_piece(m, q0, v0, q1, v1, h)
@@ -135,8 +152,9 @@ def first_change(m, q0, v0, q1, v1, h):
     for i in range(len(m.gaps)):
         way, gap = _way(m, i), m.begin[NORMAL, i]
         same = SAME_WAY * min(way, m.limits[1])
+        m.touching[i] = 0
         if gap < -same or (gap <= same and _gap_at(m, i, 1e-3) < gap):
-            touch.near[i] = 0
+            touch.near[i], m.touching[i] = 0, gap >= -same
             if not -gap - m.gaps[i] > CLEAR * way:
                 first = min(first, _release(m, i, same))
     if not any_near:
@@ -156,11 +174,13 @@ def first_change(m, q0, v0, q1, v1, h):
 
 @separate
 def _change_in_step(c, m, run, t, h):
-    """Return the share of the last attempt at which a contact begins or ends; 1 if none does."""
+    """Return the share of the last attempt at which a contact begins or ends, 1 if none does; and whether the step
+    begins at a touch.
+    """
     for d in range(len(m.q)):
         m.q[d], m.v[d] = c.from_q[d] + c.dq[d], c.from_v[d] + c.dv[d]
         if not (abs(m.q[d]) < np.inf and abs(m.v[d]) < np.inf):
-            return 1.0
+            return 1.0, False
     set_piece(m, c.from_q, c.from_v, m.q, m.v, h)
     _find_gaps(m, m.q, m.v, m.gaps)
     _find_gaps(m, c.from_q, c.from_v, m.begin[NORMAL])
@@ -168,6 +188,7 @@ def _change_in_step(c, m, run, t, h):
     if find_near(m, m.begin[NORMAL], m.gaps):
         count, status = pieces(c, c, m, run, t, h)
     q0, v0, q1, v1 = m.touch.nodes[0], m.touch.nodes[1], m.touch.nodes[2], m.touch.nodes[3]
+    touches = False
     for k in range(count):
         if status == OK:
             status = write_node(c, c, m, run, t, h, k / count, q0, v0)
@@ -176,9 +197,39 @@ def _change_in_step(c, m, run, t, h):
         if status != OK:
             break
         share = first_change(m, q0, v0, q1, v1, h / count)
+        for i in range(len(m.touching)):
+            touches |= k == 0 and m.touching[i] != 0
         if share < 1.0:
-            return (k + share) / count
-    return 1.0
+            return (k + share) / count, touches
+    return 1.0, touches
+
+
+@subkernel
+def _accelerations(c, m, t, q, v, z, out):
+    take_states(c.top, c.w, z)
+    prepare(c.top, c.w, t, q)
+    return solve_accelerations(c.top, c.w, c.solver, q, v, out, m.lam, True)
+
+
+@separate
+def _meets_contact(c, m, t, h):
+    """Return whether the velocities after a step from a touch agree with the accelerations at its ends.
+
+    They do not if the only stage that meets the contact is one without weight, such as the second one of DOPRI5, from
+    which all others are thrown out of the contact. A force that grows with time to the power p changes velocities by
+    ``h / (1 + p)`` times its last value.
+    """
+    for d in range(len(m.z)):
+        m.z[d] = c.from_z[d] + c.dz[d]
+    status = _accelerations(c, m, t, c.from_q, c.from_v, c.from_z, m.free)
+    if status == OK:
+        status = _accelerations(c, m, t + h, m.q, m.v, m.z, m.a)
+    changed, expected = 0.0, 0.0
+    for d in range(len(m.q) - 3):
+        mass = c.top.mass[d // 3, d % 3]
+        own, last = c.dv[d] - h * m.free[d], h * (m.a[d] - m.free[d])
+        changed, expected = changed + mass * own * own, expected + mass * last * last
+    return status != OK or changed >= LEAST_CHANGE * LEAST_CHANGE * expected
 
 
 @entry
@@ -189,7 +240,9 @@ def look(run, method, t, h, unused):
     c = load_run_state(run)
     m = load_events(c.w.reacting.elements[0])
     m.inner[0] = method
-    share = _change_in_step(c, m, run, t, h)
+    share, touches = _change_in_step(c, m, run, t, h)
+    if touches and not _meets_contact(c, m, t, h):
+        share = min(share, SHORTER_FROM_TOUCH)
     if share >= 1.0 - SAME_WAY or share * h <= SAME_PART * max(abs(t), h):
         return OK
     c.progress.tried_size[0] = share * h
