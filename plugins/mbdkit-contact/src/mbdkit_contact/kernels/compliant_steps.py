@@ -37,6 +37,10 @@ of it.
 """
 SAME_PART = 1e-12
 """Parts of a step below this share of the time, or of the step, are too short to be steps."""
+SOON = 1e-6
+"""Share of a step after which shapes show whether they approach. The motion is that at the start of the step, although
+dense output may be wild if some of its stages meet a contact of which error control knows nothing.
+"""
 INTO = 0.25
 """Largest share of the way through a contact that a step from its begin may go."""
 SAMPLES = 8
@@ -153,7 +157,7 @@ def first_change(m, q0, v0, q1, v1, h):
         way, gap = _way(m, i), m.begin[NORMAL, i]
         same = SAME_WAY * min(way, m.limits[1])
         m.touching[i] = 0
-        if gap < -same or (gap <= same and _gap_at(m, i, 1e-3) < gap):
+        if gap < -same or (gap <= same and _gap_at(m, i, SOON) < gap):
             touch.near[i], m.touching[i] = 0, gap >= -same
             if not -gap - m.gaps[i] > CLEAR * way:
                 first = min(first, _release(m, i, same))
