@@ -36,7 +36,9 @@ SAME_WAY = 1e-9
 of it.
 """
 SAME_PART = 1e-12
-"""Parts of a step below this share of the time, or of the step, are too short to be steps."""
+"""Parts of a step below this share of the time, or of the step, are too short to be steps. Steps end this much after a
+contact has begun or ended: a law with a damper has a jump there, and a step must know on which side it begins.
+"""
 SOON = 1e-6
 """Share of a step after which shapes show whether they approach. The motion is that at the start of the step, although
 dense output may be wild if some of its stages meet a contact of which error control knows nothing.
@@ -247,9 +249,10 @@ def look(run, method, t, h, unused):
     share, touches = _change_in_step(c, m, run, t, h)
     if touches and not _meets_contact(c, m, t, h):
         share = min(share, SHORTER_FROM_TOUCH)
-    if share >= 1.0 - SAME_WAY or share * h <= SAME_PART * max(abs(t), h):
+    size, same = share * h, SAME_PART * max(abs(t), h)
+    if share >= 1.0 - SAME_WAY or size <= same:
         return OK
-    c.progress.tried_size[0] = share * h
+    c.progress.tried_size[0] = size + same
     return SHORTER
 
 
