@@ -8,22 +8,26 @@ which ``abs``, ``min`` or ``max`` switch between their operands, and the discont
 The arguments of these functions are sampled over the span of the run, at `SAMPLES` times and at all corners of nested
 functions. Changes of sign between two samples are located by bisection. If two samples have equal signs, but the rates
 at them indicate an extremum towards zero in between, the extremum is located first. Two changes of sign are therefore
-missed only if there is more than one extremum between the two samples. Discontinuities of other functions, such as the
-poles of ``tan``, are not detected.
+missed only if there is more than one extremum between the two samples.
+
+Other corners are hidden, as in ``asin(sin(t))`` or ``sqrt((t - 1)**2)``. Wherever a smooth operand leads to one, it has
+a zero, a pole or an extremum there. At these times, the limits of both sides are compared: those of the polynomials
+through the function on either side, over a small part of its `mbdkit.mechanism.motion_pieces`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from mbdkit.expressions.jets import EPS, Jet, jet_and_switches
+from mbdkit.expressions.jets import EPS, Jet, is_sharp, jet_and_switches
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program
+from mbdkit.mechanism.motion_pieces import AT_START, UNIT_NODES, pieces_of
 from mbdkit.mechanism.values import Motion, Table, curve_of
 
 SAMPLES = 10_000
@@ -41,6 +45,21 @@ JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
 The tolerance is `JUMP` times the larger magnitude of the two sides, plus `JUMP_OF_LARGEST` times the largest magnitude
 over the run.
 """
+
+SHARE_OF_PIECE = 1.0 / 16.0
+"""Share of a piece over which a polynomial determines the limits at its end.
+
+A piece is represented up to a hundredth of its range, and this share of it 16^9 times better.
+"""
+
+CLOSER = (1.0 / 16.0, 1.0 / 256.0, 1.0 / 4096.0)
+"""Shares of a piece over which a jump at a hidden corner has to persist, as far as rounding errors let see."""
+
+ACCURATE = np.array([10.0, 10.0, 1e-2])
+"""Deviations of value, rate and acceleration at the margins of a hidden corner, as multiples of its errors."""
+
+HIDDEN = np.array([1e-6, 1e-6, 1e-3])
+"""Differences of value, rate and acceleration between two sides that are no hidden corners, relative to their scales."""
 
 MOST_KNOTS = 100_000
 """Largest number of knots of a periodic table that are examined; further ones repeat them."""
@@ -81,10 +100,10 @@ class Corner:
         return not any(self.jumps)
 
 
-def jet_of(motion: Motion, times: np.ndarray) -> Jet:
+def jet_of(motion: Motion | Program, times: np.ndarray) -> Jet:
     """Return a motion and its derivatives at `times` (T,)."""
-    if isinstance(motion, str):
-        return jet_and_switches(Expression.parse(motion).program, times)[0]
+    if isinstance(motion, str | tuple):
+        return jet_and_switches(program_of(motion), times)[0]
     none = np.zeros(len(times))
     if not isinstance(motion, Table):
         return Jet(none + motion, none, none, none)
@@ -93,32 +112,107 @@ def jet_of(motion: Motion, times: np.ndarray) -> Jet:
     return Jet(value, curve(times, 1), curve(times, 2), EPS * np.abs(value))
 
 
+def program_of(motion: str | Program) -> Program:
+    """Return the program of an expression of time."""
+    return Expression.parse(motion).program if isinstance(motion, str) else motion
+
+
 @lru_cache(maxsize=MOST_CACHED)
-def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES) -> tuple[Corner, ...]:
+def corners_of(motion: Motion | Program, start: float, end: float, samples: int = SAMPLES) -> tuple[Corner, ...]:
     """Return the knots and corners of a motion from `start` to `end` [s], both included, in order of time.
 
-    `motion`: a number, an expression of t or a table. `start`, `end`: the span of the run [s]. `samples`: number of
-    samples over the span.
+    `motion`: a number, an expression of t, its program, or a table. `start`, `end`: the span of the run [s]. `samples`:
+    number of samples over the span.
     """
     rounding = 4.0 * EPS * max(abs(start), abs(end))
     widest = WIDEST_MARGIN * (end - start)
     if isinstance(motion, Table):
         times = [(t, rounding) for t in _knots(motion, start, end)] if _has_curve(motion) else []
         return _described(motion, times, start, end, is_knot=True)
-    if not isinstance(motion, str):
+    if not isinstance(motion, str | tuple):
         return ()
-    program = Expression.parse(motion).program
+    program = program_of(motion)
     switches = [OPERATIONS[name] for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch]
-    if not switches:
-        return ()
-    roots = switching_times(program, start, end, samples)
+    roots = switching_times(program, start, end, samples) if switches else []
     # A noise above `widest` occurs where the argument crosses zero slowly, as in abs(t**3). Several derivatives then
     # agree on both sides, so the exact time does not matter.
     times = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
     corners = _described(motion, times, start, end, is_knot=False)
     # Not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere.
     wraps = any(operation.jumps for operation in switches)
-    return tuple(corner for corner in corners if not wraps or not corner.is_smooth)
+    corners = tuple(corner for corner in corners if not wraps or not corner.is_smooth)
+    if not any(is_sharp(name, number) for name, number in program):
+        return corners
+    known = np.array([-np.inf, *(corner.time for corner in corners), np.inf])
+    hidden = [
+        corner
+        for corner in _hidden_corners(program, start, end, rounding, widest)
+        if np.min(np.abs(known - corner.time)) > 4.0 * rounding
+    ]
+    return tuple(sorted([*corners, *hidden], key=lambda corner: corner.time))
+
+
+def _hidden_corners(program: Program, start: float, end: float, rounding: float, widest: float) -> list[Corner]:
+    """Return the corners among the zeros, poles and extrema of operands of sharp operations, and practical jumps.
+
+    The margin is the smallest at which value, rate and acceleration are accurate on both sides, up to `widest`: near
+    x = 1, for example, the derivatives of ``asin(x)`` amplify rounding errors.
+    """
+    pieces, corners = pieces_of(program, start, end), list[Corner]()
+    length = np.diff(pieces.ends)
+    places = [(seed, seed) for seed in pieces.seeds]
+    for low, high in pieces.edges.tolist():  # neighbours count as one, and include the seed between them
+        while places and (near := min(places, key=lambda place: abs(place[1] - low)))[1] >= low - rounding:
+            if near[0] > high + rounding:
+                break
+            places.remove(near)
+            low, high = min(low, near[0]), max(high, near[1])
+        places.append((low, high))
+    for low, high in sorted(places):
+        before, after = (int(np.searchsorted(pieces.ends, t, side=s)) for t, s in ((low, "left"), (high, "right")))
+        if not (0 < before and after < len(pieces.ends)):
+            continue
+        time = next((seed for seed in pieces.seeds if low <= seed <= high), 0.5 * (low + high))
+        width = max(high - time, time - low)
+        lengths = -length[before - 1], length[after - 1]
+        first, second, floor = _limits(program, low, high, lengths, rounding)
+        jumps = np.abs(second - first) > floor + width * np.append(np.abs(first + second)[1:], 0.0)
+        if not (np.all(np.isfinite(first + second)) and jumps.any()):  # not finite: outside the domain of a function
+            continue
+        for share in CLOSER:  # a narrow bend has no jump close by
+            below, above, allowed = _limits(program, low, high, [share * x for x in lengths], rounding)
+            jumps &= ~((np.abs(above - below) <= allowed) & (allowed < 0.1 * np.abs(second - first)))
+        if not jumps.any():
+            continue
+        margin = rounding + width
+        while 10.0 * margin < widest:
+            sides = jet_of(program, np.array([time - margin, time + margin])).derivatives
+            moved = margin * np.append(np.maximum(np.abs(first), np.abs(second))[1:], 0.0)
+            if np.all(np.abs(sides - [first, second]) <= floor * ACCURATE + moved):
+                break
+            margin *= 10.0
+        corners.append(Corner(time, margin, False, *(tuple(x.tolist()) for x in (first, second, jumps))))
+    return corners
+
+
+def _limits(
+    program: Program, low: float, high: float, lengths: Sequence[float], rounding: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return value, rate and acceleration before `low` and after `high` [s], and differences that count as errors.
+
+    `lengths`: lengths of the pieces before and after, the first one negative [s]. The polynomial over `SHARE_OF_PIECE`
+    of a piece is exact up to rounding errors.
+    """
+    limits, floors, orders = [], [], np.arange(3.0)
+    for time, length in zip((low, high), lengths, strict=True):
+        size = length * SHARE_OF_PIECE
+        jet = jet_of(program, time + np.copysign(rounding, size) + size * UNIT_NODES)
+        with np.errstate(all="ignore"):
+            limits.append(jet.value @ AT_START / size**orders)
+        noise = 10.0 * np.max(jet.rounding) * np.sum(np.abs(AT_START), axis=0) / np.abs(size) ** orders
+        scale = np.ptp(jet.value) / SHARE_OF_PIECE / np.abs(length) ** orders
+        floors.append(noise + HIDDEN * (np.abs(limits[-1]) + scale))
+    return limits[0], limits[1], np.maximum(*floors)
 
 
 def overshoot(table: Table) -> float:
@@ -179,33 +273,35 @@ def _described(
     return tuple(corners)
 
 
-def switching_times(program: Program, start: float, end: float, samples: int = SAMPLES) -> list[tuple[float, float]]:
+def switching_times(
+    program: Program, start: float, end: float, samples: int = SAMPLES, *, sharp: bool = False
+) -> list[tuple[float, float]]:
     """Return the times [s] at which operations of a program switch between their operands, with their rounding errors.
 
     Switches whose argument is not finite are left out.
 
     `program`: a function of time. `start`, `end`: the span that is searched [s]. `samples`: number of samples over the
-    span; fewer are taken of long programs.
+    span; fewer are taken of long programs. `sharp`: also return the zeros and extrema of operands of sharp operations.
     """
     times = np.linspace(start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))) + 1)
     found: dict[float, float] = {}
     level = 0
     while True:
         level += 1
-        _, switches = jet_and_switches(program, times)
+        _, switches = jet_and_switches(program, times, sharp=sharp)
         new: dict[float, float] = {}
         for number, switch in enumerate(switches):
             if switch.level == level:
-                new.update(_changes(_argument_of(program, number), times, switch.argument))
+                new.update(_changes(_argument_of(program, number, sharp=sharp), times, switch.argument))
         found.update(new)
         if level >= max((switch.level for switch in switches), default=0):
             return sorted(found.items())
         times = np.unique(np.concatenate([times, list(new)]))
 
 
-def _argument_of(program: Program, number: int) -> Callable[[np.ndarray], Jet]:
+def _argument_of(program: Program, number: int, *, sharp: bool) -> Callable[[np.ndarray], Jet]:
     """Return the argument of a switch as a function of times (T,)."""
-    return lambda times: jet_and_switches(program, times)[1][number].argument
+    return lambda times: jet_and_switches(program, times, sharp=sharp)[1][number].argument
 
 
 def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: Jet) -> dict[float, float]:

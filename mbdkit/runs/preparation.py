@@ -262,6 +262,7 @@ def timetable(
         stop_margins=stops.margins,
         impacts=tuple(stops.impacts),
         samples=stops.samples,
+        step_limits=stops.step_limits,
     )
     reacts = spec.reacting is not None
     return replace(table, single=table.single or reacts or not rows_are_ends(table)) if ends else table

@@ -365,6 +365,9 @@ class CompiledStepper:
         """
         c, table = self.run_state, self.timetable
         progress = c.progress
+        if self._control is not None and table.step_limits:
+            t = float(progress.restart[0] if progress.after_stop[0] else progress.time[0])
+            self.plan.control.max_size[0] = min(self._control.max_step, table.longest_step(t))
         if not progress.after_stop[0] or progress.pending[0] or progress.retrying[0]:
             return
         c.base_state[0] = MODIFIED

@@ -1,0 +1,188 @@
+"""Pieces of functions of time: intervals over which a polynomial of degree 8 represents a function.
+
+They tell how long a step may be without missing what a function does within it. As in Chebfun (Pachon, Platte and
+Trefethen 2010, IMA J. Numer. Anal. 30, 898-916), the span of a run is bisected until the polynomial through
+`NODES` Chebyshev points of each interval represents the function. Here it has to predict further samples, too. These
+include the zeros and extrema of the operands of operations such as ``exp`` and ``tanh``: a feature that is far shorter
+than those of the operand, such as a pulse, lies there. The pieces begin and end at these times, the *seeds*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mbdkit.base import elementary
+from mbdkit.expressions.jets import EPS, is_sharp, jet_and_switches
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.program import Program
+
+NODES = 9
+"""Number of points of a polynomial."""
+
+LOCAL, FLOOR = 1e-2, 1e-6
+"""Largest deviation from the polynomial, as a share of the range of the function in the piece, and over the run."""
+
+SCALES = 16.0 ** -np.arange(1.0, 5.0)
+"""Shares of a piece from whose polynomials the rate at a seed is compared."""
+
+LOOKS = 2000
+"""Number of samples over a run that the polynomials have to predict."""
+
+LEVELS = 34
+"""Number of bisections after which a piece is not divided any further; the function practically jumps in it."""
+
+MOST_PIECES = 20_000
+"""If there are more pieces than this, they are not divided any further."""
+
+SMOOTH = 4
+"""A function whose Chebyshev coefficients from this degree on are negligible does not limit steps."""
+
+SHARE = 0.5
+"""Largest step, as a share of the length over which a polynomial represents a function."""
+
+FARTHEST = 16.0
+"""Largest ratio of this length to that of a piece, whose polynomial would also represent the function farther away."""
+
+ALIKE = 4.0
+"""Successive pieces that limit steps to sizes within this factor have one limit."""
+
+_ANGLES = np.pi * (np.arange(NODES) + 0.5) / NODES
+UNIT_NODES = 0.5 - 0.5 * elementary.cos(_ANGLES)
+"""Chebyshev points between 0 and 1, without the ends."""
+_TO_COEFFICIENTS = 2.0 / NODES * elementary.cos(np.outer(np.pi - _ANGLES, np.arange(NODES)))
+_TO_COEFFICIENTS[:, 0] *= 0.5
+_K = np.arange(NODES, dtype=float)
+AT_START = (_TO_COEFFICIENTS * (-1.0) ** _K) @ np.stack(
+    [_K**0, -2.0 * _K**2, 4.0 * _K**2 * (_K**2 - 1.0) / 3.0], axis=1
+)
+"""(NODES, 3) weights of the values at `UNIT_NODES` in value, rate and acceleration of the polynomial at 0."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The pieces of a function of time.
+
+    - `ends`: (P + 1,) ends of the pieces [s].
+    - `longest`: (P,) largest step in each piece [s].
+    - `seeds`: times between the start and the end of the run at which short features may lie [s].
+    - `edges`: (E, 2) intervals in which the function practically jumps [s].
+    """
+
+    ends: np.ndarray
+    longest: np.ndarray
+    seeds: tuple[float, ...]
+    edges: np.ndarray
+
+
+@lru_cache(maxsize=64)
+def pieces_of(program: Program, start: float, end: float) -> Pieces:
+    """Return the pieces of a function of time from `start` to `end` [s]."""
+    with np.errstate(all="ignore"):
+        return _pieces_of(program, start, end)
+
+
+def _pieces_of(program: Program, start: float, end: float) -> Pieces:
+    from mbdkit.mechanism.motion_corners import switching_times
+
+    seeds: list[float] = []
+    if any(is_sharp(name, x) or (name in OPERATIONS and OPERATIONS[name].switch) for name, x in program):
+        found = np.array([time for time, _ in switching_times(program, start, end, LOOKS, sharp=True)])
+        close = 64.0 * EPS * max(abs(start), abs(end))
+        inside = found[(found > start + close) & (found < end - close)] if len(found) else found
+        seeds = inside[np.diff(inside, prepend=-np.inf) > close].tolist()
+
+    def at(times: np.ndarray) -> np.ndarray:
+        return np.asarray(jet_and_switches(program, times.ravel())[0].value).reshape(times.shape)
+
+    def has_bend(side: np.ndarray, length: np.ndarray) -> np.ndarray:
+        """Return whether the rate at seeds as a limit from one side depends on the distance, as in a narrow bend."""
+        sizes = length[:, None] * SCALES
+        times = side[:, None, None] + np.copysign(beside, length)[:, None, None] + sizes[:, :, None] * UNIT_NODES
+        jet = jet_and_switches(program, times.ravel())[0]
+        values, rounding = (x.reshape(times.shape) for x in (jet.value, jet.rounding))
+        rates = values @ AT_START[:, 1] / sizes
+        noise = 10.0 * np.max(rounding, axis=-1) * np.sum(np.abs(AT_START[:, 1])) / np.abs(sizes)
+        scale = np.max(np.abs(rates), axis=1) + np.ptp(values[:, 0], axis=1) / np.abs(sizes[:, 0])
+        return ~np.all(np.abs(np.diff(rates, axis=1)) <= LOCAL * scale[:, None] + noise[:, 1:], axis=1)
+
+    ends = np.array([start, *seeds, end])
+    beside = 4.0 * EPS * max(abs(start), abs(end))
+    looks = np.unique(np.concatenate([np.linspace(start, end, LOOKS), ends[1:-1] - beside, ends[1:-1] + beside]))
+    seen = at(looks)
+    finite = np.isfinite(seen)
+    looks, seen = looks[finite], seen[finite]
+    floor = FLOOR * float(np.ptp(seen)) + 64.0 * EPS * float(np.max(np.abs(seen))) if len(seen) else 0.0
+    low, high, bent = ends[:-1], ends[1:], np.zeros(len(ends) - 1, dtype=bool)
+    shortest = (end - start) * 0.5**LEVELS
+    done: list[np.ndarray] = []
+    count = 0
+    while len(low):
+        length = high - low
+        values = at(low[:, None] + length[:, None] * UNIT_NODES)
+        coefficients = values @ _TO_COEFFICIENTS
+        place = np.searchsorted(low, looks, side="right") - 1
+        within = (place >= 0) & (looks <= high[place])
+        looks, seen, place = looks[within], seen[within], place[within]
+        x = 2.0 * (looks - low[place]) / length[place] - 1.0
+        predicted = np.polynomial.chebyshev.chebval(x, coefficients[place].T, tensor=False)
+        deviation = np.sum(np.abs(coefficients[:, -2:]), axis=1)
+        np.maximum.at(deviation, place, np.abs(predicted - seen))
+        top, bottom = np.max(values, axis=1), np.min(values, axis=1)
+        np.maximum.at(top, place, seen)
+        np.minimum.at(bottom, place, seen)
+        allowed = np.maximum(LOCAL * (top - bottom), floor)
+        known = np.isfinite(deviation)
+        good = (deviation <= allowed) | ~known
+        begins, stops = np.isin(low, seeds), np.isin(high, seeds)
+        for side, signed, at_seed in ((low, length, begins), (high, -length, stops)):
+            check = np.flatnonzero(good & at_seed)
+            good[check] = ~(bend := has_bend(side[check], signed[check]))
+            bent[check] |= bend
+        last = ~good & (length <= shortest)
+        if count + 2 * len(low) > MOST_PIECES:
+            good, last = np.ones_like(good), np.zeros_like(good)
+        longest = SHARE * length * np.clip((allowed / deviation) ** (1.0 / NODES), 1.0, FARTHEST)
+        is_free = np.sum(np.abs(coefficients[:, SMOOTH:]), axis=1) <= allowed
+        longest = np.where(is_free | last | ~known, np.inf, longest)
+        near = bent & (begins | stops) & ~last
+        longest[near] = length[near]
+        taken = good | last
+        done.append(np.stack([low, high, longest, last], axis=1)[taken])
+        count += int(np.sum(taken))
+        low, high, bent = low[~taken], high[~taken], np.repeat(bent[~taken], 2)
+        middle = 0.5 * (low + high)
+        low, high = np.stack([low, middle], axis=1).ravel(), np.stack([middle, high], axis=1).ravel()
+    table = np.concatenate(done)
+    table = table[np.argsort(table[:, 0])]
+    return Pieces(np.append(table[:, 0], end), table[:, 2], tuple(seeds), table[table[:, 3] != 0.0, :2])
+
+
+def step_limits(programs: Iterable[Program], start: float, end: float, most: int) -> list[tuple[float, float]]:
+    """Return the largest steps that do not miss what functions of time do, as pairs: from which time on, and step [s].
+
+    There are at most `most` pairs, the first from `start` on; steps are to end where another limit begins.
+    """
+    found = [pieces for program in programs if np.isfinite((pieces := pieces_of(program, start, end)).longest).any()]
+    if not found:
+        return []
+    ends = np.unique(np.concatenate([pieces.ends for pieces in found]))
+    within = 0.5 * (ends[1:] + ends[:-1])
+    longest = np.min([x.longest[np.searchsorted(x.ends, within) - 1] for x in found], axis=0)
+    alike = ALIKE
+    while True:
+        limits: list[tuple[float, float]] = []
+        least = most_of = 0.0
+        for time, size in zip(ends[:-1].tolist(), np.minimum(longest, end - start).tolist(), strict=True):
+            if limits and max(most_of, size) <= alike * min(least, size):
+                least, most_of = min(least, size), max(most_of, size)
+                limits[-1] = limits[-1][0], least
+            else:
+                least = most_of = size
+                limits.append((time, size))
+        if len(limits) <= most:
+            return limits
+        alike *= ALIKE
