@@ -44,7 +44,7 @@ class Switch:
     argument: Jet
 
 
-SHARP = {name: 0 for name in ("pow", "powi", "asin", "acos", "atan", "exp", "log", "sqrt", "tanh")} | {
+SHARP = dict.fromkeys(("pow", "powi", "asin", "acos", "atan", "exp", "log", "sqrt", "tanh"), 0) | {
     "div": 1,
     "tan": None,
 }

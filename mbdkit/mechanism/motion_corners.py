@@ -170,7 +170,7 @@ def _hidden_corners(program: Program, start: float, end: float, rounding: float,
         places.append((low, high))
     for low, high in sorted(places):
         before, after = (int(np.searchsorted(pieces.ends, t, side=s)) for t, s in ((low, "left"), (high, "right")))
-        if not (0 < before and after < len(pieces.ends)):
+        if not (before > 0 and after < len(pieces.ends)):
             continue
         time = next((seed for seed in pieces.seeds if low <= seed <= high), 0.5 * (low + high))
         width = max(high - time, time - low)

@@ -44,6 +44,9 @@ SMOOTH = 4
 SHARE = 0.5
 """Largest step, as a share of the length over which a polynomial represents a function."""
 
+OF_INTEGRALS, ORDER_OF_INTEGRALS = 1.2, 6
+"""Factor of `share_of_integrals`, and order of the method for which it is chosen."""
+
 FARTHEST = 16.0
 """Largest ratio of this length to that of a piece, whose polynomial would also represent the function farther away."""
 
@@ -67,13 +70,15 @@ class Pieces:
     """The pieces of a function of time.
 
     - `ends`: (P + 1,) ends of the pieces [s].
-    - `longest`: (P,) largest step in each piece [s].
+    - `length`: (P,) length around each piece over which a polynomial represents the function; infinite at edges [s].
+    - `is_plain`: (P,) whether the function is a cubic polynomial in the piece, so that it does not limit steps.
     - `seeds`: times between the start and the end of the run at which short features may lie [s].
     - `edges`: (E, 2) intervals in which the function practically jumps [s].
     """
 
     ends: np.ndarray
-    longest: np.ndarray
+    length: np.ndarray
+    is_plain: np.ndarray
     seeds: tuple[float, ...]
     edges: np.ndarray
 
@@ -145,33 +150,53 @@ def _pieces_of(program: Program, start: float, end: float) -> Pieces:
         last = ~good & (length <= shortest)
         if count + 2 * len(low) > MOST_PIECES:
             good, last = np.ones_like(good), np.zeros_like(good)
-        longest = SHARE * length * np.clip((allowed / deviation) ** (1.0 / NODES), 1.0, FARTHEST)
-        is_free = np.sum(np.abs(coefficients[:, SMOOTH:]), axis=1) <= allowed
-        longest = np.where(is_free | last | ~known, np.inf, longest)
+        farther = length * np.clip((allowed / deviation) ** (1.0 / NODES), 1.0, FARTHEST)
+        farther = np.where(last | ~known, np.inf, farther)
+        is_plain = np.sum(np.abs(coefficients[:, SMOOTH:]), axis=1) <= allowed
         near = bent & (begins | stops) & ~last
-        longest[near] = length[near]
+        is_plain[near], farther[near] = False, length[near]
         taken = good | last
-        done.append(np.stack([low, high, longest, last], axis=1)[taken])
+        done.append(np.stack([low, high, farther, last, is_plain], axis=1)[taken])
         count += int(np.sum(taken))
         low, high, bent = low[~taken], high[~taken], np.repeat(bent[~taken], 2)
         middle = 0.5 * (low + high)
         low, high = np.stack([low, middle], axis=1).ravel(), np.stack([middle, high], axis=1).ravel()
     table = np.concatenate(done)
     table = table[np.argsort(table[:, 0])]
-    return Pieces(np.append(table[:, 0], end), table[:, 2], tuple(seeds), table[table[:, 3] != 0.0, :2])
+    edges = table[table[:, 3] != 0.0, :2]
+    return Pieces(np.append(table[:, 0], end), table[:, 2], table[:, 4] != 0.0, tuple(seeds), edges)
 
 
-def step_limits(programs: Iterable[Program], start: float, end: float, most: int) -> list[tuple[float, float]]:
+def share_of_integrals(rtol: float) -> float:
+    """Return the largest step of a run with integrals, as a share of the length that a polynomial represents.
+
+    The quadrature of a method of order 6 has a relative error of about `rtol` then: 5e-7 of ``sin`` for 1e-6.
+    """
+    return min(SHARE, OF_INTEGRALS * float(elementary.pow(rtol, 1.0 / ORDER_OF_INTEGRALS)))
+
+
+def step_limits(
+    programs: Iterable[Program], start: float, end: float, most: int, share: float | None = None
+) -> list[tuple[float, float]]:
     """Return the largest steps that do not miss what functions of time do, as pairs: from which time on, and step [s].
 
-    There are at most `most` pairs, the first from `start` on; steps are to end where another limit begins.
+    There are at most `most` pairs, the first from `start` on; steps are to end where another limit begins. `share`:
+    largest step as a share of the length over which a polynomial represents a function, for steps that are to integrate
+    the function accurately.
     """
-    found = [pieces for program in programs if np.isfinite((pieces := pieces_of(program, start, end)).longest).any()]
-    if not found:
+    ends, longest = np.array([start, end]), np.array([np.inf])
+    for program in programs:
+        pieces = pieces_of(program, start, end)
+        sizes = np.where(pieces.is_plain, np.inf, SHARE * pieces.length)
+        if share is not None:
+            sizes = np.minimum(sizes, share * pieces.length)
+        if np.any(sizes < end - start):
+            both = np.union1d(ends, pieces.ends)
+            within = 0.5 * (both[1:] + both[:-1])
+            own, others = (x[np.searchsorted(at, within) - 1] for x, at in ((sizes, pieces.ends), (longest, ends)))
+            ends, longest = both, np.minimum(own, others)
+    if len(longest) == 1 and np.isinf(longest[0]):
         return []
-    ends = np.unique(np.concatenate([pieces.ends for pieces in found]))
-    within = 0.5 * (ends[1:] + ends[:-1])
-    longest = np.min([x.longest[np.searchsorted(x.ends, within) - 1] for x in found], axis=0)
     alike = ALIKE
     while True:
         limits: list[tuple[float, float]] = []

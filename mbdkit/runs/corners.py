@@ -66,20 +66,24 @@ class Stops:
     step_limits: tuple[tuple[float, float], ...] = ()
 
 
-def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
+def stops_of(
+    spec: RunSpec, *, all_knots: bool = False, integrands: Sequence[Program] = (), share: float | None = None
+) -> Stops:
     """Return the times at which steps of a run have to end, apart from the grid of fixed steps.
 
     With `all_knots`, points of tables are stops even if they are close to this grid; this is needed for another run of
-    the mechanism, with other steps. Raises the errors of `RunSpec.mechanism`, and SpecError if a controller would be
+    the mechanism, with other steps. `integrands` are quantities that are asked for; `share`: see
+    `mbdkit.mechanism.motion_pieces.step_limits`. Raises the errors of `RunSpec.mechanism`, and SpecError if a controller would be
     sampled more often than ``limits.max_steps``.
     """
     start, end = spec.time.start, spec.time.final
     motions = functions_of_time(spec)
+    motions += [("measures", part) for program in integrands for part in parts_of_time(program)]
     soft = _soft_stops(spec)
     if not motions and not soft and not spec.mechanism().controllers:
         return Stops()
     programs = [program_of(motion) for _, motion in motions if isinstance(motion, str | tuple)]
-    limits = step_limits(programs, start, end, MOST_STOPS) if spec.claims.adaptive else []
+    limits = step_limits(programs, start, end, MOST_STOPS, share) if spec.claims.adaptive else []
     places = [(time, 0.0, False, "") for time in [*soft, *(time for time, _ in limits[1:])]]
     places += [(time, margin, True, "") for time, margin in _samples(spec)]
     drivers = _drivers(spec)

@@ -38,6 +38,7 @@ from mbdkit.integrators.run.impulse import DriverImpulse, ReactingMemory, reacti
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.start import start_method
 from mbdkit.measures.reductions import Functional
+from mbdkit.mechanism.motion_pieces import share_of_integrals
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.registered_kinds import peaks_of
@@ -167,7 +168,13 @@ class SimulatedRun:
         self.failure: Failure | None = None
         self.begin_record(writer)
         ends = self.integrals is not None and self.integrals.continuous is not None
-        self.table = timetable(spec, self.guards, nodes=self.keeps_nodes, ends=ends)
+        tolerances = method.traits.tolerances
+        sums_stages = self.integrals is not None and self.integrals.needs_nodes
+        share = share_of_integrals(tolerances.rtol) if tolerances is not None and sums_stages else None
+        self.table = timetable(
+            spec, self.guards, nodes=self.keeps_nodes, ends=ends, share=share,
+            integrands=[functional.program for functional in functionals],
+        )  # fmt: skip
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.cause: BaseException | None = None
