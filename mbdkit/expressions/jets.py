@@ -48,8 +48,8 @@ SHARP = dict.fromkeys(("pow", "powi", "asin", "acos", "atan", "exp", "log", "sqr
     "div": 1,
     "tan": None,
 }
-"""Operations of a smooth operand that may have a corner, a pole, or a feature far shorter than those of the operand, such
-as the pulse ``exp(-(t/1e-6)**2)``, at zeros and extrema of the operand with this index; ``tan`` has poles.
+"""Operations that may have a corner, a pole, or a feature far shorter than those of their operand, such as the pulse
+``exp(-(t/1e-6)**2)``, at zeros and extrema of the operand with this index; ``tan`` has poles.
 """
 
 LARGEST_POWER = 8

@@ -59,7 +59,7 @@ ACCURATE = np.array([10.0, 10.0, 1e-2])
 """Deviations of value, rate and acceleration at the margins of a hidden corner, as multiples of its errors."""
 
 HIDDEN = np.array([1e-6, 1e-6, 1e-3])
-"""Differences of value, rate and acceleration between two sides that are no hidden corners, relative to their scales."""
+"""Differences between two sides in value, rate and acceleration that count as errors, relative to their scales."""
 
 MOST_KNOTS = 100_000
 """Largest number of knots of a periodic table that are examined; further ones repeat them."""
