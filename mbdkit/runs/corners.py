@@ -73,8 +73,8 @@ def stops_of(
 
     With `all_knots`, points of tables are stops even if they are close to this grid; this is needed for another run of
     the mechanism, with other steps. `integrands` are quantities that are asked for; `share`: see
-    `mbdkit.mechanism.motion_pieces.step_limits`. Raises the errors of `RunSpec.mechanism`, and SpecError if a controller would be
-    sampled more often than ``limits.max_steps``.
+    `mbdkit.mechanism.motion_pieces.step_limits`. Raises the errors of `RunSpec.mechanism`, and SpecError if a
+    controller would be sampled more often than ``limits.max_steps``.
     """
     start, end = spec.time.start, spec.time.final
     motions = functions_of_time(spec)
