@@ -1,8 +1,7 @@
 """Values of programs with their first two derivatives, over arrays of arguments, in NumPy.
 
 The engine has compiled kernels for this (`mbdkit.engine.kernels.motions`). This module also finds switches: the
-operations, such as ``abs``, that change their form where an argument changes its sign. A derivative may jump there. It
-also may where an operand of an operation such as ``sqrt`` or ``asin`` has a zero or an extremum (`SHARP`).
+operations, such as ``abs``, that change their form where an argument changes its sign. A derivative may jump there.
 """
 
 from __future__ import annotations
@@ -44,28 +43,10 @@ class Switch:
     argument: Jet
 
 
-SHARP = dict.fromkeys(("pow", "powi", "asin", "acos", "atan", "exp", "log", "sqrt", "tanh"), 0) | {
-    "div": 1,
-    "tan": None,
-}
-"""Operations that may have a corner, a pole, or a feature far shorter than those of their operand, such as the pulse
-``exp(-(t/1e-6)**2)``, at zeros and extrema of the operand with this index; ``tan`` has poles.
-"""
-
-LARGEST_POWER = 8
-"""Exponents of powers up to this one, from 0 on, have no features shorter than those of their operand."""
-
-
-def is_sharp(name: str, number: float) -> bool:
-    """Return whether an operation may have corners or short features at zeros and extrema of its operand."""
-    return name in SHARP and not (name == "powi" and 0 <= number <= LARGEST_POWER)
-
-
-def jet_and_switches(program: Program, times: np.ndarray, *, sharp: bool = False) -> tuple[Jet, list[Switch]]:
+def jet_and_switches(program: Program, times: np.ndarray) -> tuple[Jet, list[Switch]]:
     """Return the value and the derivatives of a program at `times` (T,) [s], and its switches.
 
-    The switches are in the order in which their operations are executed. If `sharp`, they include the zeros and extrema
-    of the operands of sharp operations.
+    The switches are in the order in which their operations are executed.
     """
     none = np.zeros(len(times))
     switches: list[Switch] = []
@@ -81,20 +62,13 @@ def jet_and_switches(program: Program, times: np.ndarray, *, sharp: bool = False
         if operation.switch:
             level += 1
             switches.append(Switch(level, jets[0] if operation.switch == "first" else _of_two(_SUB, *jets)))
-        jet = _of_two(operation, *jets) if len(jets) == 2 else _of_one(operation, number, *jets)
-        if sharp and is_sharp(name, number):
-            level += 1
-            index = SHARP[name]
-            x = _of_two(_DIV, Jet(none + 1.0, none, none, none), jet) if index is None else jets[index]
-            rate = Jet(x.rate, x.acceleration, none, EPS * np.abs(x.rate))
-            switches.extend([Switch(level, x), Switch(level, rate)])
-        return jet, level
+        return (_of_two(operation, *jets) if len(jets) == 2 else _of_one(operation, number, *jets)), level
 
     with np.errstate(all="ignore"):
         return execute(program, step)[0], switches
 
 
-_SUB, _DIV = OPERATIONS["sub"], OPERATIONS["div"]
+_SUB = OPERATIONS["sub"]
 
 
 def _of_one(operation: Operation, number: float, a: Jet) -> Jet:

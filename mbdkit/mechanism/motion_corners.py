@@ -23,11 +23,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from mbdkit.expressions.jets import EPS, Jet, is_sharp, jet_and_switches
+from mbdkit.expressions.jets import EPS, Jet, jet_and_switches
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program
-from mbdkit.mechanism.motion_pieces import AT_START, UNIT_NODES, pieces_of
+from mbdkit.mechanism.motion_pieces import AT_START, UNIT_NODES, pieces_of, sharp_operands
 from mbdkit.mechanism.values import Motion, Table, curve_of
 
 SAMPLES = 10_000
@@ -141,7 +141,7 @@ def corners_of(motion: Motion | Program, start: float, end: float, samples: int 
     # Not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere.
     wraps = any(operation.jumps for operation in switches)
     corners = tuple(corner for corner in corners if not wraps or not corner.is_smooth)
-    if not any(is_sharp(name, number) for name, number in program):
+    if not sharp_operands(program):
         return corners
     known = np.array([-np.inf, *(corner.time for corner in corners), np.inf])
     hidden = [
@@ -175,13 +175,14 @@ def _hidden_corners(program: Program, start: float, end: float, rounding: float,
         time = next((seed for seed in pieces.seeds if low <= seed <= high), 0.5 * (low + high))
         width = max(high - time, time - low)
         lengths = -length[before - 1], length[after - 1]
-        first, second, floor = _limits(program, low, high, lengths, rounding)
+        first, second, floor, _ = _limits(program, low, high, lengths, rounding)
         jumps = np.abs(second - first) > floor + width * np.append(np.abs(first + second)[1:], 0.0)
         if not (np.all(np.isfinite(first + second)) and jumps.any()):  # not finite: outside the domain of a function
             continue
         for share in CLOSER:  # a narrow bend has no jump close by
-            below, above, allowed = _limits(program, low, high, [share * x for x in lengths], rounding)
-            jumps &= ~((np.abs(above - below) <= allowed) & (allowed < 0.1 * np.abs(second - first)))
+            below, above, _, noise = _limits(program, low, high, [share * x for x in lengths], rounding)
+            jump = np.abs(second - first)
+            jumps &= ~((np.abs(above - below) < 0.5 * jump) & (noise < 0.1 * jump))
         if not jumps.any():
             continue
         margin = rounding + width
@@ -197,22 +198,23 @@ def _hidden_corners(program: Program, start: float, end: float, rounding: float,
 
 def _limits(
     program: Program, low: float, high: float, lengths: Sequence[float], rounding: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return value, rate and acceleration before `low` and after `high` [s], and differences that count as errors.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return value, rate and acceleration before `low` and after `high` [s], differences that count as errors, and
+    their part that is due to rounding.
 
     `lengths`: lengths of the pieces before and after, the first one negative [s]. The polynomial over `SHARE_OF_PIECE`
     of a piece is exact up to rounding errors.
     """
-    limits, floors, orders = [], [], np.arange(3.0)
+    limits, floors, noises, orders = [], [], [], np.arange(3.0)
     for time, length in zip((low, high), lengths, strict=True):
         size = length * SHARE_OF_PIECE
         jet = jet_of(program, time + np.copysign(rounding, size) + size * UNIT_NODES)
         with np.errstate(all="ignore"):
             limits.append(jet.value @ AT_START / size**orders)
-        noise = 10.0 * np.max(jet.rounding) * np.sum(np.abs(AT_START), axis=0) / np.abs(size) ** orders
+        noises.append(10.0 * np.max(jet.rounding) * np.sum(np.abs(AT_START), axis=0) / np.abs(size) ** orders)
         scale = np.ptp(jet.value) / SHARE_OF_PIECE / np.abs(length) ** orders
-        floors.append(noise + HIDDEN * (np.abs(limits[-1]) + scale))
-    return limits[0], limits[1], np.maximum(*floors)
+        floors.append(noises[-1] + HIDDEN * (np.abs(limits[-1]) + scale))
+    return limits[0], limits[1], np.maximum(*floors), np.maximum(*noises)
 
 
 def overshoot(table: Table) -> float:
@@ -273,35 +275,34 @@ def _described(
     return tuple(corners)
 
 
-def switching_times(
-    program: Program, start: float, end: float, samples: int = SAMPLES, *, sharp: bool = False
-) -> list[tuple[float, float]]:
+@lru_cache(maxsize=MOST_CACHED)
+def switching_times(program: Program, start: float, end: float, samples: int = SAMPLES) -> list[tuple[float, float]]:
     """Return the times [s] at which operations of a program switch between their operands, with their rounding errors.
 
     Switches whose argument is not finite are left out.
 
     `program`: a function of time. `start`, `end`: the span that is searched [s]. `samples`: number of samples over the
-    span; fewer are taken of long programs. `sharp`: also return the zeros and extrema of operands of sharp operations.
+    span; fewer are taken of long programs.
     """
     times = np.linspace(start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))) + 1)
     found: dict[float, float] = {}
     level = 0
     while True:
         level += 1
-        _, switches = jet_and_switches(program, times, sharp=sharp)
+        _, switches = jet_and_switches(program, times)
         new: dict[float, float] = {}
         for number, switch in enumerate(switches):
             if switch.level == level:
-                new.update(_changes(_argument_of(program, number, sharp=sharp), times, switch.argument))
+                new.update(_changes(_argument_of(program, number), times, switch.argument))
         found.update(new)
         if level >= max((switch.level for switch in switches), default=0):
             return sorted(found.items())
         times = np.unique(np.concatenate([times, list(new)]))
 
 
-def _argument_of(program: Program, number: int, *, sharp: bool) -> Callable[[np.ndarray], Jet]:
+def _argument_of(program: Program, number: int) -> Callable[[np.ndarray], Jet]:
     """Return the argument of a switch as a function of times (T,)."""
-    return lambda times: jet_and_switches(program, times, sharp=sharp)[1][number].argument
+    return lambda times: jet_and_switches(program, times)[1][number].argument
 
 
 def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: Jet) -> dict[float, float]:

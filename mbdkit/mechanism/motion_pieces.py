@@ -16,9 +16,9 @@ from functools import lru_cache
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.expressions.jets import EPS, is_sharp, jet_and_switches
+from mbdkit.expressions.jets import EPS, jet_and_switches
 from mbdkit.expressions.operations import OPERATIONS
-from mbdkit.expressions.program import Program
+from mbdkit.expressions.program import Program, execute
 
 NODES = 9
 """Number of points of a polynomial."""
@@ -28,6 +28,17 @@ LOCAL, FLOOR = 1e-2, 1e-6
 
 SCALES = 16.0 ** -np.arange(1.0, 5.0)
 """Shares of a piece from whose polynomials the rate at a seed is compared."""
+
+SHARP = frozenset({"div", "pow", "powi", "tan", "asin", "acos", "atan", "exp", "log", "sqrt", "tanh"})
+"""Operations that may have a corner, a pole, or a feature far shorter than those of their operand, such as the pulse
+``exp(-(t/1e-6)**2)``, at zeros and extrema of the operand: of the denominator, the base, or, for ``tan``, its cosine.
+"""
+LARGEST_POWER = 8
+"""Integer exponents up to this one, from 0 on, lead to no features shorter than those of the base."""
+MOST_ITERATIONS = 80
+"""Largest number of iterations that locate a seed; bisection alone would need about fifty."""
+MANY_ZEROS = 100
+"""If this many samples of an operand are zero, it is constant there, and they are no seeds."""
 
 LOOKS = 2000
 """Number of samples over a run that the polynomials have to predict."""
@@ -83,6 +94,69 @@ class Pieces:
     edges: np.ndarray
 
 
+@lru_cache(maxsize=256)
+def sharp_operands(program: Program) -> tuple[Program, ...]:
+    """Return the operands of sharp operations, inner ones first: functions at whose zeros and extrema seeds lie."""
+    operands: dict[Program, None] = {}
+
+    def step(operation: str, number: float, *given: Program) -> Program:
+        if operation in SHARP and not (operation == "powi" and 0 <= number <= LARGEST_POWER):
+            operand = given[1] if operation == "div" else given[0]
+            operands.setdefault((*operand, ("cos", 0.0)) if operation == "tan" else operand)
+        return (*(instruction for operand in given for instruction in operand), (operation, number))
+
+    execute(program, step)
+    return tuple(operand for operand in operands if ("t", 0.0) in operand)
+
+
+def _seeds(program: Program, start: float, end: float) -> list[float]:
+    """Return the times in a run at which operands of sharp operations have zeros or extrema, or operations switch."""
+    from mbdkit.mechanism.motion_corners import switching_times
+
+    close = 64.0 * EPS * max(abs(start), abs(end))
+    has_switches = any(name in OPERATIONS and OPERATIONS[name].switch for name, _ in program)
+    found = np.array([time for time, _ in switching_times(program, start, end)] if has_switches else [])
+    looks = np.linspace(start, end, LOOKS)
+    for operand in sharp_operands(program):
+        for which in ("rate", "value"):  # of two zeros between two samples, an extremum lies in between
+            times = np.union1d(looks, found)
+            known = getattr(jet_and_switches(operand, times)[0], which)
+            signs = np.sign(known)
+            crossed = np.flatnonzero(signs[:-1] * signs[1:] < 0.0)
+            exact = times[signs == 0.0] if np.sum(signs == 0.0) < MANY_ZEROS else []
+            found = np.concatenate(
+                [found, exact, _root(operand, which, times[crossed], times[crossed + 1], known[crossed])]
+            )
+    found = np.sort(found[(found > start + close) & (found < end - close)])
+    return found[np.diff(found, prepend=-np.inf) > close].tolist() if len(found) else []
+
+
+def _root(operand: Program, which: str, low: np.ndarray, high: np.ndarray, at_low: np.ndarray) -> np.ndarray:
+    """Return where the value or the rate of an operand changes its sign between `low` and `high` (K,).
+
+    Newton's method, with a bisection wherever it has not halved the interval.
+    """
+    if not len(low):
+        return low
+    sign, x, halved = np.sign(at_low), 0.5 * (low + high), np.ones(len(low), dtype=bool)
+    least = EPS * np.maximum(np.abs(low), np.abs(high))
+    for _ in range(MOST_ITERATIONS):
+        jet = jet_and_switches(operand, x)[0]
+        f, slope = (jet.value, jet.rate) if which == "value" else (jet.rate, jet.acceleration)
+        before = high - low
+        below = np.sign(f) == sign
+        low, high = np.where(below, x, low), np.where(below, high, x)
+        newton = x - f / slope
+        step = np.abs(newton - x)
+        ended = (high - low <= 2.0 * least) | (step <= least) | (f == 0.0)
+        if np.all(ended):
+            break
+        halved = high - low <= 0.5 * before
+        inside = (newton > low) & (newton < high) & (halved | (step < 1e-3 * before))
+        x = np.where(ended, x, np.where(inside, newton, 0.5 * (low + high)))
+    return x
+
+
 @lru_cache(maxsize=64)
 def pieces_of(program: Program, start: float, end: float) -> Pieces:
     """Return the pieces of a function of time from `start` to `end` [s]."""
@@ -91,14 +165,7 @@ def pieces_of(program: Program, start: float, end: float) -> Pieces:
 
 
 def _pieces_of(program: Program, start: float, end: float) -> Pieces:
-    from mbdkit.mechanism.motion_corners import switching_times
-
-    seeds: list[float] = []
-    if any(is_sharp(name, x) or (name in OPERATIONS and OPERATIONS[name].switch) for name, x in program):
-        found = np.array([time for time, _ in switching_times(program, start, end, LOOKS, sharp=True)])
-        close = 64.0 * EPS * max(abs(start), abs(end))
-        inside = found[(found > start + close) & (found < end - close)] if len(found) else found
-        seeds = inside[np.diff(inside, prepend=-np.inf) > close].tolist()
+    seeds = _seeds(program, start, end)
 
     def at(times: np.ndarray) -> np.ndarray:
         return np.asarray(jet_and_switches(program, times.ravel())[0].value).reshape(times.shape)
