@@ -182,7 +182,7 @@ def _hidden_corners(program: Program, start: float, end: float, rounding: float,
         for share in CLOSER:  # a narrow bend has no jump close by
             below, above, _, noise = _limits(program, low, high, [share * x for x in lengths], rounding)
             jump = np.abs(second - first)
-            jumps &= ~((np.abs(above - below) < 0.5 * jump) & (noise < 0.1 * jump))
+            jumps &= ~((np.abs(above - below) < 0.5 * jump) & (noise < 0.3 * jump))
         if not jumps.any():
             continue
         margin = rounding + width

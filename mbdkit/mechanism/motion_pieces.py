@@ -55,8 +55,8 @@ SMOOTH = 4
 SHARE = 0.5
 """Largest step, as a share of the length over which a polynomial represents a function."""
 
-OF_INTEGRALS, ORDER_OF_INTEGRALS = 1.2, 6
-"""Factor of `share_of_integrals`, and order of the method for which it is chosen."""
+OF_INTEGRALS = 1.5
+"""Factor of `share_of_integrals`: the quadrature of a sine then has an error of one to seven times the tolerance."""
 
 FARTHEST = 16.0
 """Largest ratio of this length to that of a piece, whose polynomial would also represent the function farther away."""
@@ -234,12 +234,11 @@ def _pieces_of(program: Program, start: float, end: float) -> Pieces:
     return Pieces(np.append(table[:, 0], end), table[:, 2], table[:, 4] != 0.0, tuple(seeds), edges)
 
 
-def share_of_integrals(rtol: float) -> float:
-    """Return the largest step of a run with integrals, as a share of the length that a polynomial represents.
-
-    The quadrature of a method of order 6 has a relative error of about `rtol` then: 5e-7 of ``sin`` for 1e-6.
+def share_of_integrals(rtol: float, order: float) -> float:
+    """Return the largest step of a run with integrals by a method of an order, as a share of the length that a
+    polynomial represents; `rtol` is its relative tolerance.
     """
-    return min(SHARE, OF_INTEGRALS * float(elementary.pow(rtol, 1.0 / ORDER_OF_INTEGRALS)))
+    return min(SHARE, OF_INTEGRALS * float(elementary.pow(rtol, 1.0 / order)))
 
 
 def step_limits(

@@ -169,9 +169,10 @@ class SimulatedRun:
         self.failure: Failure | None = None
         self.begin_record(writer)
         ends = self.integrals is not None and self.integrals.continuous is not None
-        tolerances = method.traits.tolerances
-        sums_stages = self.integrals is not None and self.integrals.needs_nodes
-        share = share_of_integrals(tolerances.rtol) if tolerances is not None and sums_stages else None
+        tolerances, estimate, share = method.traits.tolerances, method.traits.local_error, None
+        if tolerances is not None and self.integrals is not None and self.integrals.needs_nodes:
+            # methods with steps in Python use a quadrature of order 8 on dense output of order 5 or more
+            share = share_of_integrals(tolerances.rtol, 6.0 if estimate is None else estimate.order)
         self.table = timetable(
             spec, self.guards, nodes=self.keeps_nodes, ends=ends, share=share,
             integrands=[functional.program for functional in functionals],
