@@ -174,6 +174,9 @@ def _hidden_corners(program: Program, start: float, end: float, rounding: float,
             continue
         time = next((seed for seed in pieces.seeds if low <= seed <= high), 0.5 * (low + high))
         width = max(high - time, time - low)
+        beside = jet_of(program, np.array([low, low - 16.0 * width, high, high + 16.0 * width])).value
+        if width > 0.0 and np.any(np.abs(beside[::2]) > 2.0 * np.abs(beside[1::2])):
+            continue  # a pole, which no step can reach
         lengths = -length[before - 1], length[after - 1]
         first, second, floor, _ = _limits(program, low, high, lengths, rounding)
         jumps = np.abs(second - first) > floor + width * np.append(np.abs(first + second)[1:], 0.0)
