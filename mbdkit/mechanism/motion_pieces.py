@@ -17,8 +17,8 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.expressions.jets import EPS, jet_and_switches
-from mbdkit.expressions.operations import OPERATIONS
-from mbdkit.expressions.program import Program, execute
+from mbdkit.expressions.program import Program
+from mbdkit.mechanism.switching_times import seeds_of
 
 NODES = 9
 """Number of points of a polynomial."""
@@ -27,18 +27,10 @@ LOCAL, FLOOR = 1e-2, 1e-6
 """Largest deviation from the polynomial, as a share of the range of the function in the piece, and over the run."""
 
 SCALES = 16.0 ** -np.arange(1.0, 5.0)
-"""Shares of a piece from whose polynomials the rate at a seed is compared."""
+"""Shares of a piece over which further polynomials determine the limits at a seed.
 
-SHARP = frozenset({"div", "pow", "powi", "tan", "asin", "acos", "atan", "exp", "log", "sqrt", "tanh"})
-"""Operations that may have a corner, a pole, or a feature far shorter than those of their operand, such as the pulse
-``exp(-(t/1e-6)**2)``, at zeros and extrema of the operand: of the denominator, the base, or, for ``tan``, its cosine.
+A piece is represented up to `LOCAL`, and the first share 16^9 times better. Over the others, a jump has to persist.
 """
-LARGEST_POWER = 8
-"""Integer exponents up to this one, from 0 on, lead to no features shorter than those of the base."""
-MOST_ITERATIONS = 80
-"""Largest number of iterations that locate a seed; bisection alone would need about fifty."""
-MANY_ZEROS = 100
-"""If this many samples of an operand are zero, it is constant there, and they are no seeds."""
 
 LOOKS = 2000
 """Number of samples over a run that the polynomials have to predict."""
@@ -94,69 +86,6 @@ class Pieces:
     edges: np.ndarray
 
 
-@lru_cache(maxsize=256)
-def sharp_operands(program: Program) -> tuple[Program, ...]:
-    """Return the operands of sharp operations, inner ones first: functions at whose zeros and extrema seeds lie."""
-    operands: dict[Program, None] = {}
-
-    def step(operation: str, number: float, *given: Program) -> Program:
-        if operation in SHARP and not (operation == "powi" and 0 <= number <= LARGEST_POWER):
-            operand = given[1] if operation == "div" else given[0]
-            operands.setdefault((*operand, ("cos", 0.0)) if operation == "tan" else operand)
-        return (*(instruction for operand in given for instruction in operand), (operation, number))
-
-    execute(program, step)
-    return tuple(operand for operand in operands if ("t", 0.0) in operand)
-
-
-def _seeds(program: Program, start: float, end: float) -> list[float]:
-    """Return the times in a run at which operands of sharp operations have zeros or extrema, or operations switch."""
-    from mbdkit.mechanism.motion_corners import switching_times
-
-    close = 64.0 * EPS * max(abs(start), abs(end))
-    has_switches = any(name in OPERATIONS and OPERATIONS[name].switch for name, _ in program)
-    found = np.array([time for time, _ in switching_times(program, start, end)] if has_switches else [])
-    looks = np.linspace(start, end, LOOKS)
-    for operand in sharp_operands(program):
-        for which in ("rate", "value"):  # of two zeros between two samples, an extremum lies in between
-            times = np.union1d(looks, found)
-            known = getattr(jet_and_switches(operand, times)[0], which)
-            signs = np.sign(known)
-            crossed = np.flatnonzero(signs[:-1] * signs[1:] < 0.0)
-            exact = times[signs == 0.0] if np.sum(signs == 0.0) < MANY_ZEROS else []
-            found = np.concatenate(
-                [found, exact, _root(operand, which, times[crossed], times[crossed + 1], known[crossed])]
-            )
-    found = np.sort(found[(found > start + close) & (found < end - close)])
-    return found[np.diff(found, prepend=-np.inf) > close].tolist() if len(found) else []
-
-
-def _root(operand: Program, which: str, low: np.ndarray, high: np.ndarray, at_low: np.ndarray) -> np.ndarray:
-    """Return where the value or the rate of an operand changes its sign between `low` and `high` (K,).
-
-    Newton's method, with a bisection wherever it has not halved the interval.
-    """
-    if not len(low):
-        return low
-    sign, x, halved = np.sign(at_low), 0.5 * (low + high), np.ones(len(low), dtype=bool)
-    least = EPS * np.maximum(np.abs(low), np.abs(high))
-    for _ in range(MOST_ITERATIONS):
-        jet = jet_and_switches(operand, x)[0]
-        f, slope = (jet.value, jet.rate) if which == "value" else (jet.rate, jet.acceleration)
-        before = high - low
-        below = np.sign(f) == sign
-        low, high = np.where(below, x, low), np.where(below, high, x)
-        newton = x - f / slope
-        step = np.abs(newton - x)
-        ended = (high - low <= 2.0 * least) | (step <= least) | (f == 0.0)
-        if np.all(ended):
-            break
-        halved = high - low <= 0.5 * before
-        inside = (newton > low) & (newton < high) & (halved | (step < 1e-3 * before))
-        x = np.where(ended, x, np.where(inside, newton, 0.5 * (low + high)))
-    return x
-
-
 @lru_cache(maxsize=64)
 def pieces_of(program: Program, start: float, end: float) -> Pieces:
     """Return the pieces of a function of time from `start` to `end` [s]."""
@@ -165,21 +94,16 @@ def pieces_of(program: Program, start: float, end: float) -> Pieces:
 
 
 def _pieces_of(program: Program, start: float, end: float) -> Pieces:
-    seeds = _seeds(program, start, end)
+    seeds = seeds_of(program, start, end, LOOKS)
 
     def at(times: np.ndarray) -> np.ndarray:
         return np.asarray(jet_and_switches(program, times.ravel())[0].value).reshape(times.shape)
 
-    def has_bend(side: np.ndarray, length: np.ndarray) -> np.ndarray:
+    def has_bend(seed: np.ndarray, length: np.ndarray) -> np.ndarray:
         """Return whether the rate at seeds as a limit from one side depends on the distance, as in a narrow bend."""
-        sizes = length[:, None] * SCALES
-        times = side[:, None, None] + np.copysign(beside, length)[:, None, None] + sizes[:, :, None] * UNIT_NODES
-        jet = jet_and_switches(program, times.ravel())[0]
-        values, rounding = (x.reshape(times.shape) for x in (jet.value, jet.rounding))
-        rates = values @ AT_START[:, 1] / sizes
-        noise = 10.0 * np.max(rounding, axis=-1) * np.sum(np.abs(AT_START[:, 1])) / np.abs(sizes)
-        scale = np.max(np.abs(rates), axis=1) + np.ptp(values[:, 0], axis=1) / np.abs(sizes[:, 0])
-        return ~np.all(np.abs(np.diff(rates, axis=1)) <= LOCAL * scale[:, None] + noise[:, 1:], axis=1)
+        limits, noise, scale = (x[..., 1] for x in limits_at(program, seed, length[:, None] * SCALES))
+        scale = np.max(np.abs(limits), axis=1) + scale[:, 0]
+        return np.asarray(~np.all(np.abs(np.diff(limits)) <= LOCAL * scale[:, None] + noise[:, 1:], axis=1))
 
     ends = np.array([start, *seeds, end])
     beside = 4.0 * EPS * max(abs(start), abs(end))
@@ -232,6 +156,22 @@ def _pieces_of(program: Program, start: float, end: float) -> Pieces:
     table = table[np.argsort(table[:, 0])]
     edges = table[table[:, 3] != 0.0, :2]
     return Pieces(np.append(table[:, 0], end), table[:, 2], table[:, 4] != 0.0, tuple(seeds), edges)
+
+
+def limits_at(program: Program, times: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return value, rate and acceleration of a function as limits from one side, their rounding errors, and scales.
+
+    Each polynomial goes through the values from one of `times` (K,) on, over one of its `sizes` (K, S), negative before
+    it [s]. The arrays are (K, S, 3). Scales are the range of these values over the powers of the size.
+    """
+    beside = np.copysign(4.0 * EPS * np.maximum(np.abs(times), np.max(np.abs(sizes), axis=1))[:, None], sizes)
+    at = (times[:, None] + beside)[..., None] + sizes[..., None] * UNIT_NODES
+    jet = jet_and_switches(program, at.ravel())[0]
+    values, rounding = jet.value.reshape(at.shape), np.max(jet.rounding.reshape(at.shape), axis=-1)
+    powers = sizes[..., None] ** np.arange(3.0)
+    with np.errstate(all="ignore"):
+        noise = 10.0 * rounding[..., None] * np.sum(np.abs(AT_START), axis=0) / np.abs(powers)
+        return values @ AT_START / powers, noise, np.ptp(values, axis=-1)[..., None] / np.abs(powers)
 
 
 def share_of_integrals(rtol: float, order: float) -> float:

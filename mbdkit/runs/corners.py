@@ -261,7 +261,7 @@ def _drivers(spec: RunSpec) -> dict[str, str]:
     return {f"model.joints.{quoted(name)}.{key}": name for name, joint in joints.items() for key, _ in joint.motions()}
 
 
-def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
+def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion | Program) -> bool:
     """Return whether steps have to end at a discontinuity.
 
     Fixed steps need not end at points of tables that are close to the grid. Fixed steps of methods of up to order 4
