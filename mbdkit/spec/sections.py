@@ -102,7 +102,10 @@ class Time(Section):
 
 
 class Output(Section):
-    """Recorded quantities and the recording interval; the start and the end of the run are always recorded."""
+    """Recorded quantities and the recording interval; the start and the end of the run are always recorded.
+
+    A row at an instant with two sides, such as an impact, holds the limit from before; see the page `events`.
+    """
 
     every: Count | None = None
     """Number of steps between records; 1 unless `interval` is given."""
