@@ -102,15 +102,13 @@ class Time(Section):
 
 
 class Output(Section):
-    """Recorded quantities and the recording interval; the start and the end of the run are always recorded.
-
-    A row at an instant with two sides, such as an impact, holds the limit from before; see the page `events`.
-    """
+    """Recorded quantities and the recording interval; the start and the end of the run are always recorded."""
 
     every: Count | None = None
     """Number of steps between records; 1 unless `interval` is given."""
     interval: Positive | None = None
-    """Time between records [s], instead of `every`; requires a method with dense output."""
+    """Time between records [s], instead of `every`; requires a method with dense output. As any row, one at an impact
+    or another instant with two sides holds the limit from before; see the page `events`."""
     quantities: Literal["all"] | tuple[ChosenGroup, ...] = "all"
     """Groups of quantities recorded in addition to trajectory, steps and stats."""
 

@@ -262,7 +262,7 @@ def faults(kind: int, method: int, seed: int) -> Iterator[str]:
     if seed % 2 == 0 and not one.ends:
         yield from read_faults(one, spec, what)
     if one.parameter and "scipy" not in chosen["name"]:
-        gradient = mbdkit.gradient(spec, [*spec["measures"]], [one.parameter], check=False)
+        gradient = mbdkit.gradient(spec | {"output": {"every": 1}}, [*spec["measures"]], [one.parameter], check=False)
         for number, (quantity, slopes) in enumerate(one.slopes.items()):
             for side, wanted in zip(("at", "after"), slopes, strict=True):
                 value = gradient[f"{side}c{number}", one.parameter]

@@ -413,7 +413,7 @@ class StepHost:
 
     def change(self, values: Mapping[int, float]) -> None:
         """See `mbdkit.integrators.run.splitting.Splitting.change`."""
-        why = "stop" if self.now.why == "stop" else "event"
+        why: Why = "stop" if self.now.why == "stop" else "event"
         self.hold(values)
         self._watch.forget_energy()
         self.now = self.now._replace(state=replace(self.now.state, multipliers=None), why=why)
