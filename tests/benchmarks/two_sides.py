@@ -250,8 +250,10 @@ def faults(kind: int, method: int, seed: int) -> Iterator[str]:
     if "interval" in spec["output"] and abs(run.time[row] - c) > 1e-11:
         yield f"{what}: no row at the instant, but at {run.time[row]!r}"
     has_row = abs(run.time[row] - c) < 1e-11
-    if one.ends and row != len(run.time) - 1:
-        yield f"{what}: the run ends at {run.time[-1]!r}"
+    if one.ends:
+        row = len(run.time) - 1
+        if not has_row or abs(run.time[-1] - c) > 1e-11:
+            yield f"{what}: the run ends at {run.time[-1]!r}"
     for number, (quantity, sides) in enumerate(one.sides.items()):
         values = {"row": row_of(run, quantity, row)} if has_row else {}
         values |= {name: float(run.measures[name]) for name in run.measures if name.endswith(str(number))}
@@ -259,7 +261,7 @@ def faults(kind: int, method: int, seed: int) -> Iterator[str]:
             wanted = sides[name.startswith("after")]
             if not (abs(value - wanted) <= CLOSE or (math.isnan(value) and math.isnan(wanted))):
                 yield f"{what}: {name} of {quantity} is {value:.9g}, not {wanted:.9g}"
-    if seed % 2 == 0 and not one.ends:
+    if seed % 2 == 0 and not one.ends and one.kind != "bounce":  # rounding decides whether an impact is before `c`
         yield from read_faults(one, spec, what)
     if one.parameter and "scipy" not in chosen["name"]:
         gradient = mbdkit.gradient(spec | {"output": {"every": 1}}, [*spec["measures"]], [one.parameter], check=False)
