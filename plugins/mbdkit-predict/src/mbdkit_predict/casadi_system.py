@@ -99,9 +99,10 @@ class CasadiSystem:
         self.state_names = tuple(name for name in names if name not in self._controls)
         self.control_names, self.parameter_names = chosen.controls, chosen.parameters
         work = Workspace(self._compiled, 0.0, *np.zeros((2, self._compiled.size)))
-        self._joints = None
+        self._joints: JointCoordinates | None = None
         if is_joint and not len(self._compiled.topology.frictions):
-            self._joints = JointCoordinates(self._compiled.topology, work.solver.row_index)
+            joints = JointCoordinates(self._compiled.topology, work.solver.row_index)
+            self._joints = joints if joints.places.size else None
         whole, solved = 3 * len(self._compiled.bodies), self._compiled.solved_rows
         in_tree = self._joints.tree_rows if self._joints else set()
         self._cut = [k for k in range(len(solved)) if k not in in_tree]

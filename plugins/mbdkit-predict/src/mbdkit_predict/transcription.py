@@ -113,6 +113,12 @@ class Transcription:
         self, spec: PredictSpec, system: CasadiSystem, objective: Objective, simpler: Transcription | None = None
     ):
         self.spec, self.system, self.objective = spec, system, objective
+        is_fixed = len(system.q0) <= len(system.constraint_names) and not system.state_names
+        if is_fixed and not any(joint.is_driver for joint in spec.mechanism().joints.values()):
+            reason = (
+                "has no degree of freedom, and neither drivers nor first-order states: there is no motion to predict"
+            )
+            raise SpecError(f"the mechanism {reason}", key="model.joints")
         self.balanced = StatesInEquilibrium(spec.chosen, self.system)
         self.simpler = simpler
         self._simple: Mesh | None = None  # its solution
