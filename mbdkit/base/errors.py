@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.base.text import did_you_mean, listed, one_line, shortened, shown
 
@@ -120,13 +121,14 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
 
     Ctrl-C, errors of mbdkit about the input or a plugin, and the `expected` exceptions pass unchanged.
     """
-    unchanged: tuple[type[BaseException], ...] = (KeyboardInterrupt, SpecError, ArchiveError, PluginError, *expected)
     try:
         with in_this_process():
             yield
-    except unchanged:
+    except (SpecError, ArchiveError, PluginError, *expected):
         raise
     except BaseException as error:
+        if is_interrupt(error):
+            raise
         raise PluginError(f"{what}: {with_place(error)}") from error
 
 
