@@ -145,7 +145,7 @@ class _Path:
         """
         method, grid = self._method, self._mesh.grid
         state, around = self._states(np.array([at])), self._states(at + h * np.array([-2.0, 2.0]))
-        phase = int(grid.phase[min(np.searchsorted(self.ends, at), len(grid.phase) - 1)])
+        phase = int(grid.phase[min(int(np.searchsorted(self.ends, at)), len(grid.phase) - 1)])
         low, high, _ = method.limits["duration"][:, : phase + 1]
         move = self._of_kind(abs(around[:, 1] - around[:, 0])) + LEAST * self._ranges
         move = MOVED * np.append(move, 4.0 * h if (low < high).any() else 0.0)
