@@ -36,7 +36,7 @@ def one_thread_at_a_time(method: Callable[Concatenate[Any, P], R]) -> Callable[C
     """Let a method of an object with the `UseLock` `in_use` raise SpecError while another thread is in one of them."""
 
     @wraps(method)
-    def exclusive(self: Any, *args: P.args, **kwargs: P.kwargs) -> R:
+    def exclusive(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
         lock: UseLock = self.in_use
         if not lock.acquire(blocking=False):
             raise SpecError(lock.refusal)
