@@ -25,6 +25,7 @@ def write_identified(
         group["parameter"] = np.array([*values], object)
         group["value"], group["covariance"] = np.array([*values.values()]), matrix
         group["deviation"] = np.sqrt(np.diagonal(matrix))
+        group["why"] = np.array([""] * len(values), object)
         group["identifiable"] = np.isfinite(np.diagonal(matrix)).astype(int)
     return path
 

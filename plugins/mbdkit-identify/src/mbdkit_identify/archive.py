@@ -48,6 +48,7 @@ _LONG_NAMES = {
     "deviation": "standard deviation",
     "identifiable": "whether the data determine the value",
     "at_bound": "bound at which the value is",
+    "why": "why no covariance describes the estimate, empty if one does",
     "white": "whitened residuals",
     "band": "half width of the band that contains the measured values",
     "values": "fixed values",
