@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit.archive.fingerprint import StoredHashes
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
@@ -32,6 +33,7 @@ def read_identified(path: Path) -> tuple[list[str], np.ndarray, np.ndarray, list
             raise SpecError(f"this is an HDF5 file, but not the {what} by `mbdkit identify`", file=path)
         if (version := file.attrs.get("format_version")) != VERSION:
             raise SpecError(f"this {what} has the format version {version}; this mbdkit reads {VERSION}", file=path)
+        StoredHashes(file).verify()
         group = file["parameters"]
         names = [str(name) for name in group["parameter"].asstr()[:]]
         values, covariance, known = (group[name][:] for name in ("value", "covariance", "identifiable"))

@@ -73,7 +73,7 @@ def test_a_parameter_with_another_value_is_no_estimate(spec: Path) -> None:
         (["parameters.from=later.h5"], "", "has the format version 2; this mbdkit reads 1"),
         (["parameters.from=damaged.h5"], "", "this file is damaged, /parameters cannot be read"),
         (["parameters.from=strange.h5"], "parameters.from", "no expression contains a parameter of strange.h5"),
-        (["model.bodies.block.mass=lost"], "parameters.from", "do not determine 'lost'; give a number beside `from`"),
+        (["model.bodies.block.mass=lost"], "parameters.from", "of 'lost' (the data do not determine it)"),
         (["model.bodies.block.mass=2*absent"], "model.bodies.block.mass", "there is no parameter 'absent'"),
         (["estimates={values: {a: 1}, covariance: [[1, 2]]}", "parameters={}"], "estimates.covariance", "1 rows of 1"),
     ],

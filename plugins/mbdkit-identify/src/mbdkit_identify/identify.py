@@ -69,8 +69,10 @@ def identify(
         except SpecError as error:
             raise spec.placed(error) from None
         except (np.linalg.LinAlgError, OverflowError) as error:
-            message = f"the data and the model cannot be fitted in floating-point numbers ({error}); check units and cells"
-            raise RunError(message) from None
+            raise RunError(
+                f"the data cannot be fitted in floating-point numbers ({error}); check their units"
+            ) from None
+
     return replace(found, seconds=time.process_time() - begin)
 
 
@@ -162,7 +164,7 @@ class _Identification:
         fit = self.fit
         j = (fit.jacobian if jacobian is None else jacobian)[: len(change)]
         shift = np.zeros(len(fit.x))
-        shift[fit.free] = -covariance_of(fit.jacobian, fit.free)[np.ix_(fit.free, fit.free)] @ (j[:, fit.free].T @ change)
+        shift[: j.shape[1]] = -covariance_of(fit.jacobian, fit.free) @ (j.T @ change)
         return shift
 
     def _integration_bias(self) -> np.ndarray:
@@ -307,8 +309,10 @@ class _Identification:
             at = ""
             if place is not None:
                 at = "lower" if self.fit.at_low[place] else "upper" if self.fit.at_high[place] else ""
-            lower = goal.low if at == "lower" else max(one.lower - more, goal.low) if np.isfinite(one.lower) else -np.inf
-            upper = goal.high if at == "upper" else min(one.upper + more, goal.high) if np.isfinite(one.upper) else np.inf
+            low, high = one.lower - more, one.upper + more
+            lower = goal.low if at == "lower" else max(low, goal.low) if np.isfinite(low) else low
+            upper = goal.high if at == "upper" else min(high, goal.high) if np.isfinite(high) else high
+
             total = np.nan if one.why else float(np.hypot(deviation, bias))
             estimates[goal.name] = Estimate(goal.name, unit, value, lower, upper, total, True, at, one.why)
         return estimates, profiles
@@ -386,7 +390,8 @@ class _Identification:
             for gain, one in zip(values, measured, strict=True)
         ]
         fitted = [one for one in residuals if not one.is_hold_out]
-        self.doubts += [one for one in useless(fitted, turns) if self.spec.loss == "linear" or "few values" not in one.text]
+        self.doubts += useless(fitted, turns, is_robust=self.spec.loss != "linear")
+
         if self.spec.loss != "linear":
             return
         self.notify("tests of the model")

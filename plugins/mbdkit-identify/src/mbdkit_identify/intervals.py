@@ -96,7 +96,8 @@ def interval_of(
     if is_linear and not np.any(near):
         lower, upper, profile = value - half, value + half, None
         along = half / deviation**2 * (covariance @ slope) if deviation else np.zeros(len(slope))
-        limit, lowest = max((half / max(deviation, 1e-300)) ** 2 * factors(fit)[1], 1e-300), losses(fit.loss, fit.white)[0]
+        limit = max((half / max(deviation, 1e-300)) ** 2 * factors(fit)[1], 1e-300)
+        lowest = losses(fit.loss, fit.white)[0]
         ends = [losses(fit.loss, problem.residuals(fit.x + side * along))[0] for side in (-1.0, 1.0)]
         ratios = [float(np.sqrt(max(end - lowest, 0.0) / limit)) for end in ends]
     else:
@@ -260,8 +261,8 @@ def _constrained(
 ) -> tuple[float, np.ndarray] | None:
     """Return the smallest sum of losses with a fixed value of the goal, and the unknowns; None if the run fails.
 
-    Gauss-Newton steps, with the weights of the loss, are halved as long as they increase the sum. The last one, which would reduce it by a
-    small share of the threshold, is not evaluated.
+    Gauss-Newton steps, with the weights of the loss, are halved as long as they increase the sum. The last one, which
+    would reduce it by a small share of the threshold, is not evaluated.
     """
     low, high = problem.bounds
     best: tuple[float, np.ndarray] | None = None

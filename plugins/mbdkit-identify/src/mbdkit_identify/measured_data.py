@@ -109,7 +109,9 @@ def read_experiment(spec: IdentifySpec, name: str) -> ExperimentData:
         found = factor * values[number]
         size = np.max(np.abs(found), where=np.isfinite(found), initial=0.0)
         if size > LARGEST or 0.0 < size < 1.0 / LARGEST:
-            raise SpecError(f"the column '{signal.column}' has values up to {size:.3g}; no unit makes them plausible", key=where)
+            message = f"the column '{signal.column}' has values up to {size:.3g}, which no unit makes plausible"
+            raise SpecError(message, key=where)
+
         if np.sum(np.isfinite(found)) < LEAST_SAMPLES:
             raise SpecError(f"the column '{signal.column}' has fewer than {LEAST_SAMPLES} values here", key=where)
         deviation = None if signal.deviation is None else abs(factor) * signal.deviation

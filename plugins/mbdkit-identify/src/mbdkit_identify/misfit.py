@@ -374,34 +374,42 @@ def _unexplained(fitted: Sequence[Residuals], tested: int) -> list[Doubt]:
     return doubts
 
 
-def useless(residuals: Sequence[Residuals], turns: Sequence[float]) -> list[Doubt]:
+def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust: bool) -> list[Doubt]:
     """Return the fitted signals of which the model explains nothing, and those that do not measure what they should.
 
     Parameters
     ----------
     turns
         Change of each signal in one turn of what it measures; nan if it does not measure an angle.
+    is_robust
+        Whether the loss reduces the influence of outliers.
     """
     doubts = []
     for one, turn in zip(residuals, turns, strict=True):
         rest, name = one.measured - one.fitted, _name(one)
         jumps = np.flatnonzero(np.abs(np.abs(np.diff(rest)) / turn - 1.0) < WRAPPED)
-        spread = rest - np.median(rest)
-        size, usual = np.max(np.abs(spread)), np.median(np.abs(spread)) / stats.norm.ppf(0.75)
-        rms, varied, fitted = np.sqrt(np.mean(rest**2)), np.std(one.measured), np.std(one.fitted)
+        sizes = np.abs(rest - np.median(rest))
+        usual = max(float(np.median(sizes)) / stats.norm.ppf(0.75), WITHOUT_NOISE * float(np.std(one.measured)))
+        rms, varied, last = one.rms, np.std(one.measured), one.time[int(np.argmax(sizes))]
         if np.ptp(one.measured) == 0.0:
-            doubts.append(f"the column of {name} never changes: if its sensor is dead, leave it out")
+            text = f"the column of {name} never changes: if its sensor is dead, leave it out"
         elif len(jumps):
-            doubts.append(f"the column of {name} jumps by a whole turn at {one.time[jumps[0] + 1]:.6g} s, as if it wraps: "
-                          "unwrap it, for example by numpy.unwrap, and estimate again")  # fmt: skip
-        elif fitted > LITTLE * varied and rms > varied:
-            doubts.append(f"the fit explains {name} no better than a constant would (root mean square error {rms:.3g}, "
-                          f"standard deviation of the data {varied:.3g}): check columns, units, initial state and "
-                          "bounds")  # fmt: skip
-        elif rms > OUTLYING * usual and size > OUTLYING * usual and rms > WITHOUT_NOISE * varied:
-            doubts.append(f"few values determine the noise of {name}, such as the one at "
-                          f"{one.time[int(np.argmax(np.abs(spread)))]:.6g} s: remove them, or use a robust loss")  # fmt: skip
-    return [Doubt("", text) for text in doubts]
+            text = (
+                f"the column of {name} jumps by a whole turn at {one.time[jumps[0] + 1]:.6g} s, as if it wraps: unwrap"
+            )
+            text += " it, for example by numpy.unwrap, and estimate again"
+        elif np.std(one.fitted) > LITTLE * varied and rms > varied:
+            text = (
+                f"the fit explains {name} no better than a constant would (root mean square error {rms:.3g}, standard"
+            )
+            text += f" deviation of the data {varied:.3g}): check columns, units, initial state and bounds"
+        elif rms > OUTLYING * usual and not is_robust:
+            text = f"few values determine the noise of {name}, such as the one at {last:.6g} s: remove them, or use a"
+            text += " robust loss"
+        else:
+            continue
+        doubts.append(Doubt("", text))
+    return doubts
 
 
 def _larger_than_stated(fitted: Sequence[Residuals]) -> list[Doubt]:

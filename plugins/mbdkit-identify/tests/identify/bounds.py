@@ -1,4 +1,4 @@
-"""How often intervals contain the true values if one of these is at or near a bound: ``python -m tests.identify.bounds``.
+"""How often intervals contain true values at or near a bound: ``python -m tests.identify.bounds``.
 
 An oscillation decays by damping and by friction, which is not negative, so that both are strongly correlated. In each
 repeat, the true friction is at its bound or 0.5, 1 or 2 standard deviations away from it. With robust losses, one of
