@@ -129,8 +129,8 @@ class _Checker:
         with self.reading("the statistics"):
             self.stats()
         if self.status != "running":
-            with self.reading("the hashes"):
-                self.hashes()
+            with self.reading("the contents"):
+                StoredHashes(self.file).verify()
         return self.found
 
     @property
@@ -140,18 +140,6 @@ class _Checker:
             return kind_of(self.spec).is_integrated
         except SpecError:  # the part with the kind is not installed
             return False
-
-    def hashes(self) -> None:
-        try:
-            stored = StoredHashes(self.file)
-        except ValueError as error:
-            self.say(str(error))
-            return
-        for dataset in datasets(self.file):
-            try:
-                stored.verify(dataset.name.lstrip("/"))
-            except ValueError as error:
-                self.say(str(error))
 
     def say(self, sentence: str) -> None:
         self.found.append(shown(sentence))  # names and values come from the file

@@ -222,9 +222,7 @@ def test_what_the_hash_of_the_data_leaves_out_has_a_hash_as_well(archive: Path, 
     with h5py.File(archive, "r+") as file:
         change(file)
     (problem,) = check(archive)
-    assert problem in (
-        "its attributes have changed since they were written", "trajectory/elapsed_s has changed since it was written",
-    )  # fmt: skip
+    assert "its attributes have changed since" in problem or "trajectory/elapsed_s has changed since" in problem
 
 
 def test_what_load_cannot_read_is_not_sound(archive: Path) -> None:

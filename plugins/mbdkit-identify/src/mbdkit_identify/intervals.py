@@ -118,7 +118,7 @@ def bounded_share(distance: float, level: float) -> float:
     Estimates are normal with deviation 1, but not beyond the bound. Values within the limits have a likelihood ratio to
     the best estimate such that they are within them with the probability `level`; see Feldman and Cousins.
     """
-    full, half = norm.ppf(0.5 * (1.0 + level)) ** 2, norm.ppf(level) ** 2
+    full, half = float(norm.ppf(0.5 * (1.0 + level))) ** 2, float(norm.ppf(level)) ** 2
     if distance >= np.sqrt(full):
         return 1.0
 
