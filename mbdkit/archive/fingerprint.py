@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache, partial
 from types import MappingProxyType
@@ -19,6 +20,8 @@ from mbdkit.quantities.array import TEXT, Array
 from mbdkit.quantities.registered_kinds import kind_of_group
 
 BLOCK_BYTES = 1 << 23
+
+_LINE = re.compile(r"(.+?) \S+ \S* [0-9a-f]{64}\n", re.DOTALL)
 
 _STR = h5t.py_create(h5py.string_dtype())  # in memory: references to Python strings
 
@@ -134,7 +137,7 @@ class StoredHashes:
 
     def __init__(self, file: h5py.File):
         self._file = file
-        self._lines = {_path_of(one): one for one in str(file.attrs.get(ARRAY_HASHES, "")).splitlines(keepends=True)}
+        self._lines = {line[1]: line[0] for line in _LINE.finditer(str(file.attrs.get(ARRAY_HASHES, "")))}
         self._verified = _verified(file)
         if "" in self._verified:
             return
@@ -143,10 +146,8 @@ class StoredHashes:
         if stored != [data, attributes_sha256(file, self._lines)]:
             raise ValueError("its attributes have changed since they were written")
         every = _identifiers(h5o.open(file.id, b"/"), "")
-        found = {path: _beginning_of(path, item) for path, item in every if isinstance(item, h5d.DatasetID)}
-        for path in found.keys() | self._lines.keys():
-            if found.get(path) != self._lines.get(path, "").rpartition(" ")[0]:
-                raise ValueError(f"{path} is not the array that was written")
+        if changed := {path for path, item in every if isinstance(item, h5d.DatasetID)} ^ self._lines.keys():
+            raise ValueError(f"arrays were added or removed, such as {min(changed)}")
         self._verified.add("")
 
     def verify(self, below: str = "") -> None:
@@ -156,15 +157,6 @@ class StoredHashes:
                 if _line_of(path, h5d.open(self._file.id, path.encode())) != stored:
                     raise ValueError(f"{path} has changed since it was written")
                 self._verified.add(path)
-
-
-def _path_of(line: str) -> str:
-    return line.rsplit(" ", 3)[0]
-
-
-def _beginning_of(path: str, item: h5d.DatasetID) -> str:
-    kind = item.get_type()
-    return beginning(path, TEXT if isinstance(kind, h5t.TypeStringID) else item.dtype.str, item.shape)
 
 
 def _verified(file: h5py.File) -> set[str]:

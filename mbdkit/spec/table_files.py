@@ -6,6 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from mbdkit.base.errors import SpecError
@@ -58,9 +59,11 @@ def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) 
 
 
 def _cells(line: str, delimiter: str, path: Path, number: int) -> list[str]:
-    parts, most = line.split(delimiter), csv.field_size_limit()
-    if line.count('"') % 2 == 0 and max(map(len, parts)) <= most:
-        return next(csv.reader([line], delimiter=delimiter))
-    column = next(i for i, part in enumerate(parts, 1) if part.count('"') % 2 or len(part) > most)
-    why = "has a quotation mark that is not closed" if '"' in line else f"has more than {most} characters"
+    is_open, most = line.count('"') % 2 == 1, csv.field_size_limit()
+    with suppress(csv.Error):  # the cell is too long
+        if not is_open:
+            return next(csv.reader([line], delimiter=delimiter))
+    parts = enumerate(line.split(delimiter), 1)
+    column = next((i for i, part in parts if part.count('"') % 2 or len(part) > most), 1)
+    why = "has a quotation mark that is not closed" if is_open else f"has more than {most} characters"
     raise SpecError(f"cell {column} of this row {why}", file=path, line=number)
