@@ -36,6 +36,8 @@ FAR = 100.0
 """A side has no limit if it is not reached within this many standard deviations."""
 RELATED = 0.1
 """Correlation above which a bound of one parameter affects the interval of another."""
+CONVEX = ("linear", "soft_l1", "huber")
+"""Losses that grow at least linearly."""
 STRAIGHT = 1.25
 """Largest ratio between limits of an interval and linear ones, with which a covariance describes the estimate."""
 
@@ -79,7 +81,8 @@ def interval_of(
 ) -> Interval:
     """Return the interval of a goal.
 
-    It is a profile unless `is_linear`, and also where the linear interval of a related parameter reaches its bound.
+    It is a profile unless `is_linear`, and also where the linear interval of a related parameter reaches its bound, and
+    for losses that are not convex, with which linear intervals are too narrow.
 
     Parameters
     ----------
@@ -93,7 +96,7 @@ def interval_of(
     near = fit.at_low | fit.at_high | (fit.x - reach < low) | (fit.x + reach > high)
     near &= np.abs(covariance @ slope) >= RELATED * sizes * deviation
     half = quantile(level, freedom_of(problem, fit, slope)) * deviation
-    if is_linear and not np.any(near):
+    if is_linear and not np.any(near) and fit.loss in CONVEX:
         lower, upper, profile = value - half, value + half, None
         along = half / deviation**2 * (covariance @ slope) if deviation else np.zeros(len(slope))
         limit = max((half / max(deviation, 1e-300)) ** 2 * factors(fit)[1], 1e-300)
