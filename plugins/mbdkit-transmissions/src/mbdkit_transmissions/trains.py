@@ -1,13 +1,28 @@
-"""Closed trains of gears and belts, whose ratios must agree: otherwise nothing in them can turn."""
+"""Joints that transmit no motion: closed trains whose ratios contradict each other, and bodies that are held still."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
-from mbdkit.plugin import GROUND, Joint, Revolute, SpecError, listed, quoted
-from mbdkit.plugin.seams import ElementsByName, element_check
+import numpy as np
+
+from mbdkit import EquationsOfMotion, StepError
+from mbdkit.plugin import GROUND, FunctionJoint, Joint, Revolute, SpecError, listed, quoted
+from mbdkit.plugin.mechanisms import mechanism_size
+from mbdkit.plugin.seams import ElementsByName, element_check, start_criterion
 from mbdkit_transmissions.gears import Belt, Gear
 
+if TYPE_CHECKING:
+    from mbdkit import Mechanism
+    from mbdkit.plugin import RunSpec
+    from mbdkit.plugin.equations import AssembledState
+
+TIMES, MOVE = 4, 0.05
+"""Times of the run at which velocities are examined, and the share of an arbitrary velocity by which bodies move."""
+STILL = 1e-9
+"""Relative velocity, in sizes of the mechanism and radians, below which bodies do not move."""
 AGREEMENT = 1e-9
 """Relative difference up to which two ratios agree, and distance [m] up to which two points do."""
 
@@ -59,3 +74,58 @@ def _way(turned: Ratios, a: str, b: str) -> tuple[float, list[str]] | None:
                 ways[other] = ways[body][0] * ratio, [*ways[body][1], name]
                 bodies.append(other)
     return ways.get(b)
+
+
+@start_criterion
+def locked_joints(spec: RunSpec, start: AssembledState) -> Iterator[str]:
+    """Yield a sentence if joints, among them some of this part, hold their bodies still.
+
+    An arbitrary velocity that satisfies all constraints moves every joint that can move. Joints that do not move then,
+    with drivers at several times, and not at a second position either, which excludes dead centres, are locked.
+    """
+    mechanism, begin = spec.mechanism(), spec.time.start
+    equations = EquationsOfMotion.of(mechanism, begin)
+    size, q = mechanism_size(mechanism, start.q) or 1.0, start.q.ravel()
+    unit = np.tile([size, size, 1.0], len(start.q))
+    arbitrary, locked = unit * np.random.default_rng(0).normal(size=len(q)), dict(mechanism.joints)
+    try:
+        for t in np.linspace(spec.time.final, begin, TIMES):
+            v = equations.project_velocities(float(t), q, arbitrary)
+            locked = {name: joint for name, joint in locked.items() if _is_still(joint, mechanism, q, v, size)}
+            if not any(isinstance(joint, FunctionJoint) for joint in locked.values()):
+                return
+        move = MOVE * v / max(1.0, float(np.max(np.abs(v / unit))))
+        q, v = equations.project(begin, q + move, arbitrary)
+        locked = {name: joint for name, joint in locked.items() if _is_still(joint, mechanism, q, v, size)}
+    except StepError:
+        return
+    while leaves := [name for name, joint in locked.items() if any(_ends(body, locked) == 1 for body in joint.bodies)]:
+        del locked[leaves[0]]
+    still = [name for name, joint in locked.items() if isinstance(joint, FunctionJoint)]
+    if still:
+        yield (
+            f"{_named(list(locked))} hold their bodies still, so that {_named(still)} can transmit no motion; correct "
+            "a ratio or an equation, or remove a joint; if this is intended, write `accept: [locked-joints]`"
+        )
+
+
+def _is_still(joint: Joint, mechanism: Mechanism, q: np.ndarray, v: np.ndarray, size: float) -> bool:
+    """Return whether the bodies of a joint do not move relative to each other."""
+    bodies = [*mechanism.bodies, GROUND]
+    place, rate = (
+        np.append(x, np.zeros(3)).reshape(-1, 3)[[bodies.index(body) for body in joint.bodies]] for x in (q, v)
+    )
+    dx, dy, _ = place[1] - place[0]
+    vx, vy, turn = rate[1] - rate[0]
+    turned = float(rate[0, 2])
+    return max(math.hypot(vx + turned * dy, vy - turned * dx) / size, abs(turn)) < STILL
+
+
+def _ends(body: str, joints: Mapping[str, Joint]) -> int:
+    """Return how many joints a body has; 0 for the ground."""
+    return 0 if body == GROUND else sum(body in joint.bodies for joint in joints.values())
+
+
+def _named(names: list[str]) -> str:
+    shown = [f"'{name}'" for name in names[:6]] + ["..."] * (len(names) > 6)
+    return f"joint{'s' * (len(names) > 1)} {listed(shown, 'and')}"
