@@ -76,6 +76,47 @@ def test_targets_that_are_almost_reached_leave_frames_solvable(p):
         assert np.max(share_softly(programme, p, soft)[1].certificate) < 1e-9
 
 
+@pytest.mark.parametrize("p", [2.6667, 3.0, 4.0, 6.0])
+@pytest.mark.parametrize("reserves", [0.0, 20.0])
+def test_targets_of_all_muscles_leave_no_frame_without_solution(p, reserves):
+    # EMG of every muscle, whose targets are far, near and reached, and a force that a knee needs
+    programme, random = problems(reserves), np.random.default_rng(86)
+    rows, muscles = len(programme.right), 9
+    activation = share_loads(programme, p).value[:, :muscles]
+    emg = np.clip(
+        activation * np.exp(random.choice([0.0, 1e-4, 0.3], (rows, muscles)) * random.standard_normal()), 0, 1
+    )
+    matrix = np.zeros((rows, muscles + 1, muscles))
+    matrix[:, 0] = 1e3 * random.uniform(0.2, 4.0, (rows, muscles))
+    matrix[:, range(1, muscles + 1), range(muscles)] = 1.0
+    right = np.hstack(
+        [np.sum(matrix[:, 0] * activation, axis=1, keepdims=True) * random.uniform(0.7, 1.1, (rows, 1)), emg]
+    )
+    deviation = np.hstack([np.full((rows, 1), 30.0), np.hypot(0.4 * emg, 0.03)])
+    soft = SoftTargets(matrix, right, deviation, np.arange(muscles + 1) == 0)
+    _, found = share_softly(programme, p, soft)
+    assert np.max(found.certificate) < 1e-9
+    count = programme.matrix.shape[2]
+    for row in range(0, rows, 3):
+
+        def cost(x, row=row):
+            lacking = (right[row] - matrix[row] @ x[:muscles]) / deviation[row]
+            lacking[0] = max(lacking[0], 0.0)
+            return np.sum(np.abs(np.append(x / programme.weight, lacking)) ** p)
+
+        own = found.value[row, :count]
+
+        def lacks(x, row=row):
+            return (programme.matrix[row] @ x - programme.right[row]) / programme.size[row]
+
+        equal = {"type": "eq", "fun": lacks}
+        bounds = list(zip(programme.low[row], programme.high[row], strict=True))
+        start = np.clip(0.3 * np.ones(count), programme.low[row], programme.high[row])
+        other = minimize(cost, start, bounds=bounds, constraints=equal, method="SLSQP", options={"ftol": 1e-14})
+        assert np.max(np.abs(lacks(own))) < 1e-9
+        assert cost(own) <= other.fun * (1 + 1e-6)
+
+
 def arm(errors="none", **sections):
     """Return inverse dynamics of a forearm that holds changing loads with two flexors and an extensor."""
     m = mbdkit.Mechanism()

@@ -5,8 +5,8 @@ Newton's method for the optimality conditions (S. Mehrotra, SIAM J. Optim. 2:575
 functions of the multipliers, these conditions are smooth for p > 2 where an unknown is 0, such as the distance to a
 target that is almost reached. With a cost of higher order, two things differ from Mehrotra's method:
 
-- The curvature of the cost is that at the larger one of x and of the unknown that belongs to the multipliers. Steps from
-  near 0, where the curvature at x vanishes, would be far too long.
+- The curvature of the cost is that at the larger one of x and of the unknown that belongs to the multipliers. Steps
+  from near 0, where the curvature at x vanishes, would be far too long.
 - The products of slacks and multipliers stay above a share of the largest derivative of the Lagrangian, which steps
   reduce more slowly than for a quadratic cost. Otherwise, unknowns get stuck at bounds before the others are settled.
 """
@@ -20,19 +20,21 @@ from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, slope_of_cost
 
 STEPS = 200
-"""Largest number of steps. 10 to 15 are usual; none of 4,944 programmes of a walk with 3 to 20 channels of EMG needed more
-than 27 for exponents of 3 and 4, and all but one of 4,944 ended for an exponent of 8."""
+"""Largest number of steps. 10 to 15 are usual; none of 4,944 programmes of a walk with 3 to 20 channels of EMG needed
+more than 27 for exponents of 3 and 4, and all but one of 4,944 ended for an exponent of 8."""
 CENTERED = 1e-3
-"""Least mean product of slacks and multipliers that a step aims at, relative to the largest derivative of the Lagrangian.
-"""
+"""Least mean product of slacks and multipliers that a step aims at, relative to the largest derivative of the
+Lagrangian."""
 ENDED = 1e-12
 """Largest residual, and mean product of slacks and multipliers, relative to derivatives of the cost, at which a frame
 ends."""
-INSIDE, SIZE = 0.1, 1e-200
-"""Distance from bounds at the start, relative to that of both bounds, or to 1; and least derivative of the cost there."""
+INSIDE = 0.1
+"""Distance from bounds at the start, relative to that of both bounds, or to 1 if there is one."""
+SIZE, LEAST, ROUNDING = 1e-200, 1e-15, 1e-14
+"""Least derivative of the cost to which errors are relative, least slack, and regularisation of the Jacobian with a
+diagonal of 1."""
 SHARE = 0.99
 """Share of the step to the nearest bound that is made."""
-LEAST_SLACK, ROUNDING = 1e-15, 1e-14
 
 State = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Unknowns (T, N), multipliers (T, K) of the equations, those (T, 2 N + K) of lower bounds, upper bounds and
@@ -84,7 +86,7 @@ def _step(own: Programme, state: State, p: float) -> tuple[State, np.ndarray]:
     has, is_free, transposed = _has(own), own.low < own.high, np.swapaxes(own.matrix, 1, 2)
     is_unequal, places = np.isfinite(own.lowest), range(y.shape[1])
     split = x.shape[1], 2 * x.shape[1]
-    slack = np.where(has, np.maximum(np.hstack([x - own.low, own.high - x, beyond]), LEAST_SLACK), 1.0)
+    slack = np.where(has, np.maximum(np.hstack([x - own.low, own.high - x, beyond]), LEAST), 1.0)
     above, below, _ = np.split(z, split, axis=1)
     derivative, cost = products(transposed, y) + above - below, slope_of_cost(x, p)
     dual, primal = np.where(is_free, derivative - cost, 0.0), own.residual(x) + beyond

@@ -186,9 +186,7 @@ def _dual_newton(
     return x, certificate, y
 
 
-def _refined(
-    programme: Programme, x: np.ndarray, y: np.ndarray, p: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _refined(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return unknowns (T, N), certificates (T,) and multipliers (T, K) after Newton steps of both together.
 
     Where an unknown is almost 0, such as the distance to a target that is almost reached, its derivative dx/dg is
@@ -357,6 +355,18 @@ def _optimal_face(
     fixed = np.abs(reduced) > REDUCED_COST
     least = low[:count]
     return np.where(fixed & (reduced < 0), most, least), np.where(fixed & (reduced > 0), least, most), lowest
+
+
+def impossible(programme: Programme) -> np.ndarray:
+    """Return which frames (T,) have no unknowns between their bounds that satisfy the equations.
+
+    Multipliers y of the diverging problem for p = 2 prove it: ``y matrix x`` stays below ``y right`` for all of them.
+    """
+    y = share_loads(programme, 2.0).multipliers
+    g = products(np.swapaxes(programme.matrix, 1, 2), y)
+    bound = np.where(g > 0, programme.high, programme.low)
+    most = np.sum(np.where(g == 0, 0.0, g * np.where(g == 0, 0.0, bound)), axis=1)
+    return np.asarray(np.sum(y * programme.right, axis=1) > most + 1e-9 * np.abs(most))
 
 
 def smallest_supplement(programme: Programme) -> np.ndarray:

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.stacked_matrices import products
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared, share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared, share_loads
 
 LEAST_DEVIATION = 0.03
 """Smallest standard deviation of an activation by EMG: that of a muscle at rest."""
