@@ -178,7 +178,7 @@ def test_noise_is_left_out_by_name_and_changes_nothing():
     with arm() as alone, arm(emg={"biceps": "noise"}) as run:
         for name in ("biceps", "triceps"):
             np.testing.assert_array_equal(run.muscles[name].force, alone.muscles[name].force)
-        assert any("the EMG of biceps does not follow" in warning for warning in run.warnings)
+        assert any("the EMG of biceps (column 'noise') does not follow" in warning for warning in run.warnings)
 
 
 @pytest.mark.parametrize(
@@ -196,6 +196,38 @@ def test_wrong_emg_is_refused(emg, key):
     with pytest.raises(SpecError) as error:
         arm(emg=emg)
     assert error.value.key == key
+
+
+@pytest.mark.parametrize("size", [0.005, 0.02, 0.3, 1.2])
+def test_a_raw_signal_is_no_activation_whatever_its_size(size):
+    time = np.linspace(0.0, 2.0, 81)
+    raw = size * (0.6 + 0.4 * np.sin(3 * time)) * np.sin(2 * np.pi * 17.3 * time)
+    with arm() as alone:
+        motion = {**alone.spec["motion"], "data": {**alone.spec["motion"]["data"], "VL": raw.tolist()}}
+    with pytest.raises(SpecError, match="column 'VL' is a raw signal, which has negative values") as error:
+        arm(motion=motion, emg={"biceps": "VL"})
+    assert error.value.key == "emg.biceps.maximum"
+
+
+def test_a_unit_of_voltage_needs_a_maximum(tmp_path):
+    time = np.linspace(-0.1, 2.1, 221)
+    rows = np.transpose([time, 0.3 + 0.2 * np.sin(3 * time)])
+    np.savetxt(file := tmp_path / "emg.csv", rows, delimiter=",", header="time [s],VL [mV]", comments="")
+    with pytest.raises(SpecError, match="column 'VL' has the unit mV") as error:
+        arm(emg={"biceps": {"column": "VL", "file": str(file)}})
+    assert error.value.key == "emg.biceps.maximum"
+    arm(emg={"biceps": {"column": "VL", "file": str(file), "maximum": 1.0}}).close()
+
+
+def test_an_envelope_in_volts_is_left_out_with_its_remedy():
+    activation = np.column_stack([0.4 + 0.3 * np.sin(np.linspace(0.0, 6.0, 40))] * 2)
+    channels = tuple(EmgTarget(k, share * activation[:, k], 0.4) for k, share in enumerate((0.05, 0.3)))
+    targets = Targets(emg=channels).without_noise(activation)
+    assert [one.muscle for one in targets.emg] == [1]
+    ((one, why),) = targets.left_out
+    assert one.muscle == 0
+    assert why.startswith("is at most 0.035, while the moments of the joints need an activation of up to 0.7")
+    assert "give `maximum`" in why
 
 
 def test_gaps_of_emg_are_those_of_other_columns():
