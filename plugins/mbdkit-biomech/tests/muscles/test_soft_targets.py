@@ -209,14 +209,16 @@ def test_a_raw_signal_is_no_activation_whatever_its_size(size):
     assert error.value.key == "emg.biceps.maximum"
 
 
-def test_a_unit_of_voltage_needs_a_maximum(tmp_path):
+@pytest.mark.parametrize("heading", ["time,VL [mV]", "time [s],VL (V)", "time,VL [mV]\ns,mV"])
+def test_a_voltage_needs_a_maximum(tmp_path, heading):
     time = np.linspace(-0.1, 2.1, 221)
     rows = np.transpose([time, 0.3 + 0.2 * np.sin(3 * time)])
-    np.savetxt(file := tmp_path / "emg.csv", rows, delimiter=",", header="time [s],VL [mV]", comments="")
-    with pytest.raises(SpecError, match="column 'VL' has the unit mV") as error:
-        arm(emg={"biceps": {"column": "VL", "file": str(file)}})
+    np.savetxt(file := tmp_path / "emg.csv", rows, delimiter=",", header=heading, comments="")
+    column = heading.partition("\n")[0].partition(",")[2]
+    with pytest.raises(SpecError, match="is a voltage, and is no activation") as error:
+        arm(emg={"biceps": {"column": column, "file": str(file)}})
     assert error.value.key == "emg.biceps.maximum"
-    arm(emg={"biceps": {"column": "VL", "file": str(file), "maximum": 1.0}}).close()
+    arm(emg={"biceps": {"column": column, "file": str(file), "maximum": 1.0}}).close()
 
 
 def test_an_envelope_in_volts_is_left_out_with_its_remedy():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from mbdkit.plugin import QuantityNames, SpecError, cited, did_you_mean, quoted
@@ -20,8 +22,8 @@ RAW = 0.1
 """A signal is raw if its most negative value exceeds this share of its largest one; filters make envelopes slightly
 negative."""
 
-NO_UNIT = (None, "", "1", "-", "%")
-"""Units in the heading of a column that may be an activation."""
+VOLTS = re.compile(r"[\[(]\s*[mun\u00b5\u03bc]?V\s*[\])]")
+"""A voltage as the unit of a column."""
 
 AT_REST, MOST = 0.01, 1.5
 """Largest activation of a channel without `maximum` from which its unit is wrong, and largest possible activation."""
@@ -96,9 +98,10 @@ def _channel(
         )
     rows = np.flatnonzero((at >= time[0] - asked.delay) & (at <= time[-1]))
     at, values = at[rows], with_gaps_bridged(at[rows], values[rows], spec.motion.gaps, (table, asked.column, rows))
-    is_raw, unit = -np.min(values) > RAW * np.max(values), table.unit(asked.column)
-    if asked.maximum is None and (is_raw or unit not in NO_UNIT):
-        what = "is a raw signal, which has negative values" if is_raw else f"has the unit {unit}"
+    is_raw = -np.min(values) > RAW * np.max(values)
+    volts = VOLTS.search(f"{asked.column} ({table.unit(asked.column)})")
+    if asked.maximum is None and (is_raw or volts):
+        what = "is a raw signal, which has negative values" if is_raw else "is a voltage"
         raise SpecError(
             f"is missing: column '{cited(asked.column)}' {what}, and is no activation between 0 and 1; give the "
             "envelope in a maximal contraction, in the unit of the column",
