@@ -119,7 +119,7 @@ class Meshing:
 
 @rows_criterion
 def watch_meshing(spec: RunSpec, _compiled: CompiledMechanism, _size: float) -> Meshing | None:
-    """Return what watches the gears, racks, belts and slots of a mechanism; None if none of them can leave its range."""
+    """Return what watches the gears, racks, belts and slots of a mechanism; None if none can leave its range."""
     mechanism = spec.mechanism()
     joints = {name: joint for name, joint in mechanism.joints.items() if isinstance(joint, Gear | Rack | Belt | Slot)}
     return Meshing(joints, list(mechanism.bodies)) or None

@@ -78,7 +78,7 @@ def mbdkit_items() -> Iterable[Item]:
         ),
         CriterionItem(
             name="meshing",
-            summary="Gears, racks and belts whose axes do not keep their distance, and pins beyond the end of their slot.",
+            summary="Gears, racks and belts whose axes do not keep their distance, and pins that leave their slot.",
             order=185,
             stage="rows",
             find=Target("mbdkit_transmissions.meshing:watch_meshing"),
