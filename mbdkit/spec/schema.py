@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, cast
 
 from pydantic import BaseModel
@@ -16,11 +18,12 @@ from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit.spec.spec_kinds import kind_named, spec_schema
+from mbdkit.spec.spec_kinds import spec_kinds, spec_schema
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 EXPRESSION = "[-+*/(A-Za-z%]"
 """Pattern that distinguishes an expression, or a number with a unit, from a number in quotes."""
+LOCAL = "#/$defs/"
 HOME = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/{}.schema.json"
 
 
@@ -106,12 +109,60 @@ def described(schema: dict[str, Any]) -> dict[str, Any]:
     return schema | {"description": schema["description"].partition("\n\nRaises")[0]}
 
 
-def builtin_schema_text(kind: str) -> str:
-    """Return the text of ``schemas/KIND.schema.json``: the schema with only the built-in plugins."""
-    schema = schema_of(kind_named(kind), registry().only("mbdkit"))
-    home = HOME.format(kind)
-    return json.dumps({"$schema": schema.pop("$schema"), "$id": home, **schema}, indent=2, ensure_ascii=False) + "\n"
+def repository_schemas() -> dict[str, str]:
+    """Return the texts of the files in the folder ``schemas`` by name: the schemas with only the built-in plugins.
+
+    Definitions that several kinds have in common are in ``definitions.schema.json``, to which the others refer.
+    """
+    builtin = registry().only("mbdkit")
+    schemas = {kind.name: schema_of(kind, builtin) for kind in spec_kinds()}
+    shared = _shared_definitions([schema["$defs"] for schema in schemas.values()])
+    files = {"definitions": {"$schema": DRAFT, "$defs": shared}}
+    for kind, schema in schemas.items():
+        local = {name: part for name, part in schema.pop("$defs").items() if name not in shared}
+        files[kind] = _with_references({"$defs": local, **schema}, shared)
+    return {
+        f"{name}.schema.json": _text({"$schema": DRAFT, "$id": HOME.format(name), **schema})
+        for name, schema in files.items()
+    }
+
+
+def _shared_definitions(of_kinds: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the definitions that several kinds contain and that are the same in all of them, references included."""
+    copies: dict[str, list[Any]] = {}
+    for definitions in of_kinds:
+        for name, part in definitions.items():
+            copies.setdefault(name, []).append(part)
+    shared = {name: parts[0] for name, parts in copies.items() if len(parts) > 1 and all(p == parts[0] for p in parts)}
+    while local := [name for name, part in shared.items() if any(r not in shared for r in _references(part))]:
+        for name in local:
+            del shared[name]
+    return dict(sorted(shared.items()))
+
+
+def _references(part: object) -> Iterator[str]:
+    """Yield the names of the definitions to which a part of a schema refers."""
+    if isinstance(part, str) and part.startswith(LOCAL):
+        yield part.removeprefix(LOCAL)
+    for inner in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        yield from _references(inner)
+
+
+def _with_references(part: Any, shared: Mapping[str, Any]) -> Any:
+    """Return a part of a schema whose references to `shared` definitions lead to their file."""
+    if isinstance(part, dict):
+        return {key: _with_references(value, shared) for key, value in part.items()}
+    if isinstance(part, list):
+        return [_with_references(inner, shared) for inner in part]
+    if isinstance(part, str) and part.startswith(LOCAL) and part.removeprefix(LOCAL) in shared:
+        return f"definitions.schema.json{part}"
+    return part
+
+
+def _text(schema: dict[str, Any]) -> str:
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 if __name__ == "__main__":
-    print(builtin_schema_text(sys.argv[1]), end="")
+    for name, text in repository_schemas().items():
+        Path(sys.argv[1], name).write_text(text, "utf-8")
