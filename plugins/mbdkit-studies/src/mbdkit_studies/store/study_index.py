@@ -15,25 +15,16 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit.plugin import ArchiveError, Array, SpecError
-from mbdkit.plugin.archives import (
-    ATTRIBUTES_HASH,
-    COUNTERS,
-    FLOAT,
-    INTEGER,
-    SOME_COUNTERS,
-    TEXT,
-    TIMINGS,
-    attributes_sha256,
-    create,
-    data_sha256,
-    open_hdf5,
-    own_version,
-    reading,
-    set_text,
-)
-from mbdkit.plugin.files import replacing
-from mbdkit.plugin.measures import Description
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.layout import ATTRIBUTES_HASH, COUNTERS, SOME_COUNTERS, TIMINGS
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.distributions import own_version
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files import replacing
+from mbdkit.measures.take import Description
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
 from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND

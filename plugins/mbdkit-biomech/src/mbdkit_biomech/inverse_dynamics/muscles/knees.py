@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from mbdkit.plugin import listed
+from mbdkit.base.text import listed
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import FOLLOWS
 from mbdkit_biomech.muscles.patella import FLEXION, contact_share
 from mbdkit_biomech.persons.landmarks import LEFT

@@ -26,8 +26,8 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
+from mbdkit.base import elementary
 from mbdkit.engine.stacked_matrices import least_norms, products
-from mbdkit.plugin.equations import elementary
 
 FIRST_STEPS, STEPS = 25, 200
 """Largest numbers of evaluations in the first attempt, and in each proximal problem; 5 to 15 are usual."""
