@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
@@ -10,19 +9,18 @@ import numpy as np
 
 from mbdkit import EquationsOfMotion, StepError
 from mbdkit.plugin import GROUND, FunctionJoint, Joint, Revolute, SpecError, listed, quoted
-from mbdkit.plugin.mechanisms import mechanism_size
-from mbdkit.plugin.seams import ElementsByName, element_check, start_criterion
+from mbdkit.plugin.equations import fill
+from mbdkit.plugin.seams import ElementsByName, element_check, rows_criterion
 from mbdkit_transmissions.gears import Belt, Gear
 
 if TYPE_CHECKING:
-    from mbdkit import Mechanism
-    from mbdkit.plugin import RunSpec
-    from mbdkit.plugin.equations import AssembledState
+    from mbdkit.plugin import RunSpec, States
+    from mbdkit.plugin.doubts import EnergyRecord
+    from mbdkit.plugin.equations import CompiledMechanism
 
-TIMES, MOVE = 4, 0.05
-"""Times of the run at which velocities are examined, and the share of an arbitrary velocity by which bodies move."""
-STILL = 1e-9
-"""Relative velocity, in sizes of the mechanism and radians, below which bodies do not move."""
+MOVE, STILL = 0.05, 1e-9
+"""Displacement that tells whether joints can move, and that up to which they have not moved, in sizes of the mechanism
+and radians."""
 AGREEMENT = 1e-9
 """Relative difference up to which two ratios agree, and distance [m] up to which two points do."""
 
@@ -76,52 +74,79 @@ def _way(turned: Ratios, a: str, b: str) -> tuple[float, list[str]] | None:
     return ways.get(b)
 
 
-@start_criterion
-def locked_joints(spec: RunSpec, start: AssembledState) -> Iterator[str]:
-    """Yield a sentence if joints, among them some of this part, hold their bodies still.
+class StillJoints:
+    """Joints of this part whose bodies have not moved relative to each other, and what holds them."""
 
-    An arbitrary velocity that satisfies all constraints moves every joint that can move. Joints that do not move then,
-    with drivers at several times, and not at a second position either, which excludes dead centres, are locked.
-    """
-    mechanism, begin = spec.mechanism(), spec.time.start
-    equations = EquationsOfMotion.of(mechanism, begin)
-    size, q = mechanism_size(mechanism, start.q) or 1.0, start.q.ravel()
-    unit = np.tile([size, size, 1.0], len(start.q))
-    arbitrary, locked = unit * np.random.default_rng(0).normal(size=len(q)), dict(mechanism.joints)
-    try:
-        for t in np.linspace(spec.time.final, begin, TIMES):
-            v = equations.project_velocities(float(t), q, arbitrary)
-            locked = {name: joint for name, joint in locked.items() if _is_still(joint, mechanism, q, v, size)}
-            if not any(isinstance(joint, FunctionJoint) for joint in locked.values()):
-                return
-        move = MOVE * v / max(1.0, float(np.max(np.abs(v / unit))))
-        q, v = equations.project(begin, q + move, arbitrary)
-        locked = {name: joint for name, joint in locked.items() if _is_still(joint, mechanism, q, v, size)}
-    except StepError:
-        return
-    while leaves := [name for name, joint in locked.items() if any(_ends(body, locked) == 1 for body in joint.bodies)]:
-        del locked[leaves[0]]
-    still = [name for name, joint in locked.items() if isinstance(joint, FunctionJoint)]
-    if still:
-        yield (
-            f"{_named(list(locked))} hold their bodies still, so that {_named(still)} can transmit no motion; correct "
-            "a ratio or an equation, or remove a joint; if this is intended, write `accept: [locked-joints]`"
-        )
+    def __init__(self, spec: RunSpec, size: float):
+        self._spec, self._size = spec, size
+        self._joints, self._bodies = spec.mechanism().joints, [*spec.mechanism().bodies, GROUND]
+        self._names = [name for name, joint in self._joints.items() if isinstance(joint, FunctionJoint)]
+        self._first, self._moved = np.full((len(self._names), 3), np.nan), np.zeros(len(self._names))
+
+    def _poses(self, name: str, q: np.ndarray) -> np.ndarray:
+        """Return the poses (T, 3) of a joint's second body in the frame of the first, for positions (T, n).
+
+        Lengths are in sizes of the mechanism, angles in radians.
+        """
+        a, b = (q[:, 3 * i : 3 * i + 3].T for i in map(self._bodies.index, self._joints[name].bodies))
+        (dx, dy, turn), c, s = b - a, np.cos(a[2]), np.sin(a[2])
+        return np.column_stack([(c * dx + s * dy) / self._size, (c * dy - s * dx) / self._size, turn])
+
+    def add(self, states: States) -> None:
+        """Take note of states."""
+        if not len(states.time):
+            return
+        for k in np.flatnonzero(self._moved < STILL):
+            poses = self._poses(self._names[k], states.q)
+            self._first[k] = np.where(np.isnan(self._first[k]), poses[0], self._first[k])
+            self._moved[k] = max(self._moved[k], float(np.max(np.abs(poses - self._first[k]))))
+
+    def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, object]) -> Iterator[str]:
+        """Yield a sentence if other joints hold the bodies of joints that have not moved.
+
+        An arbitrary small displacement that satisfies all constraints moves every joint that can move.
+        """
+        if np.all(self._moved >= STILL):
+            return
+        begin, random = self._spec.time.start, np.random.default_rng(0)
+        equations = EquationsOfMotion.of(self._spec.mechanism(), begin)
+        unit = np.tile([self._size, self._size, 1.0], equations.n // 3)
+        try:
+            v = equations.project_velocities(begin, equations.q0, unit * random.normal(size=equations.n))
+            moved = MOVE * v / max(1.0, float(np.max(np.abs(v / unit))))
+            q = np.array([equations.q0, equations.project_positions(begin, equations.q0 + moved)])
+        except StepError:
+            return
+        q = np.hstack([q, np.zeros((2, 3))])
+        held = {
+            name: joint for name, joint in self._joints.items() if np.ptp(self._poses(name, q), axis=0).max() < STILL
+        }
+        while free := [name for name, joint in held.items() if any(_count(body, held) == 1 for body in joint.bodies)]:
+            del held[free[0]]
+        locked = [name for name, moved in zip(self._names, self._moved, strict=True) if moved < STILL and name in held]
+        if locked and not any(joint.is_driver for joint in held.values()):
+            yield (
+                f"{_named(list(held))} hold their bodies still, so that {_named(locked)} can transmit no motion; "
+                "correct a ratio or an equation, or remove a joint; if it is intended, write `accept: [locked-joints]`"
+            )
+
+    def stored(self) -> dict[str, object]:
+        """Return the state as plain values, for a checkpoint."""
+        return {"first": self._first, "moved": self._moved}
+
+    def restore(self, state: dict[str, object]) -> None:
+        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
+        for name, values in state.items():
+            fill(getattr(self, f"_{name}"), values)
 
 
-def _is_still(joint: Joint, mechanism: Mechanism, q: np.ndarray, v: np.ndarray, size: float) -> bool:
-    """Return whether the bodies of a joint do not move relative to each other."""
-    bodies = [*mechanism.bodies, GROUND]
-    place, rate = (
-        np.append(x, np.zeros(3)).reshape(-1, 3)[[bodies.index(body) for body in joint.bodies]] for x in (q, v)
-    )
-    dx, dy, _ = place[1] - place[0]
-    vx, vy, turn = rate[1] - rate[0]
-    turned = float(rate[0, 2])
-    return max(math.hypot(vx + turned * dy, vy - turned * dx) / size, abs(turn)) < STILL
+@rows_criterion
+def watch_still_joints(spec: RunSpec, _compiled: CompiledMechanism, size: float) -> StillJoints:
+    """Return what watches whether the joints of this part move."""
+    return StillJoints(spec, size)
 
 
-def _ends(body: str, joints: Mapping[str, Joint]) -> int:
+def _count(body: str, joints: Mapping[str, Joint]) -> int:
     """Return how many joints a body has; 0 for the ground."""
     return 0 if body == GROUND else sum(body in joint.bodies for joint in joints.values())
 
