@@ -22,6 +22,7 @@ small, by half in one of twenty frames.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -45,8 +46,8 @@ GAUSSIAN = 0.95
 """Relative standard error of the quantile `LEVEL`, 1.96, of magnitudes of Gaussian numbers, times the root of their
 number: ``sqrt(LEVEL (1 - LEVEL)) / (1.96 f)`` with their density f = 0.1169 there."""
 
-LARGEST_SCATTER, SUFFICIENT = 0.1, 500
-"""Relative standard error of bars from which the number of samples is too small, and the number that is advised."""
+LARGEST_SCATTER = 0.1
+"""Relative standard error of bars from which the number of samples is too small."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +93,10 @@ class UncertainResult:
         worst = float(np.nanmax(self.scatter, initial=0.0))
         if worst <= LARGEST_SCATTER:
             return ""
+        needed = math.ceil(self.samples * (worst / LARGEST_SCATTER) ** 2 / 100) * 100
         return (
             f"uncertainty.samples: {self.samples} samples leave the error bars of the largest forces of joints "
-            f"uncertain by up to {worst:.0%} (standard error); {SUFFICIENT} are enough"
+            f"uncertain by up to {worst:.1%} (standard error); it falls to {LARGEST_SCATTER:.0%} with about {needed}"
         )
 
     @property
