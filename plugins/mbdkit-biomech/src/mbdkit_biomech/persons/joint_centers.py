@@ -303,8 +303,8 @@ def _undetermined(pair: SegmentPair, turn: float, deviation: float) -> SpecError
     return SpecError(
         f"is functional, but the motion does not determine the centre: the angle between both segments changes by "
         f"{turn:.0f} deg, and the markers of a segment move relative to each other by {moved:.0f} mm, so that the "
-        f"centre {known} (a standard deviation of at most {1000 * LARGEST_DEVIATION:.0f} mm is accepted); bend the joint "
-        "more in a calibration trial (`motion.static`), or determine the centre by landmarks",
+        f"centre {known} (a standard deviation of at most {1000 * LARGEST_DEVIATION:.0f} mm is accepted); bend the "
+        "joint more in a calibration trial (`motion.static`), or determine the centre by landmarks",
         key=pair.key,
     )
 
