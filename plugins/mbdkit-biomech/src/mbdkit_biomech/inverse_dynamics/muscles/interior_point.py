@@ -25,7 +25,7 @@ more than 27 for exponents of 3 and 4, and all but one of 4,944 ended for an exp
 CENTERED = 1e-3
 """Least mean product of slacks and multipliers that a step aims at, relative to the largest derivative of the
 Lagrangian."""
-ENDED = 1e-12
+ENDED = 1e-14
 """Largest residual, and mean product of slacks and multipliers, relative to derivatives of the cost, at which a frame
 ends."""
 INSIDE = 0.1

@@ -186,34 +186,9 @@ def _dual_newton(
     return x, certificate, y
 
 
-def _refined(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return unknowns (T, N), certificates (T,) and multipliers (T, K) after Newton steps of both together.
-
-    Where an unknown is almost 0, such as the distance to a target that is almost reached, its derivative dx/dg is
-    almost infinite, and steps of the multipliers alone cycle. The equations for both are smooth there.
-    """
+def _refined(programme,x,y,p):
     x, y = x.copy(), y.copy()
-    certificate = _certificate(programme, x, y, p)
-    left = np.flatnonzero((certificate > REACHED) & (certificate < NEAR))
-    own, here, there, count = programme.only(left), x[left], y[left], x.shape[1]
-    for _ in range(REFINEMENTS if left.size else 0):
-        slope = slope_of_cost(here, p)
-        slope -= products(np.swapaxes(own.matrix, 1, 2), there)
-        right = np.hstack([-slope, own.residual(here)])
-        fixed = ((here <= own.low) & (slope > 0)) | ((here >= own.high) & (slope < 0))
-        fixed = np.hstack([fixed, (there <= own.lowest) & (right[:, count:] <= 0)])
-        whole = np.zeros((len(left), right.shape[1], right.shape[1]))
-        whole[:, :count, count:], whole[:, count:, :count] = -np.swapaxes(own.matrix, 1, 2), own.matrix
-        whole[:, range(count), range(count)] = p * (p - 1) * elementary.pow(np.abs(here), p - 2)
-        whole = np.where(fixed[:, :, None] | fixed[:, None], np.eye(right.shape[1]), whole)
-        step = least_norms(whole, np.where(fixed, 0.0, right), 0.0)
-        here = np.clip(here + step[:, :count], own.low, own.high)
-        there = np.maximum(there + step[:, count:], own.lowest)
-        wrong = _certificate(own, here, there, p)
-        better = wrong < certificate[left]
-        rows = left[better]
-        x[rows], certificate[rows], y[rows] = here[better], wrong[better], there[better]
-    return x, certificate, y
+    return x, _certificate(programme, x, y, p), y
 
 
 def _newton(programme: Programme, start: np.ndarray, p: float, proximal: float, steps: int) -> np.ndarray:
