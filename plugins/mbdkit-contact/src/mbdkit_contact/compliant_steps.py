@@ -78,7 +78,7 @@ def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step
     if touches and not _meets_contact(equations, t, begin, last, end):
         found = min(found, SHORTER_FROM_TOUCH)
     same = SAME_PART * max(abs(t) / h, 1.0)
-    return found + same if found < 1.0 - SAME_WAY and found > same else 1.0
+    return found + same if same < found < 1.0 - max(SAME_WAY, 2.0 * same) else 1.0
 
 
 def _meets_contact(equations: EquationsOfMotion, t: float, begin: StepState, last: StepState, end: float) -> bool:

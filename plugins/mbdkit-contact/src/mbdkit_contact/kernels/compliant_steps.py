@@ -250,7 +250,7 @@ def look(run, method, t, h, unused):
     if touches and not _meets_contact(c, m, t, h):
         share = min(share, SHORTER_FROM_TOUCH)
     size, same = share * h, SAME_PART * max(abs(t), h)
-    if share >= 1.0 - SAME_WAY or size <= same:
+    if size >= h - max(SAME_WAY * h, 2.0 * same) or size <= same:
         return OK
     c.progress.tried_size[0] = size + same
     return SHORTER
