@@ -584,7 +584,7 @@ def _unresolved(m, t, h):
                 worst = max(worst, _surprise(m, t, FRICTION, i, m.coefficients[i, 1] * largest))
     if worst <= 1.0:
         m.known.until[1] = h
-    return min(worst, 1.0) if h < JUMP * m.known.until[1] else worst
+    return 0.0 if h < JUMP * m.known.until[1] else worst
 
 
 @subkernel
