@@ -43,7 +43,7 @@ class CompiledEventDriven(CompiledMethod):
         self.events = ContactEvents(EquationsOfMotion(workspace, states_at_start(workspace)))
         self.events.use(treatment)
         if tolerances is not None:
-            self.events.bundle.limits[3:] = tolerances.rtol, tolerances.atol
+            self.events.bundle.limits[3:5] = tolerances.rtol, tolerances.atol
         self.dense = None if between.dense is None else dense
         self.has_dense_output, self.stages, self.limit = between.has_dense_output, between.stages, between.limit
         self.hint, self.carries_stages = between.hint, between.carries_stages  # type: ignore[misc]

@@ -168,8 +168,8 @@ class EventBundle(NamedTuple):
     law: IntVector
     """(1,) number of the law of impact."""
     limits: RealVector
-    """(5,) share of the energy below which sequences of impacts are cut, length of the mechanism [m], mass [kg], and
-    relative and absolute tolerance of controlled steps."""
+    """(6,) share of the energy below which sequences of impacts are cut, length of the mechanism [m], mass [kg],
+    relative and absolute tolerance of controlled steps, and the least value of the largest velocity [m/s]."""
     places: IntVector
     """(2,) index of the first of the states that hold forces and modes, and their number; (D,) coordinates whose sums
     of forces follow them."""
