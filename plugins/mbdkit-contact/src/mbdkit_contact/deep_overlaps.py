@@ -121,15 +121,15 @@ class LongSteps(DeepOverlaps):
 
     def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, object]) -> tuple[str, ...]:
         """Return a sentence for each contact that a step may jump over."""
-        return tuple(
-            f"at t = {time:.6g} s, the shapes of contact '{pair.name}' move by {depth + PASSING * through:.3g} m in a "
-            f"step, but they touch along at most {through:.3g} m of their way, so that they may pass through each "
-            "other; use a smaller time.step, or an adaptive method"
-            for pair, depth, time, through in zip(
-                self._pairs, self._depth.tolist(), self._time.tolist(), self._through.tolist(), strict=True
-            )
-            if depth > 0.0
-        )
+        sentences, values = dict[str, str](), (self._depth.tolist(), self._time.tolist(), self._through.tolist())
+        for pair, depth, time, through in sorted(zip(self._pairs, *values, strict=True), key=lambda row: row[1]):
+            if depth > 0.0:
+                sentences[pair.key] = (
+                    f"at t = {time:.6g} s, the shapes of contact '{pair.name}' move by {depth + PASSING * through:.3g} m "
+                    f"in a step, but they touch along at most {through:.3g} m of their way, so that they may pass "
+                    "through each other; use a smaller time.step, or an adaptive method"
+                )
+        return tuple(sentences.values())
 
 
 def _way_through(pair: ContactPair) -> float:
