@@ -320,8 +320,8 @@ class _Beams:
 def characteristic_length(mechanism: Mechanism) -> float:
     """Return the largest distance [m] between two joint points, or a joint point and the centre of mass, of a body.
 
-    Lengths of beams are compared with these distances. If all distances are 0, they are those between points of elements
-    that the run treats, such as the shapes of contacts, but at most 1 m; without any, the result is 1.
+    Lengths of beams are compared with these distances. If all are 0, they are those between points of the elements that
+    the run treats, such as the shapes of contacts, but at most 1 m; without any, the result is 1.
     """
     points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
     for joint in mechanism.joints.values():

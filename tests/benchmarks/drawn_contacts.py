@@ -3,13 +3,15 @@
 ``python -m tests.benchmarks.drawn_contacts --count 1000`` runs two studies with adaptive methods: `compliant`, balls,
 points and boxes that are thrown at walls of 1 mm to 20 cm, floors and each other at 0.1 to 20 m/s; and `rigid`, blocks
 that rest, slip and lift off under loads that are expressions of time, of states, tables, inputs and sampled
-controllers. `--only` chooses one of them, and `--seed` other scenes. It prints each scene that is wrong, and how many are
-right, told and silent, and ends with status 1 unless at least 95 % are right and none is wrong without a word.
+controllers. `--only` chooses one of them, and `--seed` other scenes. It prints each scene that is wrong, and how many
+are right, told and silent, and ends with status 1 unless at least 95 % are right and none is wrong without a word.
 
 The oracles are event-exact. A free flight is closed-form, and its end a root of the gap; in contact, SciPy's DOP853
 integrates the motion with the published force law, written here again, from event to event. A resting block obeys
 Coulomb's law: the times at which it begins and ceases to slip, and at which it lifts off, are roots of the load.
 """
+
+# ruff: noqa: B023 (closures are used before the loop goes on)
 
 from __future__ import annotations
 
@@ -135,18 +137,23 @@ class Thrown:
                 first = next((k + 1 for k in below if after[k] >= 0.0), None)
                 if first is None:
                     return self.flight(y, end - t), contacts, end
-                root = brentq(lambda x, y=y: np.min(self.gaps(self.flight(y, x))), times[first - 1], times[first], xtol=1e-15)
+                root = brentq(
+                    lambda x, y=y: np.min(self.gaps(self.flight(y, x))), times[first - 1], times[first], xtol=1e-15
+                )
                 if contacts == MOST:
                     return self.flight(y, 0.5 * root), contacts, t + 0.5 * root
                 y, t, contacts = self.flight(y, root), t + root, contacts + 1
                 y = self.flight(y, 1e-13)  # just inside
                 t += 1e-13
                 continue
+
             def crossing(i: int, sign: float) -> Callable[[float, State], float]:
                 def value(_t: float, y: State) -> float:
                     return sign * float(self.gaps(y)[i])
+
                 value.terminal, value.direction = True, 1.0  # type: ignore[attr-defined]
                 return value
+
             events = [crossing(i, 1.0 if inside[i] else -1.0) for i in range(len(gaps))]
             solved = solve_ivp(
                 self.rates, (t, end), y, method="DOP853", rtol=1e-11, atol=1e-14, events=events, max_step=shortest
@@ -208,7 +215,9 @@ def thrown(rng: np.random.Generator) -> tuple[dict[str, Any], float, State, floa
         bodies["c"] = {"mass": other, "inertia": 0.1, "position": [far, 0.0]}
         shapes = [{"circle": {"radius": own}}]
         model["contacts"] = {"k": {"bodies": ["c", "b"], "shapes": [*shapes, body], **contact}}
-        scene = Thrown([((far - own, 0.0), (-1.0, 0.0))], [(0.0, 0.0, r)], force, mass * other / (mass + other), 1.0, 0.0)
+        scene = Thrown(
+            [((far - own, 0.0), (-1.0, 0.0))], [(0.0, 0.0, r)], force, mass * other / (mass + other), 1.0, 0.0
+        )
         relative, contacts, end = scene.end(y, end, shortest)
         centre = (mass * speed * end + other * far) / (mass + other)
         last = np.array([centre + other / (mass + other) * (relative[0] - far), 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -217,7 +226,13 @@ def thrown(rng: np.random.Generator) -> tuple[dict[str, Any], float, State, floa
         points = [(x, z, 0.0) for x, z in box] if kind.startswith("box") else [(0.0, 0.0, r)]
         scene = Thrown(planes, points, force, mass, inertia, gravity)
         last, contacts, end = scene.end(y, end, shortest)
-    return model, end, last, far + speed * end, f"{kind} {law} {speed:.3g} m/s r {r:.3g} wall {thick:.3g} contacts {contacts}"
+    return (
+        model,
+        end,
+        last,
+        far + speed * end,
+        f"{kind} {law} {speed:.3g} m/s r {r:.3g} wall {thick:.3g} contacts {contacts}",
+    )
 
 
 def compliant(rng: np.random.Generator) -> tuple[bool, bool, str]:
@@ -233,7 +248,9 @@ def compliant(rng: np.random.Generator) -> tuple[bool, bool, str]:
 # ---- rigid contacts under loads --------------------------------------------------------------------------------------
 
 
-def drawn_load(rng: np.random.Generator, size: float, end: float) -> tuple[str, dict[str, Any], dict[str, Any], Any, list[float]]:
+def drawn_load(
+    rng: np.random.Generator, size: float, end: float
+) -> tuple[str, dict[str, Any], dict[str, Any], Any, list[float]]:
     """Return a load of about a size: expression, keys of the model, sections of the spec, function of time, jumps."""
     kind = rng.choice(["time", "state", "table", "input", "controller"])
     f, phase = float(np.exp(rng.uniform(np.log(2.0), np.log(60.0)))), float(rng.uniform(0.0, 6.0))
@@ -241,7 +258,9 @@ def drawn_load(rng: np.random.Generator, size: float, end: float) -> tuple[str, 
         forms = {
             f"{size}*sin({f}*t+{phase})": lambda t: size * np.sin(f * t + phase),
             f"{size}*sin({f}*t)*cos({0.37 * f}*t)": lambda t: size * np.sin(f * t) * np.cos(0.37 * f * t),
-            f"{size}*exp(-((t-{0.6 * end})/{1.5 / f})**2)": lambda t: size * np.exp(-(((t - 0.6 * end) * f / 1.5) ** 2)),
+            f"{size}*exp(-((t-{0.6 * end})/{1.5 / f})**2)": lambda t: (
+                size * np.exp(-(((t - 0.6 * end) * f / 1.5) ** 2))
+            ),
             f"{size}*t/{end}": lambda t: size * t / end,
         }
         text = list(forms)[rng.integers(len(forms))]
@@ -275,7 +294,9 @@ def drawn_load(rng: np.random.Generator, size: float, end: float) -> tuple[str, 
     return "controllers.c.u", model, {}, sampled, [k * period for k in range(1, int(end / period) + 1)]
 
 
-def slide(load: Any, normal: float, mass: float, static: float, kinetic: float, end: float, jumps: list[float]) -> tuple[float, float]:
+def slide(
+    load: Any, normal: float, mass: float, static: float, kinetic: float, end: float, jumps: list[float]
+) -> tuple[float, float]:
     """Return the displacement at the end, and the path of slip, of a block that a load pushes on a rough floor."""
     x = v = t = path = 0.0
     cuts = [*[j for j in sorted(jumps) if 0.0 < j < end], end]
@@ -292,7 +313,9 @@ def slide(load: Any, normal: float, mass: float, static: float, kinetic: float, 
                         break
                     k = over[0]
                     if excess[k - 1] < 0.0:
-                        t = brentq(lambda s: float(np.abs(inside(s)) - static * normal), times[k - 1], times[k], xtol=1e-14)
+                        t = brentq(
+                            lambda s: float(np.abs(inside(s)) - static * normal), times[k - 1], times[k], xtol=1e-14
+                        )
                     else:
                         t = float(times[k - 1])
                 sign = float(np.sign(inside(t + 1e-9 if t + 1e-9 < stop else t)))
@@ -327,8 +350,10 @@ def lift(load: Any, mass: float, end: float, jumps: list[float]) -> tuple[float,
                         t = stop
                         break
                     k = over[0]
-                    t = times[k - 1] if excess[k - 1] >= 0.0 else brentq(
-                        lambda s: float(inside(s) - mass * G), times[k - 1], times[k], xtol=1e-14
+                    t = (
+                        times[k - 1]
+                        if excess[k - 1] >= 0.0
+                        else brentq(lambda s: float(inside(s) - mass * G), times[k - 1], times[k], xtol=1e-14)
                     )
             lands = lambda s, q, a=t: q[0] if s > a + 1e-7 else 1.0  # noqa: E731
             lands.terminal, lands.direction = True, -1.0  # type: ignore[attr-defined]

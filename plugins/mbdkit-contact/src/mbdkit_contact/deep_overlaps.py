@@ -125,15 +125,15 @@ class LongSteps(DeepOverlaps):
         for pair, depth, time, through in sorted(zip(self._pairs, *values, strict=True), key=lambda row: row[1]):
             if depth > 0.0:
                 sentences[pair.key] = (
-                    f"at t = {time:.6g} s, the shapes of contact '{pair.name}' move by {depth + PASSING * through:.3g} m "
-                    f"in a step, but they touch along at most {through:.3g} m of their way, so that they may pass "
+                    f"at t = {time:.6g} s, the shapes of contact '{pair.name}' move by "
+                    f"{depth + PASSING * through:.3g} m in a step, but they touch along at most {through:.3g} m of their way, so that they may pass "
                     "through each other; use a smaller time.step, or an adaptive method"
                 )
         return tuple(sentences.values())
 
 
 def _way_through(pair: ContactPair) -> float:
-    """Return the longest way on which two shapes overlap while one moves straight through the other at its thinnest [m];
+    """Return the way on which two shapes overlap while one moves straight through the other at its thinnest [m];
     infinite for lines, polylines and holes.
     """
     numbers, kind = pair.numbers, pair.kind[0]

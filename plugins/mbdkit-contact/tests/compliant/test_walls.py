@@ -67,7 +67,9 @@ def test_rows_of_adaptive_runs_show_both_ends_of_a_contact() -> None:
 
 def test_fixed_steps_that_may_jump_over_a_wall_are_told() -> None:
     def verdict(step: float) -> tuple[str, str]:
-        run = mbdkit.run({"mbdkit": 1, "model": wall(), "integrator": {"name": "rk4"}, "time": {"end": 0.5, "step": step}})
+        run = mbdkit.run(
+            {"mbdkit": 1, "model": wall(), "integrator": {"name": "rk4"}, "time": {"end": 0.5, "step": step}}
+        )
         return run.verdict, " ".join(run.warnings)
 
     level, sentence = verdict(0.05)

@@ -59,7 +59,7 @@ def test_a_resting_block_slips_whenever_the_load_exceeds_friction(method: Any, l
 @pytest.mark.parametrize("load", ["30*t", "9.81*exp(t - 0.2)", "200*t**3"])
 def test_a_growing_load_lifts_a_ball_from_rest(method: Any, load: str) -> None:
     def force(t: float) -> float:
-        return float(eval(load, {"exp": np.exp, "t": t}))  # noqa: S307 (a constant of this test)
+        return float(eval(load, {"exp": np.exp, "t": t}))
 
     contact = {"bodies": ["ground", "b"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}]}
     model = {
@@ -79,7 +79,12 @@ def test_the_same_scene_in_another_size_has_the_same_impacts(size: float) -> Non
 
     def scene(s: float) -> Any:
         t = np.sqrt(s)
-        contact = {"bodies": ["ground", "b"], "restitution": 0.5, "friction": 0.3, "shapes": [FLOOR, outline(0.2 * s, 0.1 * s)]}
+        contact = {
+            "bodies": ["ground", "b"],
+            "restitution": 0.5,
+            "friction": 0.3,
+            "shapes": [FLOOR, outline(0.2 * s, 0.1 * s)],
+        }
         body = {"mass": s**3, "inertia": 0.02 * s**5, "position": [0, 0.8 * s], "angle": 0.4, "velocity": [0.3 * t, 0]}
         model = {"bodies": {"b": body | {"angular_velocity": 1.0 / t}}, "contacts": {"c": contact}}
         return run(model, 3.0 * t, method={"name": "dop853", "adaptive": True})

@@ -257,8 +257,6 @@ def look(run, method, t, h, unused):
 
 
 @kernel
-def change_at(
-    method: int, q0: RealVector, v0: RealVector, q1: RealVector, v1: RealVector, h: float
-) -> float:
+def change_at(method: int, q0: RealVector, v0: RealVector, q1: RealVector, v1: RealVector, h: float) -> float:
     """See `first_change`."""
     return first_change(load_events(method), q0, v0, q1, v1, h)
