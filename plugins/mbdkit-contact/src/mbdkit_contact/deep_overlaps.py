@@ -124,10 +124,11 @@ class LongSteps(DeepOverlaps):
         sentences, values = dict[str, str](), (self._depth.tolist(), self._time.tolist(), self._through.tolist())
         for pair, depth, time, through in sorted(zip(self._pairs, *values, strict=True), key=lambda row: row[1]):
             if depth > 0.0:
+                way = depth + PASSING * through
                 sentences[pair.key] = (
-                    f"at t = {time:.6g} s, the shapes of contact '{pair.name}' move by "
-                    f"{depth + PASSING * through:.3g} m in a step, but they touch along at most {through:.3g} m of their way, so that they may pass "
-                    "through each other; use a smaller time.step, or an adaptive method"
+                    f"at t = {time:.6g} s, the shapes of contact '{pair.name}' move by {way:.3g} m in a step, but they "
+                    f"touch along at most {through:.3g} m of their way, so that they may pass through each other; use "
+                    "a smaller time.step, or an adaptive method"
                 )
         return tuple(sentences.values())
 
