@@ -17,6 +17,7 @@ from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import (
     Targets,
     share_softly,
 )
+from tests.margins import assert_within
 
 DEVIATION = 0.2
 
@@ -30,7 +31,7 @@ def test_bounds_and_targets_are_those_of_the_problem_with_inequalities(p):
     right = np.insert(random.uniform(0.2, 4.0, (rows, 2)), 1, 0.4, axis=1)  # two bounds, which share muscles
     soft = SoftTargets(matrix, right, np.full((rows, 3), DEVIATION), np.array([True, False, True]))
     whole, found = share_softly(programme, float(p), soft)
-    assert np.max(found.certificate) < 1e-9
+    assert_within(found.certificate, 1e-9)
     assert whole.matrix.shape == (rows, programme.matrix.shape[1] + 3, count + 3)
     muscles = matrix.shape[2]
     below = 0
@@ -46,7 +47,7 @@ def test_bounds_and_targets_are_those_of_the_problem_with_inequalities(p):
         bounds = list(zip(programme.low[row], programme.high[row], strict=True))
         own = found.value[row, :count]
         other = minimize(cost, own, bounds=bounds, constraints=equal, method="SLSQP", options={"ftol": 1e-12})
-        assert np.max(np.abs(equal["fun"](own))) < 1e-8 * np.max(programme.size)
+        assert_within(equal["fun"](own), 1e-8 * np.max(programme.size))
         assert cost(own) <= other.fun * (1 + 1e-6)
         below += right[row, 0] > matrix[row, 0] @ own[:muscles]
     assert below  # some of the bounds act
@@ -61,7 +62,7 @@ def test_a_bound_that_does_not_act_leaves_a_frame_solvable(seed):
     right = size * random.uniform(0.2, 4.0, (rows, 2))
     right[::2, 1] = -size
     soft = SoftTargets(matrix, right, np.full((rows, 2), size * DEVIATION), np.array([True, True]))
-    assert np.max(share_softly(programme, 3.0, soft)[1].certificate) < 1e-9
+    assert_within(share_softly(programme, 3.0, soft)[1].certificate, 1e-9)
 
 
 @pytest.mark.parametrize("p", [3.0, 4.0])
@@ -73,7 +74,7 @@ def test_targets_that_are_almost_reached_leave_frames_solvable(p):
     for size in (0.0, 1e-9, 1e-6, 1e-3):
         right = own[:, :1] + size * random.standard_normal((len(own), 1))
         soft = SoftTargets(matrix, right, np.full(right.shape, DEVIATION), np.array([False]))
-        assert np.max(share_softly(programme, p, soft)[1].certificate) < 1e-9
+        assert_within(share_softly(programme, p, soft)[1].certificate, 1e-9)
 
 
 def arm(errors="none", **sections):

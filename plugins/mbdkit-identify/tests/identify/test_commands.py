@@ -15,6 +15,7 @@ import mbdkit
 import mbdkit_identify.identify
 from mbdkit.cli import app
 from mbdkit.spec import example_names
+from tests.margins import assert_within
 
 RIG = """
 mbdkit: 1
@@ -159,7 +160,7 @@ def test_a_pendulum_is_identified_and_its_estimates_are_used(spec: Path) -> None
     assert done.exit_code == 0, done.stderr
     fit = mbdkit.load_identification("fit.h5")
     for name, true in TRUE.items():
-        assert abs(fit[name].value - true) < 4 * fit[name].deviation
+        assert_within(fit[name].value - true, 4 * fit[name].deviation)
         assert fit[name].lower < fit[name].value < fit[name].upper
     assert fit.residuals[0].deviation == pytest.approx(np.radians(NOISE), rel=0.3)
     assert [one.experiment for one in fit.hold_out] == ["late"]

@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 import mbdkit
 from mbdkit_predict.grid import IntervalGrid
 from predict.exact_optima import EFFORT, PUSH, block
+from tests.margins import assert_within
 
 TRIANGLE = {"table": [[0, 0.5166, 0.5206, 0.5246, 1], [0, 0, 1000, 0, 0]], "interpolation": "linear"}
 SWITCHED = "max(0, 1000*(1 - abs(t - 0.5206)/0.004))"
@@ -44,7 +45,8 @@ def pushed(impulse: float, at: float) -> float:
 def test_a_short_pulse_belongs_to_the_optimum(value: Any, impulse: float, at: float, intervals: int) -> None:
     run = mbdkit.predict(loaded(value, collocation={"intervals": intervals}))
     assert (run.status, run.verdict) == ("complete", "good")
-    assert abs(run.objective - pushed(impulse, at)) <= run.objective_error < 2e-7 * run.objective
+    assert_within(run.objective - pushed(impulse, at), run.objective_error)
+    assert run.objective_error < 2e-7 * run.objective
 
 
 @pytest.mark.slow
@@ -124,7 +126,7 @@ def test_objectives_of_any_magnitude_have_bars_of_their_size(mass: float) -> Non
     whole, other = swing(1.0), swing(mass)
     assert (whole.verdict, other.verdict) == ("good", "good")
     size = mass**2
-    assert abs(other.objective - size * whole.objective) <= other.objective_error + size * whole.objective_error
+    assert_within(other.objective - size * whole.objective, other.objective_error + size * whole.objective_error)
     assert other.objective_error < 1e-6 * other.objective
 
 
@@ -156,7 +158,7 @@ def test_a_jump_over_the_pivot_is_refused_by_name() -> None:
 def test_controls_need_no_tight_bounds(bounds: Any) -> None:
     run = mbdkit.predict(block(controls={PUSH: {"bounds": bounds}}))
     assert (run.status, run.verdict) == ("complete", "good")
-    assert abs(run.objective - 12.0) <= run.objective_error
+    assert_within(run.objective - 12.0, run.objective_error)
 
 
 def test_tables_must_cover_the_longest_duration() -> None:

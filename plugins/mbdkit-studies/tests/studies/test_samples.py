@@ -26,6 +26,7 @@ from mbdkit_studies.statistics.sensitivity import sensitivity
 from mbdkit_studies.statistics.sobol_indices import sobol_indices
 from tests import identified
 from tests.identified import COVARIANCE, STIFFNESS, sliding, write_fit
+from tests.margins import assert_within
 from tests.runs.oscillator import oscillator
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
@@ -406,9 +407,9 @@ def test_drawn_estimates_have_their_means_and_covariances(estimated: Path, metho
     assert list(columns) == ["parameters.stiffness", "parameters.mass"]
     drawn = np.array([*columns.values()])
     variances = np.diagonal(COVARIANCE)
-    assert np.all(np.abs(drawn.mean(axis=1) - [STIFFNESS, identified.MASS]) < 4.0 * np.sqrt(variances / n))
+    assert_within(drawn.mean(axis=1) - [STIFFNESS, identified.MASS], 4.0 * np.sqrt(variances / n))
     spread = np.sqrt((np.outer(variances, variances) + COVARIANCE**2) / n)
-    assert np.all(np.abs(np.cov(drawn) - COVARIANCE) < 4.0 * spread)
+    assert_within(np.cov(drawn) - COVARIANCE, 4.0 * spread)
     assert scipy.stats.kstest(drawn[1], "norm", (identified.MASS, np.sqrt(variances[1]))).pvalue > 1e-3
 
 

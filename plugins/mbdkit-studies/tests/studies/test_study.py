@@ -66,7 +66,7 @@ def test_errors_fall_with_the_fourth_power_of_the_step_for_methods_of_order_four
     for coarse, fine in (finished.points[:2], finished.points[2:]):
         for measure in ("end_error", "trajectory_error", "end_angle_error", "trajectory_angle_error"):
             ratio = coarse.values[measure] / fine.values[measure]
-            assert np.log2(ratio) == pytest.approx(4.0, abs=0.3)
+            assert np.log2(ratio) == pytest.approx(4.0, abs=0.3)  # margin: order, from errors of mbdkit alone
 
 
 def test_a_frame_has_one_row_a_run(finished):

@@ -45,8 +45,8 @@ GAUSSIAN = 0.95
 """Relative standard error of the quantile `LEVEL`, 1.96, of magnitudes of Gaussian numbers, times the root of their
 number: ``sqrt(LEVEL (1 - LEVEL)) / (1.96 f)`` with their density f = 0.1169 there."""
 
-LARGEST_SCATTER, SUFFICIENT = 0.1, 500
-"""Relative standard error of bars from which the number of samples is too small, and the number that is advised."""
+LARGEST_SCATTER = 0.1
+"""Relative standard error of bars from which the number of samples is too small."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,10 @@ class UncertainResult:
         worst = float(np.nanmax(self.scatter, initial=0.0))
         if worst <= LARGEST_SCATTER:
             return ""
+        needed = 100 * np.ceil(self.samples / 100 * (worst / LARGEST_SCATTER) ** 2)
         return (
             f"uncertainty.samples: {self.samples} samples leave the error bars of the largest forces of joints "
-            f"uncertain by up to {worst:.0%} (standard error); {SUFFICIENT} are enough"
+            f"uncertain by up to {worst:.0%} (standard error); {LARGEST_SCATTER:.0%} takes about {needed:.0f}"
         )
 
     @property

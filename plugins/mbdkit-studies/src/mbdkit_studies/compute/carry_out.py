@@ -39,7 +39,7 @@ RunStores = RunFiles | RunBlocks
 _LOG = logger_of(__name__)
 
 #: Function called with the number of computations that are done, their total number, and the number of failed runs. A
-#: run, a second run and a set of repeated timings count as one computation each.
+#: run, a second run and a repeated timing count as one computation each.
 Progress = Callable[[int, int, int], None]
 
 
@@ -113,7 +113,7 @@ def study(
         Part of the study to compute; by default all of it.
     progress
         Called with three numbers after each task: the number of computations that are done, their total number, and the
-        number of failed runs. A run, a second run and a set of repeated timings count as one computation each. By
+        number of failed runs. A run, a second run and a repeated timing count as one computation each. By
         default, notebooks show a progress bar.
     notify
         Called with messages for the user, such as warnings.

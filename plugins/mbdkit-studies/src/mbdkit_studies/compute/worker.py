@@ -136,13 +136,11 @@ def _work(task: Message, notify: Callable[[str], None]) -> Message:
         values, note = second_run(spec, task["second"])
         told = {name: value if math.isfinite(value) else None for name, value in values.items()}
         return {"status": "complete", "reason": note, "values": told}
-    if "repeats" in task:
-        seconds = []
-        for _ in range(task["repeats"] + 1):
+    if "timing" in task:
+        for _ in range(1 if task["timing"] else 2):  # the very first run is for warm-up
             with simulate(spec) as run:
-                seconds.append(float(run.stats["wall_s"]))
-        # without the first run, which is for warm-up
-        return {"status": "complete", "reason": "", "seconds": seconds[1:]}
+                answer = {"status": "complete", "reason": "", "seconds": [float(run.stats["wall_s"])]}
+        return answer
     path = Path(task["path"])
     with _continued(path, task["measures"]) or simulate(
         spec, path=path, overwrite=True, measures=task["measures"]

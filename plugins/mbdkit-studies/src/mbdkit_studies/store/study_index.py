@@ -105,7 +105,7 @@ class Row:
     values
         Measures, counters and timings by column.
     repeats
-        Wall times of the repeated timings, which are made one after another [s].
+        Wall times of the repeated timings, each made after those of all other runs [s].
     file_sha256
         Hash of the bytes of the archive; empty without an archive.
     second_run
