@@ -147,7 +147,7 @@ def _made(
         unread: dict[str, list[str]] = defaultdict(list)
         for one in arrays:
             if is_hashed(one.path):
-                lines = attribute_lines(file[one.path].id, one.path, layout_lines(arrays))
+                lines = attribute_lines(file[one.path].id, one.path, layout_lines(arrays), {})
                 unread[one.path if one.group in opened else one.group] += lines
         known = add_attributes(file, "provenance", dict(provenance))
         file.flush()

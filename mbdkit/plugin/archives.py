@@ -9,9 +9,8 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.archive import layout as layout, recorded_columns as recorded_columns
     from mbdkit.archive.accuracy_summary import RunErrors as RunErrors
     from mbdkit.archive.archive_check import blaming_damage as blaming_damage
-    from mbdkit.archive.changed_contents import hash_warnings as hash_warnings
     from mbdkit.archive.fingerprint import (
-        attributes_sha256 as attributes_sha256, data_sha256 as data_sha256, datasets as datasets, is_text as is_text,
+        StoredHashes as StoredHashes, datasets as datasets, is_text as is_text, seal as seal,
     )
     from mbdkit.archive.finished_run import FinishedRun as FinishedRun
     from mbdkit.archive.hdf5 import create as create, dims as dims, set_text as set_text
@@ -22,7 +21,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.archive.history import JointHistories as JointHistories
     from mbdkit.archive.layout import (
-        ATTRIBUTES_HASH as ATTRIBUTES_HASH, COUNTERS as COUNTERS, SOME_COUNTERS as SOME_COUNTERS,
+        COUNTERS as COUNTERS, SOME_COUNTERS as SOME_COUNTERS,
         SOME_TIMINGS as SOME_TIMINGS, TIMINGS as TIMINGS, name_texts as name_texts,
     )
     from mbdkit.archive.measured_values import Integrals as Integrals, MeasuredValues as MeasuredValues

@@ -11,6 +11,7 @@ import pytest
 
 from mbdkit import load
 from mbdkit import run as from_python
+from mbdkit.archive.fingerprint import seal
 
 
 def test_a_run_leaves_one_complete_archive_and_a_summary(mbdkit, small, in_tmp_path):
@@ -252,7 +253,7 @@ def test_rerun_can_keep_what_it_made(mbdkit, archive):
 def test_rerun_tells_how_far_the_data_differ(mbdkit, archive):
     with h5py.File(archive, "r+") as file:
         file["trajectory/position"][5, 0, 0] += 1e-6
-        file.attrs["data_sha256"] = "0" * 64
+        seal(file)
     result = mbdkit("rerun", archive)
     assert result.exit_code == 1
     assert "trajectory/position" in result.stdout
@@ -261,6 +262,7 @@ def test_rerun_tells_how_far_the_data_differ(mbdkit, archive):
 def test_rerun_tells_why_the_new_run_stopped_early(mbdkit, archive):
     with h5py.File(archive, "r+") as file:
         file.attrs["spec"] = json.dumps(json.loads(file.attrs["spec"]) | {"limits": {"max_steps": 3}})
+        seal(file)
     result = mbdkit("rerun", archive)
     assert result.exit_code == 1
     assert "the new run stopped early: failed: max-steps: " in result.stderr

@@ -227,7 +227,7 @@ def test_a_file_is_read_with_its_columns_and_unit(tmp_path: Path) -> None:
     assert [file.name for file in result.files] == ["motor.csv"]
     assert result.spec["inputs"]["torque"] == {"table": [[0.0, 0.5], [1000.0, -2000.0]], "unit": "mN m"}
     (tmp_path / "motor.csv").write_text("t;torque\n0;one\n", encoding="utf-8")
-    with pytest.raises(SpecError, match="should have numbers here") as error:
+    with pytest.raises(SpecError, match="should have a number here") as error:
         mbdkit.run(tmp_path / "spec.yaml")
     assert error.value.line == 2
 

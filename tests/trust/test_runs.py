@@ -11,7 +11,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
+from mbdkit.archive.fingerprint import data_sha256, seal
 from mbdkit.archive.info import describe
 from mbdkit.methods.step_methods import StepMethod, StepState
 from mbdkit.runs.preparation import guards, size_at_start
@@ -191,11 +191,11 @@ def test_archives_without_verdict_are_unknown_and_valid(tmp_path: Path) -> None:
         assert file.attrs["verdict"] == "unknown"
         assert file.attrs["verdict_reasons"].shape == file.attrs["warnings"].shape == (0,)
         del file.attrs["warnings"]
-        file.attrs["attributes_sha256"] = attributes_sha256(file)
+        seal(file)
     assert check(path) == ["the verdict is incomplete: there is no attribute warnings"]
     with h5py.File(path, "r+") as file:
         del file.attrs["verdict"], file.attrs["verdict_reasons"]
-        file.attrs["attributes_sha256"] = attributes_sha256(file)
+        seal(file)
     assert check(path) == []
     with mbdkit.load(path) as run:
         assert (run.verdict, run.verdict_reasons, run.warnings, run.is_judged) == ("unknown", [], [], False)
@@ -208,11 +208,11 @@ def test_the_verdict_is_no_part_of_the_data_hash(tmp_path: Path) -> None:
     with h5py.File(path, "r+") as file:
         file.attrs["verdict"] = "good"
         assert file.attrs["data_sha256"] == data_sha256(file)
-        file.attrs["attributes_sha256"] = attributes_sha256(file)
+        seal(file)
     assert check(path) == []
     with h5py.File(path, "r+") as file:
         file.attrs["verdict"] = "fine"
-        file.attrs["attributes_sha256"] = attributes_sha256(file)
+        seal(file)
     assert check(path) == ["verdict is 'fine', not one of good, unknown, doubtful, bad"]
 
 

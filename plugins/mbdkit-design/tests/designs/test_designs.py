@@ -154,6 +154,7 @@ def test_the_command_writes_a_folder_once(tmp_path: Path, monkeypatch: pytest.Mo
     printed, stored = json.loads(done.stdout), json.loads(Path("drop/design.json").read_text(encoding="utf-8"))
     assert printed.pop("robustness")
     assert printed.pop("warnings") == mbdkit.load_design("drop").warnings
+    assert stored.pop("sha256")
     assert {"mbdkit_result": 1, **printed} == {"path": "drop", **stored}
     best = stored["best"]["variables"]["model.angle"]
     with mbdkit.load("drop/best.h5") as run:

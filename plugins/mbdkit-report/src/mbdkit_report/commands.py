@@ -90,7 +90,7 @@ def plot(
 
     The legend of several runs shows how they differ: method, step, other keys, or file.
     """
-    from mbdkit.archive.changed_contents import opened
+    from mbdkit.archive.archive_check import opened
     from mbdkit.plugin.files import check_not_input, check_output
     from mbdkit_report.plot.save_plot import plot as draw
     from mbdkit_report.plot.save_plot import size_in_mm
@@ -135,7 +135,7 @@ def animate(
     debug: Debug = False,
 ) -> None:
     """Animate a run."""
-    from mbdkit.archive.changed_contents import opened
+    from mbdkit.archive.archive_check import opened
     from mbdkit.plugin.files import check_output
     from mbdkit_report.pages.animate import animate as draw
 

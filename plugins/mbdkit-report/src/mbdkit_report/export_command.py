@@ -38,7 +38,7 @@ def archive_export(
     one row for each run: its values, status, verdict with reasons, measures and cost.
     Prints the names of the files.
     """
-    from mbdkit.archive.changed_contents import opened
+    from mbdkit.archive.archive_check import opened
     from mbdkit.plugin import FileFormat
     from mbdkit.plugin.seams import exported_files
     from mbdkit.plugin.specs import registry

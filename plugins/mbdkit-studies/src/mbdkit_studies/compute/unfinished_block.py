@@ -64,7 +64,10 @@ class UnfinishedBlock:
         """
         runs: dict[int, BlockRun] = {}
         for path in pieces_of(self._block):
-            with suppress(MbdkitError, *DAMAGE), Block(path) as piece:  # a kill may leave a truncated file
+            with (
+                suppress(MbdkitError, *DAMAGE),
+                Block(path, is_verified=False) as piece,
+            ):  # a kill may leave a truncated file
                 if self._suits(piece):
                     runs |= {run.number: run for run in _runs(piece)}
         return runs

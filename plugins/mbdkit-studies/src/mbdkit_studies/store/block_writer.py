@@ -26,11 +26,9 @@ from mbdkit.plugin.archives import (
     TEXT,
     TIMINGS,
     FinishedRun,
-    attributes_sha256,
     create,
-    data_sha256,
-    layout,
     name_texts,
+    seal,
     set_text,
     sizes_of,
     utc_now,
@@ -253,8 +251,7 @@ class _Writer:
         self.names_of_structures()
         for number, rows in enumerate(self.structures.values()):
             self.structure(prefix(number), rows)
-        set_text(self.file, "data_sha256", data_sha256(self.file))
-        set_text(self.file, layout.ATTRIBUTES_HASH, attributes_sha256(self.file))
+        seal(self.file)
 
     def add(self, path: str, values: Any, dtype: str, units: str, what: str) -> h5py.Dataset:
         """Write a column with one row for each run of the block; create its group, with the axis ``run``, if needed."""

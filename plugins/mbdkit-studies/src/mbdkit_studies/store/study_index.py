@@ -17,19 +17,18 @@ import numpy as np
 
 from mbdkit.plugin import ArchiveError, Array, SpecError
 from mbdkit.plugin.archives import (
-    ATTRIBUTES_HASH,
     COUNTERS,
     FLOAT,
     INTEGER,
     SOME_COUNTERS,
     TEXT,
     TIMINGS,
-    attributes_sha256,
+    StoredHashes,
     create,
-    data_sha256,
     open_hdf5,
     own_version,
     reading,
+    seal,
     set_text,
 )
 from mbdkit.plugin.files import replacing
@@ -244,8 +243,7 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
             _write_table(file, "references", "reference", index.references, index)
         if len(index.states):
             _write_states(file, index.states)
-        set_text(file, "data_sha256", data_sha256(file))
-        set_text(file, ATTRIBUTES_HASH, attributes_sha256(file))
+        seal(file)
         image = file_bytes(file)
     with replacing(path) as temporary:
         temporary.write_bytes(image)
@@ -313,10 +311,7 @@ def read(path: Path) -> Index:
         written = str(file.attrs["format_version"])
         if written.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
             raise ArchiveError(f"this index has format version {written}, this mbdkit reads 1.x", file=path)
-        if file.attrs["data_sha256"] != data_sha256(file):
-            raise ValueError("data_sha256 does not match")
-        if file.attrs[ATTRIBUTES_HASH] != attributes_sha256(file):
-            raise ValueError("attributes_sha256 does not match")
+        StoredHashes(file).verify()
         tables = [_read_columns(file[group]) if group in file else {} for group in ("runs", "references")]
         if any(len(set(map(len, table.values()))) > 1 for table in tables):
             raise ValueError("its columns have different lengths")
