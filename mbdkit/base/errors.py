@@ -9,12 +9,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.parts import OWN_PACKAGES
-from mbdkit.base.text import did_you_mean, listed, one_line, shortened, shown
+from mbdkit.base.text import bounded, did_you_mean, listed, one_line, shortened, shown
 
 
 class MbdkitError(Exception):
     """Base class of the exceptions raised by mbdkit; `str(error)` is a message for the user."""
+
+    def __init__(self, *args: object):
+        super().__init__(*(bounded(part) if isinstance(part, str) else part for part in args))
 
 
 class SpecError(MbdkitError, ValueError):
@@ -27,13 +31,13 @@ class SpecError(MbdkitError, ValueError):
 
     def __init__(self, message: str, *, key: str = "", file: str | Path | None = None, line: int | None = None):
         super().__init__(message)
-        self.message = message
+        self.message = str(self.args[0])
         self.key = key
         self.file = None if file is None else str(file)
         self.line = line
 
     def __str__(self) -> str:
-        location = shown(self.file or "")
+        location = bounded(shown(self.file or ""))
         if self.line is not None:
             location += f":{self.line}" if location else f"line {self.line}"
         where = ": ".join(part for part in (location, shortened(shown(self.key))) if part)
@@ -60,11 +64,11 @@ class _FileError(MbdkitError):
 
     def __init__(self, message: str, *, file: str | Path | None = None):
         super().__init__(message)
-        self.message = message
+        self.message = str(self.args[0])
         self.file = None if file is None else str(file)
 
     def __str__(self) -> str:
-        return f"{shown(self.file)}: {self.message}" if self.file else self.message
+        return f"{bounded(shown(self.file))}: {self.message}" if self.file else self.message
 
 
 class ArchiveError(_FileError):
@@ -120,13 +124,13 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
 
     Ctrl-C, errors of mbdkit about the input or a plugin, and the `expected` exceptions pass unchanged.
     """
-    unchanged: tuple[type[BaseException], ...] = (KeyboardInterrupt, SpecError, ArchiveError, PluginError, *expected)
+    unchanged: tuple[type[BaseException], ...] = (SpecError, ArchiveError, PluginError, *expected)
     try:
         with in_this_process():
             yield
-    except unchanged:
-        raise
     except BaseException as error:
+        if isinstance(error, unchanged) or is_interrupt(error):
+            raise
         raise PluginError(f"{what}: {with_place(error)}") from error
 
 

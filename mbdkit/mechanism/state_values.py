@@ -17,7 +17,7 @@ from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Positive, Table, pair
 from mbdkit.mechanism.values import motion as checked_motion
 
-_QUANTITY = re.compile(r"[A-Za-z_\]]\w*\s*\.\s*[A-Za-z_]|\[\s*[\"']")
+_QUANTITY = re.compile(r"(?:(?<!\w)\d*+[A-Za-z_]|\])\w*+\s*+\.\s*+[A-Za-z_]|\[\s*+[\"']")
 
 
 class StateExpressionError(ExpressionError):

@@ -7,6 +7,7 @@ from mbdkit.base.lazy_names import door
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
     from mbdkit.base.called_functions import calls_allowed as calls_allowed, may_call as may_call
+    from mbdkit.base.use_lock import UseLock as UseLock, one_thread_at_a_time as one_thread_at_a_time
     from mbdkit.runs.assembled_mechanism import AssembledMechanism as AssembledMechanism
     from mbdkit.runs.continuous_motion import (
         EQUAL as EQUAL, MotionPart as MotionPart, Peak as Peak, Sampled as Sampled, sampled as sampled,

@@ -169,7 +169,9 @@ class Definition:
         return np.clip(given, self.low, self.high)
 
     def judged(self, values: np.ndarray, actions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rewards (N,) and whether episodes have terminated (N,), from what was read (N, K)."""
+        """Return rewards (N,), and values (N,) that are positive where episodes have terminated, from what was read
+        (N, K).
+        """
         named: dict[str, np.ndarray] = {"t": time}
         if callable(self._reward) or callable(self._terminated):
             named |= dict(zip(self.observations, values.T, strict=False)) | dict(
@@ -182,7 +184,7 @@ class Definition:
             return np.broadcast_to(np.asarray(result, dtype=np.float64), (count,))
 
         ends = np.zeros(count) if self._terminated is None else judged(self._terminated)
-        return judged(self._reward), ends > 0.0  # type: ignore[arg-type]
+        return judged(self._reward), ends  # type: ignore[arg-type]
 
 
 def _time(name: str, given: object) -> float:

@@ -176,15 +176,15 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
     # the objective of a minimum changes with the square of a change of the motion
     limit = math.sqrt(result.spec.tolerance)
     doubts = list[str]()
+    for jump in result.jumps[:1]:
+        doubts.append(
+            f"{jump.name} jumps, or almost jumps, at t = {jump.time:.4g} s, and the optimizer does not know how this "
+            "time changes with the motion: make it smooth, or begin one of the `phases` at this state."
+        )
     if result.reason:
         doubts.append(UNKNOWN if np.isnan(result.error) else INACCURATE)
     elif result.spec.tolerance * abs(result.objective) < result.error < abs(result.objective):
         doubts.append(SMALL)
-    if result.jumps:
-        doubts.append(
-            f"A force jumps at a state that the motion passes at t = {result.jumps[0]:.6g} s, the end of an interval, "
-            "so that the optimizer does not know how this time changes; make it smooth, or begin a phase at this state."
-        )
     if not result.is_minimum:
         doubts.append(NO_MINIMUM)
     if forward is None:
@@ -199,6 +199,6 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
             f"The motion is unstable: in a forward run, differences of {forward.of_intervals:.2g} of its range in the "
             f"sum of all intervals grow to {forward.largest:.2g}; without feedback, the controls do not reproduce it."
         )
-    if result.spec.compare and (rival is None or rival.reason):
+    if result.spec.compare and (rival is None or rival.reason or rival.jumps):
         doubts.append("The motion that is compared has no accurate optimum, so that the gain is not known.")
     return Judgement("doubtful", tuple(doubts)) if doubts else Judgement("good", (ESTIMATED,))

@@ -484,3 +484,18 @@ def test_the_base_of_a_prediction_takes_estimated_parameters(tmp_path: Path, *, 
     assert spec.parameters == {"stiffness": STIFFNESS, "mass": MASS}
     assert spec.estimated is not None
     assert [file.name for file in spec.files_read] == ["fit.h5"]
+
+
+@pytest.mark.parametrize("coordinates", ["joint", "absolute"])
+def test_a_mechanism_without_freedom_moves_only_its_states(coordinates: str) -> None:
+    # least effort of a state that its control moves by 1 in 1 s
+    weld = {"type": "weld", "bodies": ["ground", "block"], "points": [[0, 0], [0, 0]]}
+    states = {"x": {"rate": "states.u"}, "u": {"rate": "0"}}
+    spec = block(coordinates=coordinates, initial={}, final={})
+    spec["base"]["model"]["joints"] = {"rail": weld}
+    with pytest.raises(mbdkit.SpecError, match=r"model\.joints: the mechanism has no degree of freedom, and neither"):
+        mbdkit.predict(spec)
+    spec["base"]["model"]["states"] = states
+    spec |= {"controls": {"states.u": {"bounds": [-5, 5]}}, "minimize": "integral(states.u**2)"}
+    run = mbdkit.predict(spec | {"final": {"states.x.value": 1}})
+    assert abs(run.objective - 1.0) <= run.objective_error
