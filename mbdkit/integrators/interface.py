@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -131,6 +132,9 @@ class Timetable:
     samples
         Stops at which the values that sampled controllers hold change. A state that is recorded at the end of a step
         has the values before the change.
+    step_limits
+        Largest controlled steps, so that none misses what a function of time does: pairs of the time from which on a
+        limit applies and the step, in order [s]. Limits change at stops only.
     """
 
     start: float
@@ -147,6 +151,12 @@ class Timetable:
     stop_margins: tuple[float, ...] = ()
     impacts: tuple[float, ...] = ()
     samples: tuple[float, ...] = ()
+    step_limits: tuple[tuple[float, float], ...] = ()
+
+    def longest_step(self, t: float) -> float:
+        """Return the largest controlled step from time `t` on, up to the next stop [s]; infinite without a limit."""
+        number = bisect(self.step_limits, (t, math.inf))
+        return self.step_limits[number - 1][1] if number else math.inf
 
     def sides(self, passed: int) -> tuple[float, float]:
         """Return the earliest and the latest time [s] at which motions are evaluated after `passed` stops.

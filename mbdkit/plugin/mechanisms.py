@@ -39,9 +39,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         AXES as AXES, Affine as Affine, Coordinate as Coordinate, MarkerCoordinate as MarkerCoordinate,
         Quantity as Quantity, RelativeAngle as RelativeAngle, Travel as Travel,
     )
-    from mbdkit.mechanism.motion_corners import (
-        corners_of as corners_of, jet_of as jet_of, switching_times as switching_times,
-    )
+    from mbdkit.mechanism.motion_corners import corners_of as corners_of, jet_of as jet_of
     from mbdkit.mechanism.pathways import (
         AnglePathway as AnglePathway, JointAngles as JointAngles, TwoPoints as TwoPoints, path_ends as path_ends,
     )
@@ -50,6 +48,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         Controller as Controller, FirstOrderState as FirstOrderState, Input as Input, Value as Value,
         is_of_state as is_of_state, of_state as of_state, of_time as of_time,
     )
+    from mbdkit.mechanism.switching_times import switching_times as switching_times
     from mbdkit.mechanism.values import (
         BodyPair as BodyPair, Motion as Motion, Points as Points, curve_of as curve_of,
         columns_of as columns_of, number_or_table as number_or_table, pair as pair, sequence as sequence,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -199,10 +200,11 @@ class ContinuousFunctionals:
         self._take(whole=False)
         return self._sums | self._values | {text: np.array([peak.value]) for text, peak in self._peaks.items()}
 
-    def nested(self, functional: Functional, known: Integrals, events: EventTimes) -> np.ndarray:
+    def nested(self, functional: Functional, known: Integrals, events: EventTimes, deadline: float) -> np.ndarray:
         """Return the value of a nested functional from the values of its inner functionals.
 
-        `events`: function that returns quantities of events.
+        `events`: function that returns quantities of events. `deadline`: `time.perf_counter` after which the value is
+        nan.
         """
         whole = [part for part in self._parts if len(part.time) > 1]
         span = (whole[0].time[0], whole[-1].time[-1]) if whole else (math.nan, math.nan)
@@ -212,6 +214,8 @@ class ContinuousFunctionals:
         for ends in whole:
             for first in range(0, len(ends.time) - 1, BLOCK):
                 last = min(first + BLOCK, len(ends.time) - 1)
+                if perf_counter() > deadline:
+                    return np.full(1, np.nan)
                 if functional.is_value and not ends.time[first] <= time <= ends.time[last]:
                     continue
                 part = self._part(ends, first, last - first)

@@ -226,6 +226,7 @@ class StepHost:
             end = self.timetable.end if stop is None else stop
             if self.equations.first_step is not None:
                 self.equations.first_step = min(self.equations.first_step, end - t)
+            self.equations.longest_step = self.timetable.longest_step(t)
             called(f"{self._attempts.name}.open", self.method.open, self.equations, t, state, end)
             self.equations.first_step = None
 

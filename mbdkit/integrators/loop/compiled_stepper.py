@@ -115,6 +115,9 @@ class CompiledStepper:
             size = min(span, size if size is not None else first_step(workspace, span, control, z0))
         assert size is not None
         self.first_size = size
+        if control is not None:  # below tolerances, as in the tail of a pulse, energies have no digits to be compared
+            mass = float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))
+            self.run_state.guards.kinetic[0] = 0.5 * mass * (control.atol * control.length) ** 2
         progress = self.run_state.progress
         progress.time[0], progress.next_row[0], progress.next_size[0] = timetable.start, 1.0, size
         method.start(self.run_state, size)
@@ -365,6 +368,9 @@ class CompiledStepper:
         """
         c, table = self.run_state, self.timetable
         progress = c.progress
+        if self._control is not None and table.step_limits:
+            t = float(progress.restart[0] if progress.after_stop[0] else progress.time[0])
+            self.plan.control.max_size[0] = min(self._control.max_step, table.longest_step(t))
         if not progress.after_stop[0] or progress.pending[0] or progress.retrying[0]:
             return
         c.base_state[0] = MODIFIED

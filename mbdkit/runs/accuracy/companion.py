@@ -206,6 +206,11 @@ class Budget:
     def __init__(self, seconds: float | None, interrupted: Callable[[], bool]):
         self._begin, self._seconds, self._interrupted = time.perf_counter(), seconds, interrupted
 
+    @property
+    def left(self) -> float | None:
+        """Wall time that is left [s], at least a microsecond; None without a limit."""
+        return None if self._seconds is None else max(1e-6, self._seconds - (time.perf_counter() - self._begin))
+
     def stopped(self) -> str:
         """Return the reason why companions must stop now; empty if they need not stop."""
         if self._interrupted():

@@ -302,7 +302,8 @@ class ControlledLaneStepper(LaneStepper):
         runs, c = self.runs, self.run
         controls = [self._control(mechanism) for mechanism in mechanisms]
         for lane, (control, table) in enumerate(zip(controls, tables, strict=True)):
-            data = control_data(control, smallest_step(table))
+            longest = min(control.max_step, table.longest_step(table.start))
+            data = control_data(replace(control, max_step=longest), smallest_step(table))
             for name in ("rtol", "atol", "min_size", "max_size"):
                 getattr(runs.control, name)[..., lane] = getattr(data, name)
         c.every[0] = 0 if tables[0].interval is not None else tables[0].every
