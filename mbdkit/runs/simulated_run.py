@@ -196,10 +196,10 @@ class SimulatedRun:
         ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
         watchers = StateWatchers(spec, workspace.mechanism, self.size)
         self.writer = writer
-        self.recorder = Recorder(workspace, writer, self.guards, ranges, watchers, finer=spec.finer)
+        self.table = timetable(spec, self.guards)
+        self.recorder = Recorder(workspace, writer, self.table, ranges, watchers, finer=spec.finer)
         if spec.estimates_errors:
             self.recorder.kept = []
-        self.table = timetable(spec, self.guards)
         self.integrals: RunIntegrals | None = None
         if self._functionals:
             suits_stiff = self.method.traits.suits_stiff
@@ -452,7 +452,10 @@ class SimulatedRun:
         """
         inner = self.inner_stepper
         if isinstance(inner, CompiledStepper | StepHost) and inner.sampler.is_needed:
-            self.recorder.record_inputs([*inner.sampler.taken(), *(inner.sampler.ends(inner.time) if at_end else ())])
+            stopped = None if self.watch is None else self.watch.stopped
+            until = math.inf if stopped is None else max(stopped.time, math.nextafter(self.workspace.t0, math.inf))
+            settings = [setting for setting in inner.sampler.taken() if setting.time < until]  # it ends before a jump
+            self.recorder.record_inputs([*settings, *(inner.sampler.ends(inner.time) if at_end else ())])
             if self.workspace.python is not None:
                 self.recorder.record_samples(inner.sampler.taken_samples())
 

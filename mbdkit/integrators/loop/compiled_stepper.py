@@ -46,7 +46,7 @@ from mbdkit.integrators.run.run_state import (
     new_run_state,
 )
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
-from mbdkit.integrators.run.splitting import Change, margin_of_stops
+from mbdkit.integrators.run.splitting import margin_of_stops
 from mbdkit.integrators.run.step_control import Control, first_step
 
 if TYPE_CHECKING:
@@ -194,6 +194,11 @@ class CompiledStepper:
     def passed(self) -> int:
         """See `Stepper.passed`."""
         return int(self.run_state.progress.passed[0])
+
+    @property
+    def energy(self) -> np.ndarray:
+        """See `mbdkit.integrators.run.splitting.Splitting.energy`."""
+        return self.run_state.energy
 
     def begin_again(self) -> None:
         """See `Stepper.begin_again`."""
@@ -532,7 +537,7 @@ class CompiledStepper:
         self.plan = new_plan(self.timetable, self._control, self.workspace.stabilization, limits)
         self.pinned_plan = PinnedBundle(self.plan)
 
-    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
+    def split(self, theta: float) -> tuple[Stretch, list[StepTaken]]:
         """See `mbdkit.integrators.run.splitting.Splitting.split`."""
         step, c = self.last_step, self.run_state
         assert step is not None
@@ -540,7 +545,7 @@ class CompiledStepper:
         stretches, steps = [self._last_rows], [step]
         if step.t1 - t > close:
             self._recall(self._before)
-            self.finished, self.failure = False, None
+            self.finished, self.failure, self.last_step = False, None, None
             self.count()
             stretches, steps = [self.collect(0)], []
             if t - step.t0 > close:
@@ -549,12 +554,13 @@ class CompiledStepper:
                 while self.failure is None and self.time < t - close:
                     stretches.append(self.advance())
                     steps += [] if self.last_step is None else [self.last_step]
-        if self.failure is None and not self.finished:
-            c = self.run_state
-            c.z[:], c.z_low[:] = change(t, (c.q.copy(), c.v.copy(), c.z.copy())), 0.0
-            c.base_state[0], c.progress.retrying[0], c.guards.energy[0] = MODIFIED, 0, np.nan
-            self.method.forget()
         return joined(stretches), steps
+
+    def change(self, values: Mapping[int, float]) -> None:
+        """See `mbdkit.integrators.run.splitting.Splitting.change`."""
+        c = self.run_state
+        c.z_low[:], c.progress.retrying[0], c.guards.energy[0] = 0.0, 0, np.nan
+        self.hold(values)
 
     def count(self) -> None:
         """Copy counts and time from the records of the compiled code."""

@@ -31,7 +31,7 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_ro
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import kernel, subkernel
-from mbdkit.integrators.interface import SAME_TIME
+from mbdkit.integrators.interface import ROUNDING, SAME_TIME, SIMULTANEOUS
 from mbdkit.integrators.loop.projected_step import project, take
 from mbdkit.integrators.run.run_plan import NEAR_SINGULARITY, NO_PROJECTION, PLAIN, SYMMETRIC, load_plan
 from mbdkit.integrators.run.run_state import (
@@ -379,29 +379,24 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
 
 
 @subkernel
-def _begins_at_impact(plan, progress):
-    n = progress.passed[0] - 1
-    is_at_stop = progress.after_stop[0] != 0 and n >= 0 and plan.times.stops[n] == progress.restart[0]
-    return is_at_stop and plan.times.impacts[n] != 0
-
-
-@subkernel
 def _write_inner_rows(run, method, dense, plan, rows):
     """Write the rows by interval within the pending step after `rows` others; return a status and the new number.
 
-    The buffer may be full before all are written: the step then stays pending.
+    A row at the end of the step belongs to it, and not to the next one: where the step ends at an event or at a stop,
+    it shows the limit from before. The buffer may be full before all are written: the step then stays pending.
     """
     c = load_run_state(run)
     progress, interval = c.progress, plan.recording.interval[0]
     start, end = plan.times.start[0], plan.times.end[0]
     t, h = progress.tried_begin[0], progress.last_size[0]
     reached, _ = _end_of_step(plan, progress, t, h, progress.at_stop[0] != 0)
-    reached = min(reached, c.w.sides[1])  # a row at a stop shows the right-hand limit
-    earliest = c.w.sides[0] if _begins_at_impact(plan, progress) else -np.inf
+    if progress.at_stop[0] != 0 or progress.part[0] != 0.0:
+        reached += SIMULTANEOUS * max(1.0, abs(reached))
+    else:
+        reached += ROUNDING * max(abs(start), abs(end))
     at = start + progress.next_row[0] * interval
     while rows < len(c.row_time) and at <= reached and at < end - ROW_MARGIN * interval:
-        shown = max(at, earliest)
-        status = _dense_row(run, method, dense, rows, t, h, shown, plan.projection.mode[0])
+        status = _dense_row(run, method, dense, rows, t, h, at, plan.projection.mode[0])
         if status != OK:
             return status, rows
         rows += 1

@@ -172,7 +172,8 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
     """
     method = make_method(spec)
     workspace, _ = build(spec)
-    stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
+    table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
+    stepper = start_method(method, workspace, table)
     none = np.zeros(1)
     stretches = [
         Stretch(
@@ -190,7 +191,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
     observed = observer.arrays(len(rows.time))
     assert rows.z is not None
     q, v, z = (np.ascontiguousarray(x) for x in (rows.q, rows.v, rows.z))
-    if observer.observe(rows.time, q, v, observed, z=z) is not None:
+    if observer.observe(table.before(rows.time), q, v, observed, z=z) is not None:
         raise RunError("a recorded state has no unique accelerations")
     energy = np.stack([rows.work, rows.dissipated], axis=-1)
     q, v, z, energy, *values = (x[..., None] for x in (q, v, z, energy, *observed))
@@ -373,7 +374,9 @@ class _Pass:
                 for x, end in zip((q, v, z, energy), self._moving_end(last, moved), strict=True)
             )
         history = [] if self._sided is None else self._sided.history
-        rows = self._evaluated([(one.rows + 1, one.sides) for one in history], time, q, v, z, None, energy)
+        seen = self.stepper.timetable.before(time)
+        rows = self._evaluated([(one.rows + 1, one.sides) for one in history], seen, q, v, z, None, energy)
+        rows = replace(rows, time=time)
         nodes = self._nodes([(one.nodes, one.sides) for one in history]) if self.steps.run.nodes[0] else None
         sizes = self.stepper.sizes_taken if self.stepper.controlled else None
         motions = () if self.motion is None else (self.motion,)

@@ -55,6 +55,7 @@ class RunAtTimes:
         RunError
             If the run ends early.
         """
+        times = self.stepper.timetable.before(times)  # type: ignore[attr-defined]
         moments, sides = self._within(times) if self.way == "within" else self._rows(times)
         self.workspace.clamp_motions(-np.inf, np.inf)
         changes = [k for k in range(1, len(times)) if sides[k] is not sides[k - 1]]
