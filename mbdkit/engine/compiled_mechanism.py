@@ -325,8 +325,18 @@ class CompiledMechanism:
         damped = np.any(top.linear[:, LINEAR.damping]) or np.any(top.section_parameters[:, -3:])
         of_joints = np.concatenate([top.functions[:, FUNCTION.law], top.functions[:, FUNCTION.law] + 1])
         laws = np.delete(np.arange(len(top.laws)), of_joints)
-        moved = np.any(top.laws[top.functions[:, FUNCTION.law], LAW_ROW.claims] == OF_TIME)
-        return bool(len(top.loads) or len(self.drives) or damped or len(laws) or moved)
+        return bool(len(top.loads) or damped or len(laws) or self.is_driven)
+
+    @cached_property
+    def is_driven(self) -> bool:
+        """Whether constraints depend on the time."""
+        claims = self.topology.laws[self.topology.functions[:, FUNCTION.law], LAW_ROW.claims]
+        return bool(len(self.drives) or np.any(claims == OF_TIME))
+
+    @cached_property
+    def is_locked(self) -> bool:
+        """Whether nothing can move, so that all velocities and energies of motion are rounding errors."""
+        return self.coordinates == int(np.sum(self.topology.rows)) and not self.is_driven
 
     @cached_property
     def drives(self) -> np.ndarray:

@@ -67,7 +67,10 @@ def _wrong_rows(rows: Sequence[str], units: Sequence[str]) -> str:
 
 @check("joint.functions")
 def functions(kind: JointUnderTest) -> Result:
-    """There is one function for each row; it can be differentiated, has no memory, and equal ones are one object."""
+    """There is one function for each row; it can be differentiated, has no memory, and equal ones are one object.
+
+    A function of a place does not depend on where the pair lies.
+    """
     number, mechanism = 0, kind.spec.mechanism()
     for name, joint in kind.joints.items():
         start = mechanism.relative_pose(joint)
@@ -83,6 +86,12 @@ def functions(kind: JointUnderTest) -> Result:
                 return failed(
                     f"the function of row '{row}' is another one when it is called again; it may depend on `pose` and "
                     "`p` only, not on counters, clocks, random numbers or variables that change"
+                )
+            if terms.of("first") and (terms.of("x") or terms.of("y")):
+                return failed(
+                    f"row '{row}' of '{name}' is a function of a place and of `pose.first`, so that its curve lies in "
+                    "the global frame, and its reaction has a torque on the pair that no body exerts; `x` and `y` are "
+                    "those of a's frame already, and `first` is for couplings of angles alone"
                 )
         try:
             are_equal = [(one.function, hash(one.function)) for one in first] == [

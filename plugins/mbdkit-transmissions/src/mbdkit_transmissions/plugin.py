@@ -66,6 +66,15 @@ def mbdkit_items() -> Iterable[Item]:
             example="knee-slot",
         ),
         CriterionItem(
+            name="locked-joints",
+            summary="Gears, couplings and other joints of this part that cannot move.",
+            order=175,
+            stage="rows",
+            find=Target("mbdkit_transmissions.trains:watch_still_joints"),
+            elements="joints",
+            types=frozenset({"gear", "rack", "rolling", "belt", "cam", "slot", "coupling"}),
+        ),
+        CriterionItem(
             name="pulled-joints",
             summary="Cams and rolling wheels whose reaction pulls, so that they would lift off.",
             order=180,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import Mechanism
+from mbdkit import EquationsOfMotion, Mechanism
 from tests.margins import assert_within
 
 from .drawn_transmissions import drawn
@@ -141,6 +141,36 @@ def test_followers_of_an_eccentric_circle(follower: Any, height: Callable[[Any],
     m.driver("turn", m.ground, "a", coordinate="angle", motion="10*t")
     found = run(m)
     np.testing.assert_allclose(found.bodies["b"].position[:, 1], height(10 * found.time), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("lobes", "share"), [(2, 0.75), (3, 0.85), (5, 0.95), (8, 0.95), (4, 0.99), (2, None), (3, None), (7, None)]
+)
+def test_followers_that_hardly_fit_into_hollows_touch_the_profile(lobes: int, share: float | None) -> None:
+    """Rollers, of a share of the radius of a hollow, are on the curve at the distance of their radius from the profile.
+
+    Flat faces, without a share, are on tangents of a profile that is almost straight between its lobes.
+    """
+    depth = 0.95 / (lobes**2 + 1) if share is None else 0.3
+    s = np.linspace(-np.pi, np.pi, 2001)
+    r, slope = 0.1 * (1 + depth * np.cos(lobes * s)), -0.1 * depth * lobes * np.sin(lobes * s)
+    bend = -0.1 * depth * lobes**2 * np.cos(lobes * s)
+    curvature = (r * r + 2 * slope * slope - r * bend) / (r * r + slope * slope) ** 1.5
+    normal = (r + 1j * -slope) * np.exp(1j * s) / np.hypot(r, slope)
+    roller = 0.0 if share is None else share / -curvature.min()
+    follower = {"flat": [1, 0]} if share is None else {"roller": roller}
+    centre = r * np.exp(1j * s) + roller * normal
+    m = Mechanism()
+    m.body("cam", mass=1, inertia=1)
+    place = float(centre[0].real), float(centre[0].imag)
+    m.body("follower", mass=1, inertia=1, position=place, angle=float(np.angle(normal[0])))
+    m.cam("C", "cam", "follower", profile=f"0.1*(1 + {depth}*cos({lobes}*angle))", follower=follower)
+    equations = EquationsOfMotion.of(m)
+    for offset in (0.0, 1e-3):
+        places = centre + offset * normal
+        states = [[0, 0, 0, z.real, z.imag, np.angle(n)] for z, n in zip(places, normal, strict=True)]
+        distances = [equations.constraints(0.0, np.array(q))[0] for q in states[::7]]
+        np.testing.assert_allclose(distances, offset, rtol=0, atol=1e-12 if offset == 0.0 else 3e-4)
 
 
 @pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 60))])
