@@ -136,22 +136,20 @@ class CompiledInput:
 class Redundancy:
     """Redundant constraints of a mechanism; none by default.
 
-    `rows`: number of redundant constraint rows. They are excluded from the equations that are solved. `joints`: joints
-    that the redundant rows belong to, drivers included, in the order of the mechanism. `not_unique`: joints whose
-    reactions are not uniquely determined by the motion.
+    `rows`: number of redundant constraint rows. As many are excluded from the equations that are solved. `not_unique`:
+    joints, drivers included, whose reactions are not uniquely determined by the motion.
     """
 
     rows: int = 0
-    joints: tuple[str, ...] = ()
     not_unique: tuple[str, ...] = ()
 
     def describe(self, drivers: Collection[str] = ()) -> str:
-        """Return a description such as ``1 redundant row: joint D``; empty if there are no redundant rows."""
+        """Return a description such as ``1 redundant row: joints A and D``; empty if there are no redundant rows."""
         if not self.rows:
             return ""
         kinds = (
-            ("joint", [name for name in self.joints if name not in drivers]),
-            ("driver", [name for name in self.joints if name in drivers]),
+            ("joint", [name for name in self.not_unique if name not in drivers]),
+            ("driver", [name for name in self.not_unique if name in drivers]),
         )
         named = [f"{kind}{'s' * (len(names) > 1)} {listed(names, 'and')}" for kind, names in kinds if names]
         return f"{counted(self.rows, 'redundant row')}: {listed(named, 'and')}"

@@ -204,16 +204,16 @@ def test_redundant_joints_are_named_by_validate_run_and_info(mbdkit, in_tmp_path
     (in_tmp_path / "spec.yaml").write_text(SPARE)
     result = mbdkit("validate", "spec.yaml")
     assert result.exit_code == 0, result.stderr
-    assert "freedom      1 degree of freedom, 6 joints, 1 redundant row: joint D\n" in result.stdout
+    assert "freedom      1 degree of freedom, 6 joints, 1 redundant row: joints A, B, C, E, F and D\n" in result.stdout
     result = mbdkit("run", "spec.yaml")
     assert result.exit_code == 0, result.stderr
-    assert "redundancy    1 redundant row: joint D; reactions are not unique" in result.stdout
+    assert "redundancy    1 redundant row: joints A, B, C, E, F and D; reactions are not unique" in result.stdout
     result = mbdkit("archive", "info", "spec.h5")
-    assert "redundancy        1 redundant row: joint D\n" in result.stdout
+    assert "redundancy        1 redundant row: joints A, B, C, E, F and D\n" in result.stdout
     assert result.stdout.count(", not unique\n") == 5
     assert mbdkit("archive", "check", "spec.h5").exit_code == 0
     with load("spec.h5") as run:
-        assert run.redundancy == "1 redundant row: joint D"
+        assert run.redundancy == "1 redundant row: joints A, B, C, E, F and D"
         for path in ("joints/reaction_force", "joints/reaction_torque", "constraints/multiplier"):
             assert run.file[path].attrs["not_unique"] == "A, B, C, E, F, D"
 

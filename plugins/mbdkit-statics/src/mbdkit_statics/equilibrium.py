@@ -27,6 +27,11 @@ UNDAMPED = (
     "little damping may make it unstable"
 )
 
+CORNER = (
+    "a force has a corner in this position, as a rope that is just taut or a stop that just touches: the stiffness "
+    "depends on the direction, and the lowest of all sides is given"
+)
+
 
 @dataclass(frozen=True)
 class Equilibrium(HtmlView):
@@ -60,10 +65,11 @@ class Equilibrium(HtmlView):
         With more than 500 bodies and several negative eigenvalues, it is the negative eigenvalue closest to zero.
     stability
         ``stable``, ``neutral`` (a motion without restoring force exists), ``unstable``, ``fixed`` (no degrees of
-        freedom), or ``unknown`` (more than 500 bodies, or beams with first-order states, whose forces can supply
-        energy: the motions that were examined do not grow). Small motions decide, to first order: the minimum of the
-        potential energy if forces have a potential and damping takes energy away, otherwise the eigenvalues of the
-        linearised motion, with its velocities and first-order states.
+        freedom), ``corner`` (a force has a corner there, and neither all sides are stable nor a motion is found that
+        leads to where it is driven on), or ``unknown`` (more than 500 bodies, or beams with first-order states, whose
+        forces can supply energy: the motions that were examined do not grow). Small motions decide, to first order: the
+        minimum of the potential energy if forces have a potential and damping takes energy away, otherwise the
+        eigenvalues of the linearised motion, with its velocities and first-order states.
     growth
         Eigenvalue of the small motion that grows fastest [1/s], if it is unstable: a real number for divergence, a
         complex one for flutter. 0 if no motion grows exponentially.
@@ -202,7 +208,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         beams=forces,
         displacement=(found.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
-        warnings=(*outside, *warnings, *[UNDAMPED] * stability.is_undamped),
+        warnings=(*outside, *warnings, *[UNDAMPED] * stability.is_undamped, *[CORNER] * stability.is_corner),
     )
 
 

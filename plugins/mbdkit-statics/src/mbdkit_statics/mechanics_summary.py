@@ -22,6 +22,7 @@ STABILITY = {
     "stable": "stable",
     "neutral": "neutral: a motion without restoring force exists",
     "fixed": "fixed: joints and drivers leave no degree of freedom",
+    "corner": "undecided: a force has a corner here, and some of its sides are soft",
     "unknown": "unknown: the lowest motions do not grow, but higher ones were not examined",
 }
 

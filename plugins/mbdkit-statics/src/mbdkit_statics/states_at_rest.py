@@ -105,7 +105,7 @@ class StatesAtRest:
                 break
             z[free] += change
             size = np.maximum(np.abs(z[free]), LEAST * np.max(np.abs(z)))
-            shares = np.divide(np.abs(change), size, out=np.zeros_like(change), where=change != 0.0)
+            shares = np.divide(np.abs(change), size, out=np.where(change == 0.0, 0.0, np.inf), where=size > 0.0)
             now = float(np.max(shares, initial=0.0))
             if now <= SMALL or (now >= STALLED * before and now <= NEGLIGIBLE):
                 self.z = z

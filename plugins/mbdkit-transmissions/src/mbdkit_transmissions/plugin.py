@@ -85,6 +85,15 @@ def mbdkit_items() -> Iterable[Item]:
             elements="joints",
             types=frozenset({"cam", "rolling"}),
         ),
+        CriterionItem(
+            name="meshing",
+            summary="Gears, racks and belts whose axes do not keep their distance, and pins that leave their slot.",
+            order=185,
+            stage="rows",
+            find=Target("mbdkit_transmissions.meshing:watch_meshing"),
+            elements="joints",
+            types=frozenset({"gear", "rack", "belt", "slot"}),
+        ),
         SummaryLine(
             name="rolling",
             summary="Friction that rolling wheels need.",

@@ -187,3 +187,30 @@ def test_drawn_mechanisms_move_alike_in_all_formulations(seed: int) -> None:
     for other, accuracy in zip(last[1:], (1e-9, 1e-10, 1e-10), strict=True):
         np.testing.assert_allclose(other, last[0], rtol=0, atol=accuracy)
     assert_within(max(np.max(np.abs(joint.misalignment)) for joint in found[0].joints.values()), 1e-9)
+
+
+def pinned_pair(torque: float) -> Mechanism:
+    """Two gears on pins, 0.3 m apart, of which a torque turns the first."""
+    m = Mechanism(gravity=(0, 0))
+    a = m.body("a", mass=1, inertia=0.01)
+    b = m.body("b", mass=1, inertia=0.01, position=(0.3, 0))
+    m.revolute("A", m.ground, a, at=(0, 0))
+    m.revolute("B", m.ground, b, at=(0.3, 0))
+    m.gear("G", a, b, radii=(0.1, 0.2))
+    m.torque("T", a, value=torque)
+    return m
+
+
+@pytest.mark.parametrize(("torque", "ship"), [(1.0, None), (0.01, 1e7), (1e-8, None), (1e-8, 1e7)])
+def test_the_radial_force_of_teeth_does_not_depend_on_its_size_or_on_other_bodies(
+    torque: float, ship: float | None
+) -> None:
+    m = pinned_pair(torque)
+    if ship is not None:
+        m.body("ship", mass=ship, inertia=ship, position=(5, 0))
+    found = run(m, 0.05)
+    # the gear turns 0.01 and 0.01 / 4 kg m^2, so that the teeth carry what accelerates the second one
+    tangential = torque * 0.5 * 0.01 / (0.01 * 1.25) / 0.2
+    np.testing.assert_allclose(found.joints["G"].reaction_force[-1], [0.0, tangential], rtol=0, atol=1e-9 * tangential)
+    radial = tangential * math.tan(math.radians(20.0))
+    np.testing.assert_allclose(found.joints["B"].reaction_force[-1], [-radial, -tangential], rtol=1e-9)
