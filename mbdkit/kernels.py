@@ -123,7 +123,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         RunState as RunState, keep_node as keep_node, load_run_state as load_run_state,
     )
     from mbdkit.integrators.run.step_guards import begin_energy as begin_energy, new_guard_state as new_guard_state
-    from mbdkit.integrators.loop.step_loop import PAUSED as PAUSED, REFUSED as REFUSED
+    from mbdkit.integrators.loop.step_loop import PAUSED as PAUSED, REFUSED as REFUSED, SHORTER as SHORTER
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -471,7 +471,7 @@ class Treatment(Feature):
         Key of the elements in the model.
     reacting
         Whether the elements exert no forces of their own: the steps of the run determine their reactions, as they do
-        for joints. All fields that follow are for such treatments.
+        for joints. All fields that follow but `method` are for such treatments.
     require
         Function that raises SpecError if a run does not suit the treatment.
     begin

@@ -71,6 +71,14 @@ AT_STOP = 8
 PAUSED, REFUSED = 9, 10
 """Statuses of attempts: `CompiledMethod.resume` is to be called before another one, or no step can succeed."""
 
+SHORTER = 11
+"""Status of a look into a step (`Reacting.add_forces`): it is to be taken again with the size that is now
+``tried_size``.
+"""
+
+LEAST_AFTER = 0.1
+"""Least size of the step after one that was shortened by a look into it, relative to the size planned before."""
+
 ROW_MARGIN = 1e-9
 """A row recorded by `interval` that is closer to the end than this share of the interval is replaced by the row at the
 end."""
@@ -269,11 +277,19 @@ def _try_step(run, method, attempt, plan, path):
     iterations = c.counts[ITERATIONS] - before
     if progress.part[0] != 0.0:
         h, at_stop = progress.part[0], False
-    error = 0.0
+    error, planned = 0.0, h
     projected = jumped = False
     at = jump = total = kinetic = rounding = 0.0
-    if status == OK and control.controlled[0]:
+    while status == OK and control.controlled[0]:
         error = local_error(plan.control, c, c)
+        if c.w.reacting.add_forces[1] == 0 or not error <= 1.0:
+            break
+        # error control sees only the motion: a step that would pass over the begin or end of a contact ends there
+        status, progress.part[0] = call_entry(c.w.reacting.add_forces[1], run, method, t, h, 0.0), 0.0
+        if status != SHORTER:
+            break
+        h, at_stop, c.base_state[0] = progress.tried_size[0], False, AT_START_OF_LAST
+        status = take(run, method, attempt, t, h, control.controlled[0], plan.projection)
     # the distance is estimated from the factors of the last solution, at negligible cost
     if status == OK and error <= 1.0:
         distance = 1.0
@@ -307,6 +323,8 @@ def _try_step(run, method, attempt, plan, path):
     if projected:
         _note_projection(c)
     _accept(c, plan, t, h, error, at_stop)
+    if h < planned and progress.part[0] == 0.0:
+        progress.next_size[0] = max(progress.next_size[0], LEAST_AFTER * planned)
     c.base_state[0] = MODIFIED if projected or at_stop else AT_END_OF_LAST
     return OK
 

@@ -201,14 +201,18 @@ class EventDrivenLibrary(ExternalMethod):
         if self._ended:
             self._begin(self._step)
         step, begin = self._step, self._step.now
-        with step.events.acting():
-            made = step.acting(self._library.advance())
-        if made.dense is None or made.time is None:
-            raise StepError("not-finite", "the library gives no states within its steps")
-        end = made.state
-        step.dense = dense = made.dense
-        there = StepPoint(float(made.time), end.q, end.v, end.z, multipliers=end.multipliers, made=made)
-        search = step.first_event(there)
+        while True:
+            with step.events.acting():
+                made = step.acting(self._library.advance())
+            if made.dense is None or made.time is None:
+                raise StepError("not-finite", "the library gives no states within its steps")
+            end = made.state
+            step.dense = dense = made.dense
+            there = StepPoint(float(made.time), end.q, end.v, end.z, multipliers=end.multipliers, made=made)
+            search = step.first_event(there)
+            if search is None or not step.is_unclear:
+                break
+            self._begin(step, begin.t + search[0] * (there.t - begin.t))
         share, event = (1.0, None) if search is None else search
         if share < 1.0:
             there = step.inside(there, share)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,10 @@ FAILURES: dict[int, tuple[str, str]] = {
 """Codes and clauses of the reasons for which a step fails."""
 FIRST_ROOM, MOST_SAMPLES = 8, 64
 """Number of contacts that may act at once before larger arrays are needed, and largest number of samples in a step."""
+SLOWEST = 1e-3
+"""Least value of the largest velocity of a motion, so that rounding errors of bodies at rest count as zero, relative to
+that of a fall over the length of the mechanism, or without gravity, to this length per second.
+"""
 MOST_SHARES = 1024
 """Size of ``Known.shares``."""
 _PASSED = tuple(name for name in Known._fields if name not in ("number", "rows", "strikes"))
@@ -68,7 +73,7 @@ def _new_known(count: int, size: int, pairs: int, held: int) -> Known:
         shares=np.zeros(MOST_SHARES), determined=integers(2), event=integers(2), streak=integers(1),
         normal=np.zeros(count), tangent=np.zeros(count), force=np.zeros(size),
         energy=np.zeros(1), times=np.full(2, np.inf), flags=integers(4, count), number=integers(2),
-        rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(1),
+        rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(2),
         shown=np.zeros((2, held)), shift_q=np.zeros(size), shift_v=np.zeros(size),
     )  # fmt: skip
 
@@ -92,10 +97,12 @@ class ContactEvents:
         def integers(*shape: int) -> np.ndarray:
             return np.zeros(shape, dtype=np.int64)
 
+        fall = equations.length * float(np.hypot(*top.gravity))
+        slowest = SLOWEST * (math.sqrt(fall) if fall > 0.0 else equations.length)
         self._shapes = self.contacts.shapes
         given: dict[str, Any] = {
             "coefficients": np.column_stack([self.contacts.restitution, self.contacts.static, self.contacts.kinetic]),
-            "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3])]),
+            "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3]), 0.0, 0.0, slowest]),
             "places": np.array([held.states.start, len(held.states)]),
             "coordinates": np.array(held.coordinates, dtype=np.int64),
             "known": _new_known(count, size, pairs, len(held.states)),

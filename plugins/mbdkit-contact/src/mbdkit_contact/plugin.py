@@ -167,6 +167,16 @@ def mbdkit_items() -> Iterable[Item]:
             elements="contacts",
         ),
         CriterionItem(
+            name="long-steps-at-contacts",
+            summary="Fixed steps so long that bodies may pass through each other.",
+            order=176,
+            stage="rows",
+            find=Target("mbdkit_contact.deep_overlaps:watch_long_steps"),
+            of=frozenset({"run"}),
+            criteria=("long-steps-at-contacts",),
+            elements="contacts",
+        ),
+        CriterionItem(
             name="rigid-overlaps",
             summary="Rigid bodies that overlap.",
             order=177,
@@ -177,7 +187,13 @@ def mbdkit_items() -> Iterable[Item]:
             level="bad",
             elements="contacts",
         ),
-        Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0, of="contacts"),
+        Treatment(
+            name="compliant",
+            summary="Forces by the overlap of the shapes.",
+            order=0,
+            of="contacts",
+            method=Target("mbdkit_contact.compliant_steps:compliant"),
+        ),
         Treatment(
             name="event-driven",
             summary="Rigid bodies; impacts and changes between sticking, slipping and separation are located.",

@@ -38,7 +38,7 @@ class RigidContacts:
     def __init__(self, equations: EquationsOfMotion):
         self.p = equations
         acting: tuple[ActingContact, ...] = equations.workspace.mechanism.extensions.get("contacts", ())
-        self.contacts = tuple(contact for contact in acting if contact.first_state >= 0)
+        self.contacts = tuple(acting)
         self.held = HeldForces(self.contacts)
         #: Whether a first-order state (Z,) does not belong to contacts.
         self._is_own = np.ones(len(equations.z0), dtype=bool)

@@ -80,7 +80,7 @@ def event_driven(
     """
     traits = method.traits
     if traits.compiled is not None:
-        return lambda between: CompiledEventDriven(between, treatment)
+        return lambda between: CompiledEventDriven(between, treatment, traits.tolerances)
     steps = method if traits.steps is None else traits.steps()(method)
     if isinstance(steps, ExternalMethod):
         return EventDrivenLibrary(steps, treatment)

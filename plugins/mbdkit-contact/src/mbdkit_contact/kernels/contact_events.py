@@ -540,7 +540,11 @@ def _change_modes(e, m, kind, contact):
     if status != OK or kind != NORMAL or modes[contact] == OPEN:
         return status
     status = find_accelerations(e, m)
-    if status != OK or m.normal[contact] > least:
+    has_changed = False
+    for i in range(len(modes)):
+        has_changed |= modes[i] != m.kept_modes[i]
+    # in the same modes, the force is that whose zero was located, even if all forces vanish at this instant
+    if status != OK or (has_changed and m.normal[contact] > least):
         return status
     for i in range(len(modes)):  # the force vanishes now, and would pull later
         m.touching[i], m.sliding[i] = m.struck[i], 0.0

@@ -44,8 +44,6 @@ SAME = 1e-10
 """Gaps below this, relative to the length of the mechanism, and velocities below this, relative to the largest of the
 motion, count as zero.
 """
-SLOWEST = 1e-3
-"""Least value of the largest velocity of a motion [m/s], so that rounding errors of bodies at rest count as zero."""
 SAME_ACCELERATION = 1e-9
 """Accelerations below this share of those without contact forces count as zero."""
 REDUNDANT = 1e-6
@@ -65,7 +63,7 @@ EXACT_GAP = 1e-15
 @subkernel
 def speed(m):
     """Return the largest velocity of the motion so far, from its kinetic energy [m/s]."""
-    return max(sqrt(2.0 * m.known.energy[0] / m.limits[2]), SLOWEST)
+    return max(sqrt(2.0 * m.known.energy[0] / m.limits[2]), m.limits[5])
 
 
 @subkernel

@@ -75,7 +75,7 @@ class Known(NamedTuple):
     strikes: RealMatrix
     """(S, N + 2 P) positions, and multipliers of the impulses of joints."""
     until: RealVector
-    """(1,) time at which `event` happens [s]."""
+    """(2,) time at which `event` happens, and size of the last step that has resolved the forces [s]."""
     shown: RealMatrix
     """(2, H) forces and modes that rows show at the start and at the end of the last step."""
     shift_q: RealVector
@@ -168,7 +168,8 @@ class EventBundle(NamedTuple):
     law: IntVector
     """(1,) number of the law of impact."""
     limits: RealVector
-    """(3,) share of the energy below which sequences of impacts are cut, length of the mechanism [m], mass [kg]."""
+    """(6,) share of the energy below which sequences of impacts are cut, length of the mechanism [m], mass [kg],
+    relative and absolute tolerance of controlled steps, and the least value of the largest velocity [m/s]."""
     places: IntVector
     """(2,) index of the first of the states that hold forces and modes, and their number; (D,) coordinates whose sums
     of forces follow them."""
