@@ -14,7 +14,8 @@ from mbdkit_biomech.inverse_dynamics.muscles.loads_over_time import (
     share_over_time,
     smallest_supplement_over_time,
 )
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads
 from tests.margins import assert_within
 
 TIME = np.linspace(0.0, 0.3, FRAMES)

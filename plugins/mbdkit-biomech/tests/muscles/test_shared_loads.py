@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import linprog
 from tests.muscles.shared_loads import EQUATIONS, FRAMES, by_casadi, problems
 
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, share_loads, smallest_supplement
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads, smallest_supplement
 from tests.margins import assert_within
 
 

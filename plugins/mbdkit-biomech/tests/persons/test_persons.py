@@ -358,7 +358,7 @@ REFUSED: dict[str, tuple[Callable[[Data], Data], dict[str, Any], str]] = {
         r"motion.centers.knee: is functional, but no point of one segment stays at a point of the other"),
     "shank and foot that turn together": (lambda d: {one: own[20:32] for one, own in d.items()},
         {"motion": {"centers": {"ankle": "functional"}}},
-        r"motion.centers.ankle: is functional, but the two segments turn together: .* changes by \d+ deg"),
+        r"motion.centers.ankle: is functional, but the motion does not determine the centre: .* changes by \d+ deg"),
     "a gap that may not be bridged": (lambda d: {one: np.where(np.arange(len(own)) == 40, np.nan, own)
                                                  if one[:-2] in ("RTHU", "RTHF") else own for one, own in d.items()},
         {}, r"row 41: column 'markers.hip.x': the value is missing"),
@@ -417,6 +417,19 @@ def test_a_static_trial_of_other_markers_is_doubtful(tmp_path: Path, fault: str)
     findings = person_of(recorded(heading=2.0), motion={"static": str(tmp_path / "static.trc")}).findings
     sentences = [one.sentence for one in findings if one.criterion == "centers" and "another shape" in one.sentence]
     assert len(sentences) == (fault != "none")
+
+
+def test_a_static_trial_of_another_person_is_the_cause_of_a_centre_that_is_not_known(tmp_path: Path) -> None:
+    walker, random = Walker.of_example(2), np.random.default_rng(3)
+    standing = {
+        name: np.repeat(own[:1] + 0.06 * random.standard_normal(3), 10, 0) for name, own in walker.markers().items()
+    }
+    (tmp_path / "static.trc").write_text(trc_text(walker.time[:10], standing))
+    motion = {"static": str(tmp_path / "static.trc"), "centers": FUNCTIONAL}
+    with pytest.raises(SpecError, match=r"another shape in `motion.static` .*: is it a trial of this person") as error:
+        person_of(recorded(heading=2.0), motion=motion)
+    assert error.value.key == "motion.static"
+    assert "not at all" not in str(error.value)
 
 
 def test_what_has_no_effect() -> None:
