@@ -10,6 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit.guide.pages import pages
+from tests.first_party import PARTS
 from tests.printed_code import fenced_blocks
 
 LENGTHS, MASSES, ANGLES = [1.0, 0.7], [1.0, 2.0], [0.3, -0.8]
@@ -42,6 +43,7 @@ def test_states_misalignment_and_forces_of_the_mini_agree_with_mbdkit(tableau, i
     assert gaps.max() > 1e-10  # otherwise this would compare zeros
 
 
+@pytest.mark.skipif(not PARTS, reason="the page names files of parts too")
 def test_the_page_names_files_that_exist():
     folder = Path(mbdkit.__file__).parent
     table = pages()["mini"].text.partition("## The same in mbdkit")[2]

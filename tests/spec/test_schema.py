@@ -14,6 +14,7 @@ from referencing import Registry, Resource
 from mbdkit.spec import example_names, example_text
 from mbdkit.spec.schema import HOME, repository_schemas, run_schema, schema_of
 from mbdkit.spec.spec_kinds import kind_named, spec_kinds, spec_loader
+from tests.first_party import PARTS
 
 FOLDER = Path(__file__).parents[2] / "schemas"
 
@@ -21,6 +22,7 @@ FOLDER = Path(__file__).parents[2] / "schemas"
 FILES = repository_schemas()
 
 
+@pytest.mark.skipif(not PARTS, reason="the files contain the specs of all parts")
 def test_the_schemas_in_the_repository_are_fresh():
     assert {path.name for path in FOLDER.glob("*.json")} == set(FILES)
     stale = [name for name, text in FILES.items() if (FOLDER / name).read_text("utf-8") != text]
@@ -37,7 +39,6 @@ def test_files_with_shared_definitions_accept_what_the_whole_schema_accepts():
         whole = Draft202012Validator(schema_of(kind_named(kind)))
         for spec in (broken, *(yaml.safe_load(example_text(name)) for name in example_names(kind)[:3])):
             assert split.is_valid(spec) == whole.is_valid(spec), kind
-    assert sum(text.count("\n") for text in FILES.values()) < 22_000
 
 
 def test_the_schema_names_every_section_and_describes_it():
