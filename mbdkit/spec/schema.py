@@ -120,7 +120,7 @@ def repository_schemas() -> dict[str, str]:
     files = {"definitions": {"$schema": DRAFT, "$defs": shared}}
     for kind, schema in schemas.items():
         local = {name: part for name, part in schema.pop("$defs").items() if name not in shared}
-        files[kind] = _with_references({"$defs": local, **schema}, shared)
+        files[kind] = _redirect_references({"$defs": local, **schema}, shared)
     return {
         f"{name}.schema.json": _text({"$schema": DRAFT, "$id": HOME.format(name), **schema})
         for name, schema in files.items()
@@ -148,12 +148,12 @@ def _references(part: object) -> Iterator[str]:
         yield from _references(inner)
 
 
-def _with_references(part: Any, shared: Mapping[str, Any]) -> Any:
+def _redirect_references(part: Any, shared: Mapping[str, Any]) -> Any:
     """Return a part of a schema whose references to `shared` definitions lead to their file."""
     if isinstance(part, dict):
-        return {key: _with_references(value, shared) for key, value in part.items()}
+        return {key: _redirect_references(value, shared) for key, value in part.items()}
     if isinstance(part, list):
-        return [_with_references(inner, shared) for inner in part]
+        return [_redirect_references(inner, shared) for inner in part]
     if isinstance(part, str) and part.startswith(LOCAL) and part.removeprefix(LOCAL) in shared:
         return f"definitions.schema.json{part}"
     return part

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,23 +20,25 @@ from tests.first_party import PARTS
 FOLDER = Path(__file__).parents[2] / "schemas"
 
 
-FILES = repository_schemas()
+@cache
+def files():
+    return repository_schemas()
 
 
 @pytest.mark.skipif(not PARTS, reason="the files contain the specs of all parts")
 def test_the_schemas_in_the_repository_are_fresh():
-    assert {path.name for path in FOLDER.glob("*.json")} == set(FILES)
-    stale = [name for name, text in FILES.items() if (FOLDER / name).read_text("utf-8") != text]
+    assert {path.name for path in FOLDER.glob("*.json")} == set(files())
+    stale = [name for name, text in files().items() if (FOLDER / name).read_text("utf-8") != text]
     assert not stale, "write them again: `python -m mbdkit.spec.schema schemas`"
 
 
 def test_files_with_shared_definitions_accept_what_the_whole_schema_accepts():
     registry = Registry().with_resources(
-        (json.loads(text)["$id"], Resource.from_contents(json.loads(text))) for text in FILES.values()
+        (json.loads(text)["$id"], Resource.from_contents(json.loads(text))) for text in files().values()
     )
     broken = {"mbdkit": 1, "model": {"name": "mechanism", "bodies": {"b": {"mass": -1}}}, "time": {"end": 1}}
     for kind in (kind.name for kind in spec_kinds()):
-        split = Draft202012Validator(json.loads(FILES[f"{kind}.schema.json"]), registry=registry)
+        split = Draft202012Validator(json.loads(files()[f"{kind}.schema.json"]), registry=registry)
         whole = Draft202012Validator(schema_of(kind_named(kind)))
         for spec in (broken, *(yaml.safe_load(example_text(name)) for name in example_names(kind)[:3])):
             assert split.is_valid(spec) == whole.is_valid(spec), kind
