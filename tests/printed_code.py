@@ -67,7 +67,7 @@ def _run_in_order(blocks: list[Block], folder: Path, names: dict[str, Any]) -> N
         if block.saved_as:
             (folder / block.saved_as).write_text(block.code, encoding="utf-8")
         if block.language == "python":
-            exec(compile(block.code, f"block {number}", "exec"), names)
+            exec(compile(block.code, f"block {number}", "exec", dont_inherit=True), names)  # a script of its own
         elif block.language == "sh":
             run_commands(block.code)
         else:
