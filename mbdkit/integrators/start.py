@@ -80,8 +80,9 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
         if chosen is None or not chosen.item.reacting:
             method.require_formulation(FORMULATIONS[workspace.formulation])
         if treated is None:
-            treated = method if traits.steps is None else traits.steps()(method)
-        assert isinstance(treated, StepMethod | ExternalMethod)
+            own = method if traits.steps is None else traits.steps()(method)
+            assert isinstance(own, StepMethod | ExternalMethod)
+            treated = own
     if isinstance(treated, StepMethod | ExternalMethod):
         return StepHost(treated, workspace, timetable)
     compiled, control = compiled_method(method, workspace)

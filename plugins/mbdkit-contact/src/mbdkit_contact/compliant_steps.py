@@ -52,6 +52,7 @@ def _look_into_compiled(method: CompiledMethod) -> CompiledMethod:
     if events.contacts.names:
         has_dense = method.dense is not None and method.has_dense_output
         events.bundle.inner[2] = method.dense.address if has_dense else 0
+        assert look is not None
         workspace.scratch.reacting.add_forces[:] = 0, look.address
         method.looks_at = events  # type: ignore[attr-defined]
     return method
@@ -155,7 +156,7 @@ class CompliantLibrary(ExternalMethod):
             if share == 1.0:
                 break
             self._open(t, begin, t + share * (end - t))
-        self._now = float(made.time), made.state
+        self._now = end, made.state
         self._ended |= self._now[0] >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
         return made
 

@@ -55,10 +55,10 @@ def length_in(joint: FunctionJoint, poses: np.ndarray) -> np.ndarray:
     if isinstance(joint, Slot):
         return np.asarray(x)
     if not isinstance(joint, Rack):
-        return np.hypot(x, y)
+        return np.asarray(np.hypot(x, y))
     c, s = np.cos(angle), np.sin(angle)
     ex, ey = np.array(joint.axis) / math.hypot(*joint.axis)
-    return np.abs(ex * (s * x - c * y) + ey * (c * x + s * y))
+    return np.asarray(np.abs(ex * (s * x - c * y) + ey * (c * x + s * y)))
 
 
 class Meshing:

@@ -196,7 +196,7 @@ def _is_left_out(force: np.ndarray) -> np.ndarray:
     left_out = size <= UNLOADED * np.max(size, initial=0.0)
     if (unloaded := np.flatnonzero(left_out)).size:
         left_out[: unloaded[0]] = left_out[unloaded[-1] :] = True
-    return left_out
+    return np.asarray(left_out)
 
 
 def _direction(result: Inverse, index: int, name: str) -> Iterator[Finding]:

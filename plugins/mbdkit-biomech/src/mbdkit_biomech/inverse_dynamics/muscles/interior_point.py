@@ -120,7 +120,7 @@ def _step(own: Programme, state: State, p: float) -> tuple[State, np.ndarray]:
     def longest(ds: np.ndarray, dz: np.ndarray) -> np.ndarray:
         """Return the longest step (T, 1) that keeps slacks and multipliers positive."""
         shares = [np.where(has & (d < 0), -v / d, np.inf) for v, d in ((slack, ds), (z, dz))]
-        return np.min(np.hstack(shares), axis=1, keepdims=True)
+        return np.asarray(np.min(np.hstack(shares), axis=1, keepdims=True))
 
     *_, ds, dz = change(np.zeros_like(z))
     length = np.minimum(1.0, longest(ds, dz))

@@ -165,7 +165,8 @@ def _dual_newton(
         cost = slope_of_cost(x, p)
         begin = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
     y = _newton(programme, begin, p, 0.0, FIRST_STEPS)
-    x, certificate, y = _refined(programme, _unknowns(programme, y, p)[0], y, p)
+    x = _unknowns(programme, y, p)[0]
+    certificate = _certificate(programme, x, y, p)
     near = begin.copy()
     for is_first in (True, False):
         if not (left := np.flatnonzero(certificate > REACHED)).size:
@@ -177,18 +178,13 @@ def _dual_newton(
             for proximal in PROXIMAL if p == 2 else (0.0,):
                 again = _newton(own, again, p, proximal, STEPS)
             point = _unknowns(own, again, p)[0], again
-        other, wrong, again = _refined(own, *point, p)
-        near[left], better = point[1], wrong < certificate[left]
+        (other, again), wrong = point, _certificate(own, *point, p)
+        near[left], better = again, wrong < certificate[left]
         rows = left[better]
         x[rows], certificate[rows], y[rows] = other[better], wrong[better], again[better]
         if p == 2:
             break
     return x, certificate, y
-
-
-def _refined(programme,x,y,p):
-    x, y = x.copy(), y.copy()
-    return x, _certificate(programme, x, y, p), y
 
 
 def _newton(programme: Programme, start: np.ndarray, p: float, proximal: float, steps: int) -> np.ndarray:
