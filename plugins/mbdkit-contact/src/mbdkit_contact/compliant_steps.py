@@ -50,9 +50,8 @@ def _look_into_compiled(method: CompiledMethod) -> CompiledMethod:
     workspace = method.workspace
     events = ContactEvents(EquationsOfMotion(workspace, states_at_start(workspace)))
     if events.contacts.names:
-        has_dense = method.dense is not None and method.has_dense_output
-        events.bundle.inner[2] = method.dense.address if has_dense else 0
-        assert look is not None
+        dense = method.dense if method.has_dense_output else None
+        events.bundle.inner[2] = 0 if dense is None else dense.address
         workspace.scratch.reacting.add_forces[:] = 0, look.address
         method.looks_at = events  # type: ignore[attr-defined]
     return method
