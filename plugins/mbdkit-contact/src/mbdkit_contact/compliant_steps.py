@@ -12,9 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Method, Step, StepMethod, StepState, Why
-from mbdkit.plugin.methods import SAME_INSTANT, CompiledMethod, StepTaken, states_at_start
-from mbdkit.plugin.seams import treatment_method
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.interface import SAME_INSTANT, StepTaken
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
+from mbdkit.integrators.start import treatment_method
+from mbdkit.methods.kinds import Method
+from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState, Why
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.kernels.compliant_steps import (

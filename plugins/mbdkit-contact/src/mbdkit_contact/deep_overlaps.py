@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin.archives import expression_of_largest
-from mbdkit.plugin.equations import fill
-from mbdkit.plugin.seams import rows_criterion
+from mbdkit.archive.peak_errors import expression_of_largest
+from mbdkit.engine.stored_arrays import fill
+from mbdkit.runs.run_seams import rows_criterion
 from mbdkit_contact.contact_kinematics import arms_of, shapes_of
 from mbdkit_contact.kernels.uneven_ground import EDGE
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import RunSpec, States
-    from mbdkit.plugin.doubts import EnergyRecord
-    from mbdkit.plugin.equations import CompiledMechanism
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.quantities.states import States
+    from mbdkit.spec.run_spec import RunSpec
+    from mbdkit.trust.energy_record import EnergyRecord
     from mbdkit_contact.contact import ContactPair
 
 DEEP = 0.5

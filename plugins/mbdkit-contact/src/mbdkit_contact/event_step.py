@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import Step, StepError, StepMethod, StepState
-from mbdkit.plugin.equations import gauss_on_unit
-from mbdkit.plugin.methods import SAME_INSTANT, StepTaken
+from mbdkit.base.errors import StepError
+from mbdkit.base.quadrature import gauss_on_unit
+from mbdkit.integrators.interface import SAME_INSTANT, StepTaken
+from mbdkit.methods.step_methods import Step, StepMethod, StepState
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations, Powers

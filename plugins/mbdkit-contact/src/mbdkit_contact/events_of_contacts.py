@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.kernels import NOT_FINITE, OK, PAUSED, PinnedBundle
-from mbdkit.plugin import EquationsOfMotion, StepError
-from mbdkit.plugin.equations import SingularSystemError
-from mbdkit.plugin.methods import ElementImpact
+from mbdkit.base.errors import StepError
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.integrators.loop.step_loop import PAUSED
+from mbdkit.integrators.run.impulse import ElementImpact
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.contact_forces import new_closed_contacts
 from mbdkit_contact.kernels.contact_modes import react
@@ -40,7 +43,7 @@ from mbdkit_contact.modes import OPEN, STICK
 from mbdkit_contact.rigid_contacts import RigidContacts
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.equations import Workspace
+    from mbdkit.engine.workspace import Workspace
     from mbdkit_contact.contact_section import ContactTreatment
 
 FAILURES: dict[int, tuple[str, str]] = {

@@ -5,22 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import (
-    CriterionItem,
-    ElementDerivatives,
-    ElementForces,
-    ElementKind,
-    Example,
-    GuidePage,
-    HeadlineItem,
-    IntegratorPlugin,
-    Item,
-    QuantityKind,
-    SummaryLine,
-    Target,
-    Treatment,
-    hookimpl,
-)
+from mbdkit.registry.element_items import ElementDerivatives, ElementForces, ElementKind, QuantityKind
+from mbdkit.registry.feature_items import CriterionItem, Example, GuidePage, HeadlineItem, SummaryLine, Treatment
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import IntegratorPlugin
+from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 

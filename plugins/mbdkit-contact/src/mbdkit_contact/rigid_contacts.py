@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, StepState
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.methods.step_methods import StepState
 from mbdkit_contact.acting_contacts import ActingContact
 from mbdkit_contact.contact_kinematics import EXACT, arms_of, shapes_of
 from mbdkit_contact.contact_state import ContactState, HeldForces

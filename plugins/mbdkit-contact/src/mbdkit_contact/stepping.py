@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern, new_factors
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
-from mbdkit.kernels import MASS, PinnedBundle, tangents_at
-from mbdkit.plugin import EquationsOfMotion
-from mbdkit.plugin.equations import SingularSystemError, empty_pattern, new_factors, pattern_of, stored
-from mbdkit.plugin.methods import CompiledMethod, states_at_start
+from mbdkit.engine.kernels.equations import MASS
+from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.stored_arrays import pattern_of, stored
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.active_set import new_active_set
 from mbdkit_contact.kernels.impacts import new_impacts
@@ -25,9 +29,9 @@ from mbdkit_contact.rigid_contacts import RigidContacts
 from mbdkit_contact.time_stepping_methods import MoreauJean, NonsmoothGeneralizedAlpha
 
 if TYPE_CHECKING:
-    from mbdkit.kernels import RunState
-    from mbdkit.plugin.equations import Workspace
-    from mbdkit.plugin.methods import Control
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.run.run_state import RunState
+    from mbdkit.integrators.run.step_control import Control
 
 FAILURES = {
     NO_IMPULSES: ("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction"),

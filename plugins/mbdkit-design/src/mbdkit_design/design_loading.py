@@ -7,10 +7,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import cast
 
-from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, parse_path, path_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.seams import spec_loader
-from mbdkit.plugin.specs import Document, example_names, kind_of, parse_key, put, read_source, set_value, variable_path
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.spec.loading import example_names, read_source
+from mbdkit.spec.reading import Document, parse_key, put, set_value, variable_path
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.spec_kinds import kind_of, spec_loader
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_report import stated_units

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin.specs import write_yaml
-from mbdkit.plugin.terminal import say
+from mbdkit.base.terminal import say
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
 from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts

@@ -19,30 +19,17 @@ from pydantic import (
     model_validator,
 )
 
-from mbdkit.plugin import (
-    FormatVersion,
-    Number,
-    Positive,
-    RunSpec,
-    SpecError,
-    Unit,
-    copied,
-    path_text,
-    read_quantity,
-    read_unit,
-    value_text,
-)
-from mbdkit.plugin.mechanisms import pair
-from mbdkit.plugin.specs import (
-    Count,
-    DefinedMeasure,
-    Section,
-    StrictSpec,
-    check_name,
-    defined,
-    parse_key,
-    variable_path,
-)
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import copied, path_text, value_text
+from mbdkit.base.strict_model import FormatVersion
+from mbdkit.base.units import Unit, read_quantity, read_unit
+from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.values import Number, Positive, pair
+from mbdkit.spec.model_spec import StrictSpec
+from mbdkit.spec.reading import parse_key, variable_path
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.sections import Count, Section
+from mbdkit.spec.study_measures import DefinedMeasure, defined
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_studies import Overrides
 

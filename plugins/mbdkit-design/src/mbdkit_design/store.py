@@ -18,10 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.archive.part_file import remove_checkpoint
-from mbdkit.plugin import ArchiveError, RunSpec, SpecError, load
-from mbdkit.plugin.files import canonical_text, replacing
-from mbdkit.plugin.seams import computed_run
-from mbdkit.plugin.specs import read_file, variable_path
+from mbdkit.archive.reader import load
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files import replacing
+from mbdkit.base.plain_data import canonical_text
+from mbdkit.runs.run_seams import computed_run
+from mbdkit.spec.reading import read_file, variable_path
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design import Design
 from mbdkit_design.design_loading import load_design_spec
@@ -33,7 +36,7 @@ from mbdkit_design.trust import check_of
 from mbdkit_studies import OwnedFolder
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 VERSION = "mbdkit_result"
 """Name of the format version in the result."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec
-from mbdkit.plugin.equations import product
+from mbdkit.engine.linear_systems import product
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec

@@ -16,7 +16,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit_explore.explorer import Explorer, explorer_of
 from mbdkit_report import render
 

@@ -8,30 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.integrators.start import compiled_method
-from mbdkit.kernels import DIRECTIONS, Observed
-from mbdkit.plugin import MbdkitError, Method, RunError, RunSpec, SpecError, StepError, path_text, quoted
-from mbdkit.plugin.equations import (
-    FORMULATIONS,
-    Formulation,
-    SingularSystemError,
-    Stabilization,
-    StateObserver,
-    Workspace,
-)
-from mbdkit.plugin.measures import Found, RunExpression, Watch, Watched
-from mbdkit.plugin.methods import (
-    NO_SEEDS,
-    Moment,
-    Seeds,
-    Stepper,
-    Stretch,
-    constants,
-    joined,
-    start_method,
-    states_at_start,
-)
-from mbdkit.plugin.runs import build, guards, make_method, size_at_start, timetable
+from mbdkit.base.errors import MbdkitError, RunError, SpecError, StepError
+from mbdkit.base.plain_data import path_text, quoted
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.formulation import FORMULATIONS, Formulation
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.arithmetic import DIRECTIONS
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.stabilization import Stabilization
+from mbdkit.engine.workspace import Workspace
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.events.watch import Found, Watch, Watched
+from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
+from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.start import compiled_method, start_method
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of

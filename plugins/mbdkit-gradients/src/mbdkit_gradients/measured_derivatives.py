@@ -16,11 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin.archives import Integrals, Quantity
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.measures import REDUCE, Functional, MeasureExpression, arity_of, execute
-from mbdkit.plugin.methods import Seeds
-from mbdkit.plugin.runs import EQUAL, Peak, Sampled, sampled
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.base import elementary
+from mbdkit.expressions.operations import REDUCE, arity_of
+from mbdkit.expressions.program import execute
+from mbdkit.integrators.duals.dual_run import Seeds
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.reductions import Functional
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
 from mbdkit_gradients.derived_values import DerivedValue, of_operands
 from mbdkit_gradients.differentiated_expressions import of_measure, slopes_of

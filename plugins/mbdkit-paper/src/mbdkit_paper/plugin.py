@@ -7,7 +7,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import Example, GuidePage, Item, ModelPlugin, StudyPlugin, Target, hookimpl
+from mbdkit.registry.feature_items import Example, GuidePage
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import ModelPlugin, StudyPlugin
+from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 

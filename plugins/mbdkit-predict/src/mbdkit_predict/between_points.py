@@ -17,7 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbdkit.plugin.mechanisms import curve_of
+from mbdkit.mechanism.values import curve_of
 from mbdkit_predict.grid import weights
 from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 

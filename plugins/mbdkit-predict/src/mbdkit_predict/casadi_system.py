@@ -10,13 +10,22 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
-from mbdkit.kernels import LAW_ROW, SPRING, LawRow, Observed, Reactions, Topology
-from mbdkit.plugin import SpecError, States, listed
-from mbdkit.plugin.archives import KINDS, Quantity, archive_names
-from mbdkit.plugin.equations import Workspace, elementary
-from mbdkit.plugin.measures import RunExpression, value_of
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.frames import Reactions
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING, LawRow
+from mbdkit.engine.workspace import Workspace
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.expressions.program import value_of
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import States
+from mbdkit.quantities.table import KINDS
 from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import ElementEquilibrium, symbolic_elements
 from mbdkit_predict.interpreted import Interpreter

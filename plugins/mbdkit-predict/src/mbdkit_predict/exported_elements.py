@@ -16,8 +16,11 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from mbdkit.plugin import Mechanism, SpecError, listed, quoted
-from mbdkit.plugin.equations import CompiledMechanism
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import listed
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.mechanism.mechanism import Mechanism
 
 
 class ElementEquilibrium(Protocol):

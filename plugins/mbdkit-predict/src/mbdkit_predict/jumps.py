@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit_predict.transcription import Mesh, Transcription
 
 SAMPLES = 10_000

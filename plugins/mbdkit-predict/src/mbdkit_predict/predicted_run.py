@@ -11,12 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, Judgement, Run, RunError, SpecError, States
-from mbdkit.plugin.archives import Ending, check_target, finish_states
-from mbdkit.plugin.equations import StateObserver, one_thread_of_linear_algebra, workspace_at_start
-from mbdkit.plugin.mechanisms import curve_of
-from mbdkit.plugin.runs import model_provenance
-from mbdkit.plugin.terminal import interrupts_noted
+from mbdkit.archive.part_file import check_target
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import Ending
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.interrupts import interrupts_noted
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.mechanism.values import curve_of
+from mbdkit.quantities.states import States
+from mbdkit.runs.finish import finish_states
+from mbdkit.runs.provenance import model_provenance
+from mbdkit.trust.criteria import Judgement
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.forward_run import Difference, forward_difference
 from mbdkit_predict.grid import weights

@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.mechanisms import curve_of
 from mbdkit_predict.breaks import breaks_of
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.grid import IntervalGrid, weights

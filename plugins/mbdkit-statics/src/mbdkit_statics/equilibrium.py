@@ -10,13 +10,21 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from mbdkit.kernels import PAIR, constraints_at
-from mbdkit.plugin import Mechanism, States, plain
-from mbdkit.plugin.doubts import CoarseBeams
-from mbdkit.plugin.equations import StateObserver, elementary, with_ground
-from mbdkit.plugin.mechanisms import named_body, places_with_ends, with_ends
-from mbdkit.plugin.specs import RunSource, Sections, parameters_in_use
-from mbdkit.plugin.terminal import HtmlView, warn_on_stderr
+from mbdkit.base import elementary
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.logs import warn_on_stderr
+from mbdkit.base.plain_data import plain
+from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.kernels.observe import constraints_at
+from mbdkit.engine.kernels.table_rows import PAIR
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
+from mbdkit.mechanism.beams import named_body
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.parameters import parameters_in_use
+from mbdkit.quantities.states import States
+from mbdkit.runs.coarse_beams import CoarseBeams
+from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.equilibrium_search import Rest, rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import at_rest, in_statics

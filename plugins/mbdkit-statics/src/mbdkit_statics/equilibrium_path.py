@@ -13,9 +13,9 @@ from scipy.optimize import brentq
 from scipy.sparse import block_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from mbdkit.plugin import StepError
-from mbdkit.plugin.mechanisms import named_body
-from mbdkit.plugin.specs import RunSource, Sections
+from mbdkit.base.errors import StepError
+from mbdkit.mechanism.beams import named_body
+from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.equilibrium import joint_reactions
 from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from mbdkit.plugin import counted, listed, table
-from mbdkit.plugin.mechanisms import beam_of, gravity_text
+from mbdkit.base.text import counted, listed, table
+from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit_statics.equilibrium import Equilibrium
 from mbdkit_statics.kinematics import Kinematics
 from mbdkit_statics.modes import Modes

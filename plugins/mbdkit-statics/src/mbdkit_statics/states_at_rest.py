@@ -17,8 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from mbdkit.plugin import EquationsOfMotion, SpecError, StepError, Tangents
-from mbdkit.plugin.equations import Workspace
+from mbdkit.base.errors import SpecError, StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.tangents import Tangents
+from mbdkit.engine.workspace import Workspace
 
 MOST_ITERATIONS = 50
 """Largest number of Newton steps for the states at rest."""

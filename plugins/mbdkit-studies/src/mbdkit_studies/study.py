@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, SpecError
-from mbdkit.plugin.terminal import HtmlView
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.html_view import HtmlView
 from mbdkit_report import data_frame
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Grid, Label, PlannedPoints

@@ -18,9 +18,8 @@ from tests.studies.stored_studies import BASE, GRID, index_hash
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import data_sha256, datasets, seal
-from mbdkit.archive.layout import TIMINGS
+from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
-from mbdkit.plugin.archives import COUNTERS
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit_studies.compute import batch, pool, run_blocks, unfinished_block
 from mbdkit_studies.compute import compute_block as compute_block_module

@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import Run, RunSpec, SpecError, simulate
-from mbdkit.plugin.equations import Workspace
-from mbdkit.plugin.runs import build
-from mbdkit.plugin.specs import load_spec
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.workspace import Workspace
+from mbdkit.runs.preparation import build
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.loading import load_spec
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_testing.check import Skip
 from mbdkit_testing.item_checks import ItemUnderTest
 

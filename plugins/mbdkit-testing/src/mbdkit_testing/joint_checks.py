@@ -11,8 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, FunctionJoint, MbdkitError, Mechanism, SpecError, listed, load, simulate
-from mbdkit.plugin.specs import described_units, description
+from mbdkit.archive.reader import load
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
+from mbdkit.base.units import described_units
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.joint_base import FunctionJoint
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.simulation import simulate
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.example_checks import balance, checkpoint, tangents, without_plugin

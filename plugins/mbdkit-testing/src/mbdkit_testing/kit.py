@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import to_stderr
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.specs import Plugin, Registered, Registry, registry
-from mbdkit.registry.catalogue import Kind
+from mbdkit.registry.catalogue import Kind, Registered, Registry
+from mbdkit.registry.item import Plugin
+from mbdkit.registry.manager import registry
 from mbdkit_testing import (
     conservation_checks,
     contract_checks,

@@ -24,8 +24,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import elementary, inverse_of, product, symmetric_eigenvectors
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvectors
 from mbdkit_biomech.persons.landmarks import Side
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, Poses
 

@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Finding, SpecError, listed
-from mbdkit.plugin.equations import product, symmetric_eigenvectors
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.persons.calibration import ENDS, LEAST_FRAMES, Segments, angle_of
 from mbdkit_biomech.persons.joint_centers import JointCenter

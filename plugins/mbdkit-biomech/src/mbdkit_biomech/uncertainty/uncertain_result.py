@@ -28,9 +28,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import counted, listed
-from mbdkit.plugin.archives import TableColumn
-from mbdkit.plugin.equations import product
+from mbdkit.archive.result_table import TableColumn
+from mbdkit.base.text import counted, listed
+from mbdkit.engine.linear_systems import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, without_followers
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, UncertainScalar, asked_uncertainty, sources_of

@@ -11,19 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.kernels.system import prepare
-from mbdkit.kernels import (
-    OK,
-    SHORTER,
-    RealVector,
-    entry,
-    kernel,
-    load_run_state,
-    separate,
-    solve_accelerations,
-    subkernel,
-    take_states,
-)
+from mbdkit.engine.kernels.accelerations import solve_accelerations
+from mbdkit.engine.kernels.applied_forces import take_states
+from mbdkit.engine.kernels.bundle_types import RealVector
+from mbdkit.engine.kernels.system import OK, prepare
+from mbdkit.engine.native.functions import entry, kernel, separate, subkernel
+from mbdkit.integrators.loop.step_loop import SHORTER
+from mbdkit.integrators.run.run_state import load_run_state
 from mbdkit_contact.kernels.contact_modes import EXACT_GAP
 from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN, load_events
 from mbdkit_contact.kernels.event_search import begin_search

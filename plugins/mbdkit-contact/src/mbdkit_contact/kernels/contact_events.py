@@ -6,27 +6,21 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.kernels import (
-    DIVERGED,
+from mbdkit.engine.kernels.accelerations import solve_system
+from mbdkit.engine.kernels.projection import (
     EPS,
     FEW_ROUNDINGS,
     MOST_ITERATIONS,
-    OK,
-    PAUSED,
-    REFUSED,
     STAGNANT,
-    copy,
-    fill,
-    fill_rows,
     largest_size,
     position_rows,
     rate_rows,
     scaled_residual,
-    separate,
-    solve_system,
-    solved_rows,
-    subkernel,
 )
+from mbdkit.engine.kernels.system import DIVERGED, OK, solved_rows
+from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
+from mbdkit.engine.native.functions import separate, subkernel
+from mbdkit.integrators.loop.step_loop import PAUSED, REFUSED
 from mbdkit_contact.kernels.contact_forces import (
     add_answers,
     along,

@@ -6,22 +6,14 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.engine.kernels.system import prepare
-from mbdkit.kernels import (
-    NOT_FINITE,
-    OK,
-    PAUSED,
-    REFUSED,
-    copy,
-    entry,
-    fill,
-    load_engine,
-    separate,
-    solve_accelerations,
-    solve_triangle,
-    subkernel,
-    take_states,
-)
+from mbdkit.engine.kernels.accelerations import solve_accelerations
+from mbdkit.engine.kernels.applied_forces import take_states
+from mbdkit.engine.kernels.engine_bundles import load_engine
+from mbdkit.engine.kernels.orthogonal import solve_triangle
+from mbdkit.engine.kernels.system import NOT_FINITE, OK, prepare
+from mbdkit.engine.kernels.vectors import copy, fill
+from mbdkit.engine.native.functions import entry, separate, subkernel
+from mbdkit.integrators.loop.step_loop import PAUSED, REFUSED
 from mbdkit_contact.kernels.contact_forces import (
     SINGULAR,
     add_answers,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, NamedTuple
 
-from mbdkit.kernels import (
+from mbdkit.engine.kernels.bundle_types import (
     STATE,
     ComplexMatrix,
     ComplexVector,
@@ -13,10 +13,10 @@ from mbdkit.kernels import (
     RealCube,
     RealMatrix,
     RealVector,
-    Topology,
-    bundle_loader,
     example_of,
 )
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit_contact.kernels.contact_forces import ClosedContacts
 from mbdkit_contact.kernels.impacts import ImpactBundle
 

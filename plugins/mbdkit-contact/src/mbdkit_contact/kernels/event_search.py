@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.kernels import fill, separate, subkernel
+from mbdkit.engine.kernels.vectors import fill
+from mbdkit.engine.native.functions import separate, subkernel
 from mbdkit_contact.kernels.contact_modes import rate_of_gap
 from mbdkit_contact.kernels.event_bundle import NORMAL, PLACE
 from mbdkit_contact.modes import OPEN, STICK

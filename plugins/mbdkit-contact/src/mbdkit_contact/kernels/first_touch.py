@@ -17,7 +17,9 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.kernels import copy, cosine_and_sine, separate, subkernel
+from mbdkit.engine.kernels.angles import cosine_and_sine
+from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.functions import separate, subkernel
 from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN
 from mbdkit_contact.kernels.kinematics import CIRCLES, LINE, POLYGONS, ROUND, SINGLE, choose, gap_of, height_over_edge
 from mbdkit_contact.kernels.uneven_ground import (

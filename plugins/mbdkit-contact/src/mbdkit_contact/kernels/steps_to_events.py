@@ -14,32 +14,17 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.kernels import (
-    AT_END_OF_LAST,
-    AT_START_OF_LAST,
-    MODIFIED,
-    NOT_FINITE,
-    OK,
-    PAUSED,
-    REFUSED,
-    RHS,
-    RealCube,
-    RealMatrix,
-    RealVector,
-    begin_energy,
-    call_entry,
-    copy,
-    entry,
-    fade,
-    fill,
-    hermite,
-    kernel,
-    load_engine,
-    load_run_state,
-    separate,
-    subkernel,
-)
-from mbdkit.plugin.methods import SAME_INSTANT
+from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealVector
+from mbdkit.engine.kernels.engine_bundles import load_engine
+from mbdkit.engine.kernels.interpolation import fade, hermite
+from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.kernels.vectors import copy, fill
+from mbdkit.engine.native.calls import call_entry
+from mbdkit.engine.native.functions import entry, kernel, separate, subkernel
+from mbdkit.integrators.interface import SAME_INSTANT
+from mbdkit.integrators.loop.step_loop import PAUSED, REFUSED
+from mbdkit.integrators.run.run_state import AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED, RHS, load_run_state
+from mbdkit.integrators.run.step_guards import begin_energy
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, is_nearly_closed, limited
 from mbdkit_contact.kernels.contact_modes import (
     add_forces,

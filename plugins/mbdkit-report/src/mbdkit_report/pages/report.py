@@ -8,10 +8,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import cast
 
-from mbdkit.plugin import FileFormat, MbdkitError, SpecError, listed, load
-from mbdkit.plugin.archives import DAMAGE, open_hdf5
-from mbdkit.plugin.files import check_output, check_suffix, replacing
-from mbdkit.plugin.specs import registry
+from mbdkit.archive.hdf5_errors import DAMAGE
+from mbdkit.archive.reader import load
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.files import check_output, check_suffix, replacing
+from mbdkit.base.text import listed
+from mbdkit.registry.feature_items import FileFormat
+from mbdkit.registry.manager import registry
 from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import run_report

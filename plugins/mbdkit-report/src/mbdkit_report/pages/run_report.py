@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import headline_texts
-from mbdkit.plugin.specs import write_yaml
+from mbdkit.archive.headlines import headline_texts
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.page_model import Cell, Table, columns_of
@@ -20,7 +20,7 @@ from mbdkit_report.pages.section_items import added_sections, with_additions
 from mbdkit_report.plot.caption import caption
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
 """Name of the colour of the first headline (`ReportPage.tone`) for each verdict."""

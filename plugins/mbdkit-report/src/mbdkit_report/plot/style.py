@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import ScalarFormatter
 
-from mbdkit.plugin import MbdkitError, one_line, shown
-from mbdkit.plugin.files import replacing
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.files import replacing
+from mbdkit.base.text import one_line, shown
 from mbdkit_report.figures.palette import ALARM, FAINT, GRID, INK, PAPER
 from mbdkit_report.plot.caption import Caption
 

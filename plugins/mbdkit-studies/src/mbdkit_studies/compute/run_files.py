@@ -9,11 +9,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from mbdkit import ArchiveError
+from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, TIMINGS
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
 from mbdkit.archive.untrusted_file import is_sparse
-from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, counted, load
-from mbdkit.plugin.archives import COUNTERS, SOME_COUNTERS, TIMINGS
-from mbdkit.plugin.runs import functionals_of
+from mbdkit.base.errors import ArchiveError, ResourceError, SpecError
+from mbdkit.base.text import counted
+from mbdkit.runs.integrals import functionals_of
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
 from mbdkit_studies.compute.tasks import Outcome, Task
 from mbdkit_studies.folder.folder_lock import Shard

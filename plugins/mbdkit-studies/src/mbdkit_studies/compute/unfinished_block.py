@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.archives import DAMAGE
+from mbdkit.archive.hdf5_errors import DAMAGE
+from mbdkit.base.errors import MbdkitError
 from mbdkit.runs.provenance import DECIDE_LAST_BITS
 from mbdkit_studies.compute.tasks import Outcome
 from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, block_image

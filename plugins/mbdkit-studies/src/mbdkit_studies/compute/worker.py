@@ -19,16 +19,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
+from mbdkit.base.called_functions import calls_allowed
 from mbdkit.base.command_words import executing
-from mbdkit.plugin import MbdkitError, SpecError, shown
-from mbdkit.plugin.archives import own_version
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.runs import calls_allowed
+from mbdkit.base.distributions import own_version
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.text import shown
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.compute.tasks import Message
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 Carry = Callable[[Message, Callable[[str], None]], Message]
 """Function that carries out the task described by a message, and returns the answer.
@@ -121,7 +122,8 @@ def _outcome(task: Message, notify: Callable[[str], None], carry: Carry) -> Mess
 
 
 def _work(task: Message, notify: Callable[[str], None]) -> Message:
-    from mbdkit.plugin import RunSpec, simulate
+    from mbdkit.runs.simulation import simulate
+    from mbdkit.spec.run_spec import RunSpec
 
     if "block" in task:
         from mbdkit_studies.compute.compute_block import compute_block
@@ -152,7 +154,7 @@ def _work(task: Message, notify: Callable[[str], None]) -> Message:
 
 def _continued(path: Path, measures: Sequence[str]) -> Run | None:
     """Continue the run that an interrupted call has left; return None if there is none that can be continued."""
-    from mbdkit.plugin.archives import checkpoint_path, part_path
+    from mbdkit.archive.part_file import checkpoint_path, part_path
     from mbdkit.runs.resuming import continue_run
 
     part = part_path(path)

@@ -7,9 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import Array, SpecError
-from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT, StoredHashes, create, open_hdf5, reading, seal, set_text
-from mbdkit.plugin.files import replacing
+from mbdkit.archive.fingerprint import StoredHashes, seal
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import replacing
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column
 from mbdkit_studies.spec.study_spec import StudySpec
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.measures import REDUCTIONS
+from mbdkit.base.errors import MbdkitError
+from mbdkit.measures.reductions import REDUCTIONS
 from mbdkit_report import Axis, Cell, Column, Figure, Line, Table, key_words
 from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.report.study_figures import Quantity, asked_measures, is_wide

@@ -10,11 +10,12 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
-from mbdkit.base.units import QUANTITY
-from mbdkit.plugin import SpecError, Unit, did_you_mean, listed, quoted, read_quantity, value_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.specs import Section, parse_key
-from mbdkit.spec.sections import whole
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, quoted, value_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import QUANTITY, Unit, read_quantity
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.sections import Section, whole
 
 FORM = "{DISTRIBUTION: PARAMETERS}, such as {uniform: [-1, 1]} or {norm: {loc: 2, scale: 0.1}}"
 

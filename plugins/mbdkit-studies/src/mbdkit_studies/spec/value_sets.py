@@ -16,11 +16,11 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
 
-from mbdkit.base.plain_data import LARGEST_NUMBER
-from mbdkit.base.units import QUANTITY
-from mbdkit.plugin import SpecError, Unit, did_you_mean, listed, read_quantity, value_text
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.files import Path
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import LARGEST_NUMBER, Path, value_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import QUANTITY, Unit, read_quantity
 
 #: Sets with more values are assumed to be mistakes.
 LARGEST_SET = 10_000

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
-from mbdkit.plugin import MbdkitError
 from mbdkit_report import data_frame
 from mbdkit_studies.points.sample_groups import SampledStudy, groups_where, is_bad, one_group
 

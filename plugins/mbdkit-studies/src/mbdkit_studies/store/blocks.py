@@ -12,31 +12,25 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit.archive.measured_values import ERROR
-from mbdkit.archive.stored_mechanism import built_mechanism
-from mbdkit.plugin import ArchiveError, Judgement, Level, Run, RunSpec, SpecError
-from mbdkit.plugin.archives import (
-    COUNTERS,
-    DAMAGE,
-    TIMINGS,
-    ArchiveNames,
-    ArrayContents,
-    FinishedRun,
-    MeasuredValues,
-    PlainSpec,
-    SharedForces,
-    StoredHashes,
-    StoredMechanism,
-    is_text,
-    kind_of_group,
-    open_hdf5,
-    read_mechanism,
-    reading,
-)
-from mbdkit.plugin.doubts import LEVELS
-from mbdkit.plugin.files import read_files
-from mbdkit.plugin.seams import file_problems
-from mbdkit.plugin.specs import parse_key, put
+from mbdkit.archive.fingerprint import StoredHashes, is_text
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.hdf5_errors import DAMAGE, reading
+from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.archive.measured_values import ERROR, MeasuredValues
+from mbdkit.archive.plain_spec import PlainSpec
+from mbdkit.archive.result_seams import file_problems
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents
+from mbdkit.archive.run_writer import SharedForces
+from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files_read import read_files
+from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.spec.reading import parse_key, put
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.trust.criteria import LEVELS, Judgement, Level
 from mbdkit_studies.folder.columns import read_column
 from mbdkit_studies.store.block_writer import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
 

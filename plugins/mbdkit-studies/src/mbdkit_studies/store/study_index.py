@@ -15,24 +15,16 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit.plugin import ArchiveError, Array, SpecError
-from mbdkit.plugin.archives import (
-    COUNTERS,
-    FLOAT,
-    INTEGER,
-    SOME_COUNTERS,
-    TEXT,
-    TIMINGS,
-    StoredHashes,
-    create,
-    open_hdf5,
-    own_version,
-    reading,
-    seal,
-    set_text,
-)
-from mbdkit.plugin.files import replacing
-from mbdkit.plugin.measures import Description
+from mbdkit.archive.fingerprint import StoredHashes, seal
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, TIMINGS
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.distributions import own_version
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files import replacing
+from mbdkit.measures.take import Description
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
 from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND

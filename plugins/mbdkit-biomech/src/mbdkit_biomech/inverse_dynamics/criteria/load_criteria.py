@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.ndimage import median_filter
 
-from mbdkit.plugin import Finding, listed
-from mbdkit.plugin.mechanisms import Coordinate, MarkerCoordinate
+from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import ROUND_OFF, TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import (

@@ -25,9 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.text import listed
+from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
 from mbdkit.engine.stacked_matrices import products, pseudoinverses
-from mbdkit.plugin import listed
-from mbdkit.plugin.equations import product, symmetric_eigenvectors
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.errors.noise import NoisePath, NoisyData
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed, cutoff_of, fixed, smoothed_each, spline_of_ends

@@ -22,8 +22,10 @@ from functools import partial
 
 import numpy as np
 
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.base.errors import RunError
+from mbdkit.base.text import listed
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import Accuracy, RunError, listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, reactions_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
     LongGap,

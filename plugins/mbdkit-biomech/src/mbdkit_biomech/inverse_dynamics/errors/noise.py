@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions
 from mbdkit_biomech.inverse_dynamics.motion.measured import bridged

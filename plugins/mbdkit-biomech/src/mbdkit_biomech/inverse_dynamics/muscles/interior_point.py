@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.stacked_matrices import least_norms, products
-from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, slope_of_cost
 
 STEPS = 200

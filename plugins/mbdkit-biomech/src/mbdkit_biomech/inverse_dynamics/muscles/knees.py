@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from mbdkit.plugin import cited, listed
+from mbdkit.base.text import cited, listed
 from mbdkit_biomech.muscles.patella import FLEXION, contact_share
 from mbdkit_biomech.persons.landmarks import LEFT
 

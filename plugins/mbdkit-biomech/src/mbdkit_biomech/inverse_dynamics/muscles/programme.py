@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin.equations import elementary
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import counted, listed
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import QuantityNames, RunError, SpecError, counted, listed, quoted
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance, Dynamics
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
 from mbdkit_biomech.inverse_dynamics.muscles.elastic_tendons import ElasticMuscles, in_equilibrium

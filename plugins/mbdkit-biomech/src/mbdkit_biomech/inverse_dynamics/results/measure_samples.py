@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import RunError
-from mbdkit.plugin.equations import elementary, product
+from mbdkit.base import elementary
+from mbdkit.base.errors import RunError
+from mbdkit.engine.linear_systems import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import HIDDEN
