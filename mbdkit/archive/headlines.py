@@ -52,7 +52,7 @@ first share of the range of the quantity, and the second one of its largest magn
 At the end of a period, the values at start and end are equal, and in equilibrium almost so.
 """
 
-NOT_UNIQUE = " (not unique; of least norm)"
+NOT_UNIQUE = " (not unique, of least norm)"
 
 MESH_ERROR = "the error of the mesh of beams"
 """What error bars of runs with beams do not include."""
