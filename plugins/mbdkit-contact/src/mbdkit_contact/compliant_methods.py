@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.integrators.interface import SAME_INSTANT, StepTaken
 from mbdkit.integrators.run.sampled_control import states_at_start
@@ -29,6 +30,7 @@ from mbdkit_contact.kernels.compliant_steps import (
     change_at,
     look,
 )
+from mbdkit_contact.kernels.event_bundle import NORMAL
 
 MOST_CUTS = 20
 """Largest number of times that a library is opened again in one step."""
@@ -42,7 +44,7 @@ def compliant(
 ) -> StepMethod | ExternalMethod | Callable[[CompiledMethod], CompiledMethod]:
     """Return the method of a run whose controlled steps end where contacts begin and end."""
     if method.traits.compiled is not None:
-        return _look_into_compiled
+        return _look_into_compiled if method.traits.tolerances is not None else lambda compiled: compiled
     steps = method if method.traits.steps is None else method.traits.steps()(method)
     if isinstance(steps, ExternalMethod):
         return CompliantLibrary(steps)
@@ -70,7 +72,7 @@ def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step
     taken = StepTaken(t, end, begin.q, begin.v, last.q, last.v, begin.z, last.z)
     shares = np.linspace(0.0, 1.0, 2 if path is None else PIECES + 1).tolist()
     nodes = [(taken.between if path is None or share in (0.0, 1.0) else path)(share)[:2] for share in shares]
-    ends = [tuple(np.append(x, np.zeros(3)) for x in node) for node in nodes]
+    ends = [_ends(*node) for node in nodes]
     touches, found = False, 1.0
     for k in range(len(shares) - 1):
         part = shares[k + 1] - shares[k]
@@ -83,6 +85,11 @@ def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step
         found = min(found, SHORTER_FROM_TOUCH)
     same = SAME_PART * max(abs(t) / h, 1.0)
     return found + same if same < found < 1.0 - max(SAME_WAY, 2.0 * same) else 1.0
+
+
+def _ends(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and velocities with those of ground."""
+    return np.append(q, np.zeros(3)), np.append(v, np.zeros(3))
 
 
 def _meets_contact(equations: EquationsOfMotion, t: float, begin: StepState, last: StepState, end: float) -> bool:
@@ -152,7 +159,7 @@ class CompliantLibrary(ExternalMethod):
             self._open(*self._now, self._stop)
         t, begin = self._now
         for _ in range(MOST_CUTS):
-            made = self._library.advance()
+            made = self._advance()
             assert made.time is not None
             end = float(made.time)
             share = _change(self._equations, t, begin, made, end)
@@ -162,6 +169,21 @@ class CompliantLibrary(ExternalMethod):
         self._now = end, made.state
         self._ended |= self._now[0] >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
         return made
+
+    def _advance(self) -> Step:
+        """Return a step of the library, or straight into a contact before which it fails because a force jumps."""
+        try:
+            return self._library.advance()
+        except StepError as error:
+            (t, begin), events = self._now, self._equations.derived(ContactEvents)
+            h = 2.0 * SAME_PART * max(abs(t), 1.0)
+            state = replace(begin, q=begin.q + h * begin.v, work=0.0, dissipated=0.0)
+            change_at(events.pinned.address, *_ends(begin.q, begin.v), *_ends(state.q, state.v), h)  # writes the gaps
+            begins = (events.bundle.begin[NORMAL] >= 0.0) & (events.bundle.gaps < 0.0)
+            if error.code != "step-too-small" or not np.any(begins):
+                raise
+        self._ended = True
+        return Step(state, time=t + h)
 
     def cut(self, t: float) -> StepState | None:
         """See `ExternalMethod.cut`."""

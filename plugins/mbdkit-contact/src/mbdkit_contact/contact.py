@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
@@ -21,9 +21,6 @@ from mbdkit.mechanism.joints import Joint, Revolute, Weld
 from mbdkit.mechanism.model_methods import of_models
 from mbdkit.mechanism.values import BodyPair, NotNegative, Point, Positive, sequence
 from mbdkit_contact.polylines import check_polyline, surface_of
-
-if TYPE_CHECKING:
-    pass
 
 Pair = tuple[float, float]
 

@@ -39,7 +39,7 @@ class ForcedEquations(EquationsOfMotion):
         self.__dict__.update(events.p.__dict__)  # the arrays and counters of the same run
         self._events, self._contacts, self._derived = events, events.contacts, {}
         self._own = self.z0 = self._contacts.own(events.p.z0)
-        self.has_power = events.p.has_power or bool(np.any(self._contacts.kinetic > 0.0))
+        self.has_power = events.p.has_power or bool(np.any(self._contacts.coefficients[:, 2] > 0.0))
 
     def hold(self, z: np.ndarray) -> None:
         """See `EquationsOfMotion.hold`."""

@@ -123,7 +123,6 @@ def mbdkit_items() -> Iterable[Item]:
             stage="spec",
             find=Target("mbdkit_contact.contact_criteria:rolling_point_masses"),
             of=frozenset({"run", "mechanism"}),
-            criteria=("rolling-point-masses",),
             elements="contacts",
         ),
         CriterionItem(
@@ -132,8 +131,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=107,
             stage="spec",
             find=Target("mbdkit_contact.contact_criteria:slip_events"),
-            of=frozenset({"run"}),
-            criteria=("slip-events",),
             elements="contacts",
         ),
         CriterionItem(
@@ -142,7 +139,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=155,
             stage="rows",
             find=Target("mbdkit_contact.contact_criteria:slow_friction"),
-            of=frozenset({"run"}),
             criteria=("slow-friction",),
             elements="contacts",
         ),
@@ -152,8 +148,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=175,
             stage="rows",
             find=Target("mbdkit_contact.deep_overlaps:watch_deep_overlaps"),
-            of=frozenset({"run"}),
-            criteria=("deep-overlaps",),
             elements="contacts",
         ),
         CriterionItem(
@@ -162,8 +156,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=176,
             stage="rows",
             find=Target("mbdkit_contact.deep_overlaps:watch_long_steps"),
-            of=frozenset({"run"}),
-            criteria=("long-steps-at-contacts",),
             elements="contacts",
         ),
         CriterionItem(
@@ -172,8 +164,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=177,
             stage="rows",
             find=Target("mbdkit_contact.deep_overlaps:watch_rigid_overlaps"),
-            of=frozenset({"run"}),
-            criteria=("rigid-overlaps",),
             level="bad",
             elements="contacts",
         ),

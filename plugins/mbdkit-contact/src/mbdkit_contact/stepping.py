@@ -25,7 +25,7 @@ from mbdkit_contact.kernels.smooth_steps import NO_IMPULSES, OVERLAP, STAGES
 from mbdkit_contact.kernels.step_impulses import FEW, MOST_PIVOTED
 from mbdkit_contact.kernels.stepping_bundle import HeldContacts, Stepping
 from mbdkit_contact.kernels.time_stepping import attempt, dense, keep
-from mbdkit_contact.rigid_contacts import RigidContacts
+from mbdkit_contact.rigid_contacts import RigidContacts, zeros
 from mbdkit_contact.time_stepping_methods import MoreauJean, NonsmoothGeneralizedAlpha
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class CompiledTimeStepping(CompiledMethod):
         top, size = workspace.mechanism.topology, workspace.mechanism.size
         contacts = RigidContacts(EquationsOfMotion(workspace, states_at_start(workspace)))
         self._names, count = contacts.names, len(contacts.names)
-        few, bodies, pairs = min(count, MOST_PIVOTED), size // 3, len(top.pairs)
+        few, pairs = min(count, MOST_PIVOTED), len(top.pairs)
         classes, terms, n = classes_of(workspace), workspace.terms, size - 3
         is_coupling = classes != MASS
         # rows of constraints couple the bodies of their columns
@@ -97,61 +97,45 @@ class CompiledTimeStepping(CompiledMethod):
         others = len(top.loads) - of_contacts
         is_jointed = len(top.pairs) + len(top.springs) + len(top.sections) + others > 0
 
-        def vectors(number: int, length: int) -> list[np.ndarray]:
-            return [np.zeros(length) for _ in range(number)]
-
-        def integers(number: int, length: int) -> list[np.ndarray]:
-            return [np.zeros(length, dtype=np.int64) for _ in range(number)]
-
         none = empty_pattern()
+        given: dict[str, Any] = zeros({
+            "saved_q saved_v q v free after middle base end unchanged ended smooth point x y force": (size,),
+            "right solution correction": (workspace.unknowns,),
+            "lam lam_x miss": (pairs, 2),
+            "gaps more closing friction restitution normal tangent": (count,),
+            "factor error lost": (1,),
+            "z": (len(top.states),),
+            "rows": (count, 16),
+            "block": (count, 4),
+            "moved": (2 * (count if is_jointed else few), size),
+            "krylov": (9, 2 * count if count > few else 0),
+        })  # fmt: skip
+        given |= zeros(
+            {
+                "by_matrix is_sparse number other_law reason": (1,),
+                "some is_some closed slipping slides stops states": (count,),
+                "free_body": (size // 3,),
+                "scatter": (0, 3),
+            },
+            np.int64,
+        )
         self.bundle = Stepping(
+            **given,
+            **{name: new_held(count, size) for name in ("now", "before", "saved", "new")},
             theta=np.array([method.theta] if isinstance(method, MoreauJean) else []),
             alpha=alpha_of(method.spectral_radius) if isinstance(method, NonsmoothGeneralizedAlpha) else np.zeros(0),
             shapes=contacts.shapes,
-            coefficients=np.column_stack([contacts.restitution, contacts.static, contacts.kinetic]),
+            coefficients=contacts.coefficients,
             places=np.array([states.start, len(states)]),
             coordinates=coordinates,
             reach=np.array([contacts.reach]),
-            now=new_held(count, size),
-            before=new_held(count, size),
-            saved=new_held(count, size),
-            new=new_held(count, size),
-            saved_q=np.zeros(size),
-            saved_v=np.zeros(size),
             terms=np.ascontiguousarray(np.column_stack(sides)[is_coupling].astype(np.int64)),
             sources=np.ascontiguousarray(terms.source[is_coupling].astype(np.int64)),
             pattern=none,
             factors=new_factors(none, float),
-            scatter=np.zeros((0, 3), dtype=np.int64),
-            **dict(zip(("right", "solution", "correction"), vectors(3, workspace.unknowns), strict=True)),
-            by_matrix=np.zeros(1, dtype=np.int64),
-            free_body=np.zeros(bodies, dtype=np.int64),
-            is_sparse=np.zeros(1, dtype=np.int64),
-            **dict(zip(("q", "v", "free", "after", "middle", "base"), vectors(6, size), strict=True)),
-            factor=np.zeros(1),
-            **dict(zip(("end", "unchanged", "ended", "smooth"), vectors(4, size), strict=True)),
-            z=np.zeros(len(top.states)),
-            **dict(zip(("point", "x", "y", "force"), vectors(4, size), strict=True)),
-            **{name: np.zeros((pairs, 2)) for name in ("lam", "lam_x", "miss")},
-            number=np.zeros(1, dtype=np.int64),
-            **dict(zip(("some", "is_some"), integers(2, count), strict=True)),
-            gaps=np.zeros(count),
-            rows=np.zeros((count, 16)),
-            moved=np.zeros((2 * (count if is_jointed else few), size)),
-            block=np.zeros((count, 4)),
-            **dict(
-                zip(("more", "closing", "friction", "restitution", "normal", "tangent"), vectors(6, count), strict=True)
-            ),
-            **dict(zip(("closed", "slipping", "slides", "stops"), integers(4, count), strict=True)),
-            error=np.zeros(1),
-            lost=np.zeros(1),
-            other_law=np.zeros(1, dtype=np.int64),
-            states=np.zeros(count, dtype=np.int64),
-            krylov=np.zeros((9, 2 * count if count > few else 0)),
             cones=new_cones(min(count, MOST_FACTORIZED), few),
             active=new_active_set(min(count, MOST_FACTORIZED)),
             impacts=new_impacts(min(count, FEW)),
-            reason=np.zeros(1, dtype=np.int64),
         )
         self.pinned = PinnedBundle(self.bundle)
 

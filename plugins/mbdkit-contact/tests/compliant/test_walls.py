@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
-from tests.benchmarks.drawn_contacts import study
+from tests.benchmarks.drawn_contacts import compliant, study
 
 RADIUS, FAR, THICK, SPEED, STIFFNESS, DAMPING = 0.05, 1.9, 0.002, 4.5, 1e6, 0.1
 METHODS: list[dict[str, Any]] = [
@@ -76,6 +76,12 @@ def test_fixed_steps_that_may_jump_over_a_wall_are_told() -> None:
     assert level in ("doubtful", "bad")
     assert "may pass through each other; use a smaller time.step" in sentence
     assert verdict(1e-4) == ("unknown", "")
+
+
+@pytest.mark.parametrize("number", [105, 822, 905])
+def test_libraries_pass_the_jump_of_the_force_of_a_damper(number: int) -> None:
+    is_right, _, what = compliant(np.random.default_rng([1, number]))
+    assert is_right, what
 
 
 @pytest.mark.slow

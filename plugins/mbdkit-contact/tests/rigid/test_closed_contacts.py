@@ -98,7 +98,7 @@ def test_accelerations_and_forces_satisfy_the_equations_of_motion_and_the_laws_o
         np.testing.assert_allclose(p.constraint_jacobian(T, q) @ a, p.gamma(T, q, v), **close)
         np.testing.assert_array_equal(normal[modes == OPEN], 0.0)
         slips = np.abs(modes) == SLIP
-        friction = -np.sign(modes[slips]) * contacts.kinetic[slips] * normal[slips]
+        friction = -np.sign(modes[slips]) * contacts.coefficients[slips, 2] * normal[slips]
         np.testing.assert_allclose(tangent[slips], friction, **close)
         held = np.vstack([rows.normal[modes != OPEN], rows.tangent[modes == STICK]])
         every = np.vstack([held, p.constraint_jacobian(T, q).toarray()])

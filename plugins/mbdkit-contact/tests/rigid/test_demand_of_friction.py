@@ -9,6 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from tests.benchmarks.drawn_contacts import rigid
+
 from .scenes import FLOOR, G, outline, run
 
 METHODS: list[Any] = [
@@ -71,6 +73,12 @@ def test_a_growing_load_lifts_a_ball_from_rest(method: Any, load: str) -> None:
     done = run(model, 0.7, method=method)
     assert done.status == "complete"
     assert done["b"].position[-1, 1] == pytest.approx(height, abs=3e-6)
+
+
+def test_slip_is_found_behind_a_place_where_redundant_contacts_only_seem_to_slip() -> None:
+    """Both corners of a block carry the load; with forces of least norm, one of them slips before both do."""
+    is_right, _, what = rigid(np.random.default_rng([1, 783]))
+    assert is_right, what
 
 
 @pytest.mark.parametrize("size", [1e-2, 1e-4, 1e-7])

@@ -93,7 +93,7 @@ class EventSearch(NamedTuple):
     best: RealCube
     """(3, C, 2) share and value of the largest sample before the first negative one."""
     last: RealCube
-    """(3, C, 4) shares and values of the last two samples."""
+    """(3, C, 4) shares and values of the last two samples, or after the first negative one, of the least one."""
     high: RealMatrix
     """(3, C) share of the first sample that is negative or may be; infinite if there is none."""
     limits: RealMatrix
