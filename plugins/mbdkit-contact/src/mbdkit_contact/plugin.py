@@ -172,7 +172,7 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Forces by the overlap of the shapes.",
             order=0,
             of="contacts",
-            method=Target("mbdkit_contact.compliant_steps:compliant"),
+            method=Target("mbdkit_contact.compliant_methods:compliant"),
         ),
         Treatment(
             name="event-driven",
