@@ -14,7 +14,7 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.integrators.interface import SAME_INSTANT, StepTaken
+from mbdkit.integrators.interface import SAME_INSTANT
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit.integrators.start import treatment_method
@@ -68,19 +68,18 @@ def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step
     events = equations.derived(ContactEvents)
     if not events.contacts.names:
         return 1.0
-    h, last, path = end - t, made.state, made.dense
-    taken = StepTaken(t, end, begin.q, begin.v, last.q, last.v, begin.z, last.z)
-    shares = np.linspace(0.0, 1.0, 2 if path is None else PIECES + 1).tolist()
-    nodes = [(taken.between if path is None or share in (0.0, 1.0) else path)(share)[:2] for share in shares]
-    ends = [_ends(*node) for node in nodes]
-    touches, found = False, 1.0
-    for k in range(len(shares) - 1):
-        part = shares[k + 1] - shares[k]
-        share = float(change_at(events.pinned.address, *ends[k], *ends[k + 1], part * h))
-        touches |= k == 0 and bool(np.any(events.bundle.touching))
-        if share < 1.0:
-            found = shares[k] + share * part
-            break
+    h, last, path, bundle = end - t, made.state, made.dense, events.bundle
+    first, final = _ends(begin.q, begin.v), _ends(last.q, last.v)
+    found, touches = float(change_at(events.pinned.address, *first, *final, h)), bool(np.any(bundle.touching))
+    if path is not None and (found < 1.0 or np.any(bundle.touch.near)):  # else the cubic through both ends will do
+        found, touches = 1.0, False
+        for k in range(PIECES):
+            then = final if k == PIECES - 1 else _ends(*path((k + 1) / PIECES)[:2])
+            share = float(change_at(events.pinned.address, *first, *then, h / PIECES))
+            first, touches = then, touches or (k == 0 and bool(np.any(bundle.touching)))
+            if share < 1.0:
+                found = (k + share) / PIECES
+                break
     if touches and not _meets_contact(equations, t, begin, last, end):
         found = min(found, SHORTER_FROM_TOUCH)
     same = SAME_PART * max(abs(t) / h, 1.0)

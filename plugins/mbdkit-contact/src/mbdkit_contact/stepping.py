@@ -119,9 +119,9 @@ class CompiledTimeStepping(CompiledMethod):
             },
             np.int64,
         )
+        given |= {name: new_held(count, size) for name in ("now", "before", "saved", "new")}
         self.bundle = Stepping(
             **given,
-            **{name: new_held(count, size) for name in ("now", "before", "saved", "new")},
             theta=np.array([method.theta] if isinstance(method, MoreauJean) else []),
             alpha=alpha_of(method.spectral_radius) if isinstance(method, NonsmoothGeneralizedAlpha) else np.zeros(0),
             shapes=contacts.shapes,
