@@ -9,7 +9,7 @@ difference of two results for one motion, such as those with and without a devic
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,7 +19,13 @@ from mbdkit.base import elementary
 from mbdkit.base.errors import RunError
 from mbdkit.engine.linear_systems import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
-from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
+from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
+    END_FACTOR,
+    changes_at_ends,
+    changes_in_gaps,
+    changes_of_lines,
+    long_gaps,
+)
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import HIDDEN
 from mbdkit_biomech.inverse_dynamics.errors.noise import NoisyData
 from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries
@@ -138,7 +144,7 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     def measured(series: Smoothed, loads: dict[str, LoadSeries]) -> np.ndarray:
         return _measured(_moved(result, data.independent, series, loads), measures)
 
-    noisy = [measured(*moved) for moved in _noisy(data, own)]
+    noisy = [measured(*moved) for moved in _noisy(result, data)]
     others = [measured(series, own) for _, _, series in data.other_cutoffs()]
     value = _measured(result, measures)
     changed = [*_uncertain(result, measures, data.random)]
@@ -152,15 +158,18 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     return found
 
 
-def _noisy(data: NoisyData, loads: Mapping[str, LoadSeries]) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
-    """Yield samples of the coordinates, with noise and with changes at both ends, and of the loads."""
-    at_ends = changes_at_ends(data)
+def _noisy(result: Inverse, data: NoisyData) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
+    """Yield samples of the coordinates, with noise and with changes at both ends and of lines in gaps, and of the
+    loads.
+    """
+    at_ends, of_lines = changes_at_ends(data), changes_of_lines(result, data.path)
     for block in data.samples(SAMPLES):
         change = data.path.smoothed(block)
         for own in np.eye(block.shape[2]):
             ends = data.random.uniform(-1.0, 1.0, at_ends.value.shape[2:])
             moved = _added(_added(data.series, change, own), at_ends, ends)
-            yield moved, {name: load.with_noise(data.random) for name, load in loads.items()}
+            moved = _added(moved, of_lines, data.random.standard_normal(of_lines.value.shape[2]) / END_FACTOR)
+            yield moved, {name: load.with_noise(data.random) for name, load in result.problem.loads.items()}
 
 
 def _uncertain(result: Inverse, measures: Sequence[str], random: np.random.Generator) -> Iterator[np.ndarray]:
