@@ -80,8 +80,8 @@ def test_the_error_of_a_largest_value_in_a_gap_contains_that_of_the_line_that_fi
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(measure_samples, "SAMPLES", 20)
-    angle = 0.5 * np.cos(2 * np.pi * 1.5 * (TIME - 0.93))  # whose torque is largest in the gap
-    torque = -0.35 * (3 * np.pi) ** 2 * angle + 0.5 * 9.81 * np.sin(angle)
+    angle = 0.5 * np.cos(2 * np.pi * (TIME - 0.93))  # whose torque is largest in the gap
+    torque = -0.35 * (2 * np.pi) ** 2 * angle + 0.5 * 9.81 * np.sin(angle)
     columns = {"hip.angle": {"column": "hip", "gaps": {"longest": 1.0, "interpolation": "linear"}}}
     run = measured(
         angle, np.random.default_rng(7), slice(90, 97), 1e-4, {"gap": "max(-actuators.hip.value)"}, columns=columns

@@ -9,7 +9,7 @@ difference of two results for one motion, such as those with and without a devic
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,7 +20,6 @@ from mbdkit.base.errors import RunError
 from mbdkit.engine.linear_systems import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
-    END_FACTOR,
     changes_at_ends,
     changes_in_gaps,
     changes_of_lines,
@@ -72,12 +71,15 @@ class SampledMeasures(NamedTuple):
         (C, ..., K) measures with other cutoffs; C may be 0.
     uncertain
         (P, ..., K) measures with other uncertain properties of the person and its muscles; P may be 0.
+    straight
+        (1, ..., K) measures after `changes_of_lines`; (0, ..., K) without gaps that straight lines fill.
     """
 
     value: np.ndarray
     noisy: np.ndarray
     cutoffs: np.ndarray
     uncertain: np.ndarray
+    straight: np.ndarray
 
     def minus(self, other: SampledMeasures) -> SampledMeasures:
         """Return the differences between two results, sample by sample, for the same noise, cutoffs, persons and
@@ -101,7 +103,7 @@ class SampledMeasures(NamedTuple):
             variance = known_mean((change - mean) ** 2)
             bias = FIRST_NOISE * np.sqrt(np.maximum(0.0, mean**2 - variance / np.maximum(1, number)))
             square = (bias + np.sqrt(FACTOR * variance)) ** 2
-        for factor, samples in ((FACTOR, self.uncertain), (1.0, self.cutoffs)):
+        for factor, samples in ((FACTOR, self.uncertain), (1.0, self.cutoffs), (1.0, self.straight)):
             if len(samples):
                 square = square + factor * known_mean((samples - self.value) ** 2)
         return np.asarray(np.sqrt(square))
@@ -144,11 +146,14 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     def measured(series: Smoothed, loads: dict[str, LoadSeries]) -> np.ndarray:
         return _measured(_moved(result, data.independent, series, loads), measures)
 
-    noisy = [measured(*moved) for moved in _noisy(result, data)]
+    noisy = [measured(*moved) for moved in _noisy(data, own)]
+    of_lines = changes_of_lines(result, data.path)
+    straight = [measured(_added(data.series, of_lines, one), own) for one in np.eye(of_lines.value.shape[2])]
     others = [measured(series, own) for _, _, series in data.other_cutoffs()]
     value = _measured(result, measures)
     changed = [*_uncertain(result, measures, data.random)]
-    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, changed)))
+    samples = noisy, others, changed, straight
+    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in samples))
     change = changes_in_gaps(result, data.path, gaps)
     for _ in range(HIDDEN_SAMPLES if gaps else 0):
         phase = data.random.uniform(0.0, 2 * np.pi, len(gaps))
@@ -158,18 +163,15 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     return found
 
 
-def _noisy(result: Inverse, data: NoisyData) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
-    """Yield samples of the coordinates, with noise and with changes at both ends and of lines in gaps, and of the
-    loads.
-    """
-    at_ends, of_lines = changes_at_ends(data), changes_of_lines(result, data.path)
+def _noisy(data: NoisyData, loads: Mapping[str, LoadSeries]) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
+    """Yield samples of the coordinates, with noise and with changes at both ends, and of the loads."""
+    at_ends = changes_at_ends(data)
     for block in data.samples(SAMPLES):
         change = data.path.smoothed(block)
         for own in np.eye(block.shape[2]):
             ends = data.random.uniform(-1.0, 1.0, at_ends.value.shape[2:])
             moved = _added(_added(data.series, change, own), at_ends, ends)
-            moved = _added(moved, of_lines, data.random.standard_normal(of_lines.value.shape[2]) / END_FACTOR)
-            yield moved, {name: load.with_noise(data.random) for name, load in result.problem.loads.items()}
+            yield moved, {name: load.with_noise(data.random) for name, load in loads.items()}
 
 
 def _uncertain(result: Inverse, measures: Sequence[str], random: np.random.Generator) -> Iterator[np.ndarray]:
