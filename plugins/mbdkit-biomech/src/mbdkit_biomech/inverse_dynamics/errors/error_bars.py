@@ -185,7 +185,7 @@ def error_bars(result: Inverse) -> ResultBars | None:
     of_ends = _squares_of_changes(sensitivity, changes_at_ends(data))
     likely = response(likely_at_ends(data))
     of_lines = _squares_of_changes(sensitivity, changes_of_lines(result, data.path))
-    squares = [sum(parts) for parts in zip(squares, of_ends, of_lines, strict=True)]
+    squares = [one + ends + lines for one, ends, lines in zip(squares, of_ends, of_lines, strict=True)]
     uncertain, of_data = uncertain_result(result, data.random), squares[1]
     if uncertain is not None:
         squares = [square + more for square, more in zip(squares, uncertain.squares, strict=True)]
