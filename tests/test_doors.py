@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import importlib
+import re
 from pathlib import Path
 
 import pytest
@@ -34,6 +36,19 @@ def test_each_name_is_behind_one_door() -> None:
     """Users need some of the names that authors of plugins need, which are in `mbdkit` too."""
     homes = [(home, name) for face, name, home in entries() if face not in ("mbdkit", "mbdkit.testing")]
     assert len(set(homes)) == len(homes)
+
+
+@pytest.mark.skipif(not PARTS, reason="doors lead to all parts")
+def test_pages_and_docstrings_of_doors_name_functions_that_are_on_doors() -> None:
+    """A page once named `load_inverse_spec`, which only inner modules have."""
+    known = {name for _, name, _ in entries()} | {"load_frame"}  # a column of measured loads
+    pages = [*ROOT.glob("mbdkit/guide/*.md"), *ROOT.glob("plugins/*/src/*/guide/*.md"), ROOT / "README.md"]
+    texts = {page.name: page.read_text(encoding="utf-8") for page in pages}
+    for face, name, _ in entries():
+        texts[f"{face}.{name}"] = getattr(importlib.import_module(face), name).__doc__ or ""
+    assert len(texts) > 100
+    unknown = {place: set(re.findall(r"\bload_\w+", text)) - known for place, text in texts.items()}
+    assert {place: names for place, names in unknown.items() if names} == {}
 
 
 @pytest.mark.parametrize("name", sorted(OUTSIDE))

@@ -133,8 +133,8 @@ def _read_files(document: Document) -> None:
 def example_names(kind: str | None = None) -> list[str]:
     """Return the names of the packaged examples of specs of a kind, such as ``run`` or ``inverse``, or of all specs.
 
-    `load_spec` accepts the names of run specs as a source, `load_inverse_spec` those of inverse dynamics, and
-    `load_design_spec` those of designs.
+    `load_spec` and `mbdkit.run` accept the names of run specs as a source, `mbdkit.inverse` those of inverse dynamics,
+    and `mbdkit.design` those of designs.
     """
     return [name for name, own in _kinds(registry()).items() if kind in (None, own)]
 

@@ -289,7 +289,7 @@ def test_errors_of_largest_values_cover_the_bias_that_noise_causes() -> None:
         for _ in range(200):
             data = top + deviation * random.standard_normal(200)
             noisy = np.max(data + deviation * random.standard_normal((SAMPLES, 200)), axis=1)[:, None]
-            found = SampledMeasures(np.array([np.max(data)]), noisy, np.zeros((0, 1)), np.zeros((0, 1)))
+            found = SampledMeasures(np.array([np.max(data)]), noisy, *[np.zeros((0, 1))] * 3)
             covered.append(abs(found.value[0] - 1.0) <= found.bounds()[0])
         assert np.mean(covered) > 0.85
 

@@ -92,7 +92,7 @@ def test_the_number_of_samples_that_would_do_follows_from_the_scatter() -> None:
     # expected: standard errors fall with the root of the number, 500 (0.12 / 0.1)^2 = 720, in hundreds
     scattered = SimpleNamespace(scatter=np.array([0.04, 0.12]), samples=500)
     told = UncertainResult.too_few.fget(scattered)
-    assert told.endswith("uncertain by up to 12% (standard error); 10% takes about 800")
+    assert told.endswith("uncertain by up to 12.0% (standard error); it falls to 10% with about 800")
 
 
 @pytest.mark.parametrize("freedoms", [2, 5, 11, 40])

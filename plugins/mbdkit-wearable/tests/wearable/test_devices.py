@@ -241,3 +241,46 @@ def test_an_exoskeleton_of_hip_and_knee_carries_torques_to_both_joints() -> None
     torques = dict(zip(rest.joints, rest.reaction_torque.tolist(), strict=True))
     assert torques["knee_motor"] == pytest.approx(-0.01, rel=2e-3)
     assert torques["hip_motor"] == pytest.approx(-0.02, rel=2e-3)
+
+
+def legs(trunk: str | None) -> mbdkit.Mechanism:
+    """Return two legs on a trunk, on a pelvis below a heavier trunk with an arm, or on hips that the ground fixes."""
+    m = mbdkit.Mechanism()
+    hip = trunk or m.ground
+    if trunk is not None:
+        m.body("trunk", mass=40.0, inertia=3.0)
+    if trunk == "pelvis":
+        m.body("pelvis", mass=10.0, inertia=0.1)
+        m.revolute("lumbar", "trunk", "pelvis", at=(0.0, 0.0))
+        for name, above in {"arm": "trunk", "forearm": "arm"}.items():
+            m.body(name, mass=2.0, inertia=0.02)
+            m.revolute(name, above, name, at=(0.0, 0.0))
+    for side in ("right", "left"):
+        for name, above in {"thigh": hip, "shank": f"thigh_{side}", "foot": f"shank_{side}"}.items():
+            m.body(f"{name}_{side}", mass=3.0, inertia=0.05)
+            m.revolute(f"{name}_{side}", above, f"{name}_{side}", at=(0.0, 0.0))
+    return m
+
+
+@pytest.mark.parametrize("trunk", ["trunk", "pelvis", None])
+def test_a_device_on_two_legs_is_refused_unless_it_is_on_the_trunk_or_meant_to_join_them(trunk: str | None) -> None:
+    def wear(*limbs: str, **keys: object) -> None:
+        device = mbdkit.Mechanism()
+        attach = {}
+        for number, limb in enumerate(limbs):
+            device.body(f"link{number}", mass=0.5, inertia=0.01)
+            attach[f"link{number}"] = {"limb": limb, "at": (0.0, 0.0), "cuff": CUFF}
+        legs(trunk).wear("brace", device, attach=attach, **keys)
+
+    for pair in (("thigh_right", "shank_left"), ("foot_left", "foot_right")):
+        with pytest.raises(mbdkit.SpecError, match="two limbs") as caught:
+            wear(*pair)
+        assert all(f"is on '{limb}'" in caught.value.message for limb in pair)
+        assert "`joins_limbs: true`" in caught.value.message
+        assert caught.value.key.startswith("devices.brace.attach.")
+        wear(*pair, joins_limbs=True)
+    for several in (("thigh_right", "shank_right"), ("thigh_left", "foot_left"), ("shank_left",)):
+        wear(*several)
+    if trunk is not None:
+        wear(trunk, "thigh_right", "thigh_left")
+        wear("trunk", "thigh_left", "shank_left")

@@ -248,7 +248,7 @@ def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
             Line("5 % and 95 %", np.concatenate([x, gap, x]), np.concatenate([lowest, gap, highest])),
         )
         unit = "" if bands.unit == "1" else bands.unit
-        caption = f"Quantiles of {int(bands.count.max())} runs at each time.{one.told}"
+        caption = f"Quantiles of {int(bands.count.max())} runs at each time.{bands.told}{one.told}"
         name = replace(one, quantity=Quantity((text,), "", Axis(""))).slug("quantiles")
         yield Figure(name, f"{text} over time", caption, Axis("time", "s"), Axis(text, unit), lines)
 
