@@ -159,10 +159,10 @@ class _Identification:
 
     # ---- biases ----------------------------------------------------------------------------------------------------
 
-    def _shift(self, change: np.ndarray, jacobian: np.ndarray | None = None) -> np.ndarray:
+    def _shift(self, change: np.ndarray) -> np.ndarray:
         """Return how the estimates (n,) follow a change (R,) of the whitened predictions."""
         fit = self.fit
-        j = (fit.jacobian if jacobian is None else jacobian)[: len(change)]
+        j = fit.jacobian[: len(change)]
         shift = np.zeros(len(fit.x))
         shift[: j.shape[1]] = -covariance_of(fit.jacobian, fit.free) @ (j.T @ change)
         return shift
