@@ -225,10 +225,8 @@ def validate_run(source: Document | str, spec: str, assignments: list[str]) -> N
     if checked.gradients:
         higher_layers.check_gradients(checked, make_method(checked))
     problem, start = build(checked)
-    try:
+    with SpecError.place_by(checked.placed):
         require_support(checked, make_method(checked), problem.mechanism)
-    except SpecError as error:
-        raise checked.placed(error) from None
     for warning in (*caution(checked), *findings("start", checked, start)):
         say(f"warning: {warning}")
     show(f"{spec}: this spec is valid")

@@ -251,10 +251,8 @@ class _Identification:
 
         def value(x: np.ndarray) -> float:
             values = known | {one: float(x[place]) for place, one in enumerate(self.names) if one.isidentifier()}
-            try:
+            with SpecError.rekey(where):
                 return parameter_values({**values, "_": text})["_"]
-            except SpecError as error:
-                raise SpecError(error.message, key=where) from None
 
         def slope(x: np.ndarray) -> np.ndarray:
             found = np.zeros(len(x))
