@@ -31,21 +31,7 @@ KIT = PACKAGES.get("mbdkit_testing", Path()) / "__init__.py"
 def entries() -> list[tuple[str, str, str]]:
     """Return door, name and home module of each public name."""
     faces = FACES | ({"mbdkit.testing": KIT} if KIT.exists() else {})
-    return sorted((face, name, home) for face, file in faces.items() for name, home in _names(file).items())
-
-
-def _names(file: Path) -> dict[str, str]:
-    if file != KIT:
-        return homes_of(file)
-    tree = _tree(file)
-    public = next(ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign))
-    imported = {
-        alias.name: str(node.module)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    return {name: imported.get(name, "mbdkit_testing") for name in public}
+    return sorted((face, name, home) for face, file in faces.items() for name, home in homes_of(file).items())
 
 
 def lines() -> Iterator[str]:

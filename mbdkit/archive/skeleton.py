@@ -86,7 +86,6 @@ def begin_file(file: h5py.File, names: ArchiveNames, arrays: tuple[Array, ...]) 
 
 
 Attribute = str | tuple[str, ...] | int | float | np.ndarray
-"""Value of an attribute."""
 
 
 def add_attributes(file: h5py.File, path: str, values: Mapping[str, Attribute]) -> dict[str, str]:

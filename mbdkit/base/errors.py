@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from mbdkit.base.interrupts import is_interrupt
@@ -50,6 +50,25 @@ class SpecError(MbdkitError, ValueError):
         new = type(self)(self.message, key=key, file=self.file or file, line=self.line or line)
         new.__cause__ = self.__cause__
         return new
+
+    @staticmethod
+    @contextmanager
+    def place_by(place: Callable[[SpecError], SpecError]) -> Iterator[None]:
+        """Replace a SpecError in a block by what `place` returns for it, such as a copy with its line in a file."""
+        try:
+            yield
+        except SpecError as error:
+            raise place(error) from None
+
+    @staticmethod
+    def locate(prefix: str) -> AbstractContextManager[None]:
+        """Prepend `prefix` to the key of a SpecError in a block; see `located`."""
+        return SpecError.place_by(lambda error: error.located(prefix=prefix))
+
+    @staticmethod
+    def rekey(key: str) -> AbstractContextManager[None]:
+        """Replace the place of a SpecError in a block by a key, where the text at this key is wrong."""
+        return SpecError.place_by(lambda error: SpecError(error.message, key=key))
 
 
 class UnsupportedMechanismError(SpecError):

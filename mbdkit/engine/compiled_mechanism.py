@@ -273,15 +273,11 @@ class CompiledMechanism:
             if what in chosen.item.supports:
                 raise SpecError(chosen.item.supports[what], key=f"{chosen.section_key}.treatment")
 
-    def refuse_states(self, what: str, hint: str = "") -> None:
-        """Raise SpecError if the mechanism has first-order states.
-
-        `what` names the computation that does not support such states; `hint` is a clause that names computations that
-        support them.
-        """
+    def refuse_states(self, what: str) -> None:
+        """Raise SpecError if the mechanism has first-order states, which `what`, a computation, does not support."""
         if self.states:
             names = listed([state.name for state in self.states], "and")
-            raise SpecError(f"{what} does not include first-order states ({names}){hint and '; ' + hint}", key="model")
+            raise SpecError(f"{what} does not include first-order states ({names})", key="model")
 
     def refuse_side_forces(self, what: str) -> None:
         """Raise SpecError if a joint has a side force; `what` names the computation that does not support them."""

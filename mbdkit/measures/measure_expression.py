@@ -67,10 +67,8 @@ class MeasureExpression:
         SpecError if the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value
         is not one number. The key of the error is ``unit`` if the given unit does not match.
         """
-        try:
+        with SpecError.locate("unit"):
             wanted = read_unit(unit) if unit else None
-        except SpecError as error:
-            raise error.located(prefix="unit") from None
         compiler = MeasureCompiler(text, spec)
         program, value = compiler.measure()
         if wanted is None:

@@ -108,11 +108,9 @@ class Input(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Input:
-        try:
+        with SpecError.locate("unit"):
             if self.unit not in ELECTRICAL and (unit := read_unit(self.unit)).factor != 1.0:
                 raise SpecError(f"should be an SI unit such as {unit.si}, not {self.unit}")
-        except SpecError as error:
-            raise error.located(prefix="unit") from None
         if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
             low, high = self.bounds
             raise SpecError(f"the smallest value, {low:g}, should be less than the largest, {high:g}", key="bounds")

@@ -25,10 +25,6 @@ class Feature(Item):
     items of lower order come first.
     """
 
-    name: str
-    summary: str
-    order: int = 500
-
     def check(self) -> None:
         """Check the fields, and that code is named by targets; raises PluginError."""
         super().check()

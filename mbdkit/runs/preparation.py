@@ -126,10 +126,8 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
     if rows is None or spec.limits.wall_time is not None:
         return
     row = row_bytes(archive_names(mechanism), spec.output.recorded)
-    try:
+    with SpecError.place_by(spec.placed):
         check_room(path, rows, row, spec.output.every)
-    except SpecError as error:
-        raise spec.placed(error) from None
 
 
 def rows_expected(spec: RunSpec) -> int | None:
@@ -159,15 +157,11 @@ def make_method(spec: RunSpec) -> Method:
             "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver, or an instance of a subclass of "
             "StepMethod or ExternalMethod"
         )
-    try:
+    with SpecError.place_by(spec.placed):
         method = controlled(method, spec.integrator, spec.integrator_item.name)
-    except SpecError as error:
-        raise spec.placed(error) from None
     if (chosen := spec.reacting) is not None and (require := chosen.item.require) is not None:
-        try:
+        with SpecError.place_by(spec.placed):
             treatment_condition.of(require)(spec, method)
-        except SpecError as error:
-            raise spec.placed(error) from None
     if spec.stabilized.symmetric and isinstance(method, ExternalMethod):
         raise PluginError(
             f"integrator {spec.integrator_item.id} claims to support symmetric projection, which libraries with a loop "

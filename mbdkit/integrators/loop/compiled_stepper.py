@@ -33,7 +33,7 @@ from mbdkit.integrators.loop import step_loop
 from mbdkit.integrators.loop.failed_steps import FailedSteps
 from mbdkit.integrators.loop.step_watch import guard_evidence
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
-from mbdkit.integrators.run.run_plan import SYMMETRIC, guard_limits, new_plan, projection_mode, single_step
+from mbdkit.integrators.run.run_plan import SYMMETRIC, RunPlan, guard_limits, new_plan, projection_mode, single_step
 from mbdkit.integrators.run.run_state import (
     FACTORIZATIONS,
     INTERVAL_FIELDS,
@@ -52,7 +52,6 @@ from mbdkit.integrators.run.step_control import Control, first_step
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from mbdkit.integrators.run.run_plan import RunPlan
     from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
 

@@ -15,15 +15,13 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Failure, Timetable
 from mbdkit.integrators.loop import step_loop
 from mbdkit.integrators.loop.step_watch import guard_failure
-from mbdkit.integrators.run.run_plan import SYMMETRIC
-from mbdkit.integrators.run.run_state import MODIFIED
+from mbdkit.integrators.run.run_plan import SYMMETRIC, RunPlan
+from mbdkit.integrators.run.run_state import MODIFIED, RunState
 from mbdkit.integrators.run.step_control import SOLVER_FAILURE_FACTOR
 from mbdkit.integrators.run.step_guards import ENERGY_JUMP, FELL_APART
 from mbdkit.registry.seam import OwnSeam
 
 if TYPE_CHECKING:
-    from mbdkit.integrators.run.run_plan import RunPlan
-    from mbdkit.integrators.run.run_state import RunState
     from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
 SINGULAR, REGULAR = 1e-6, 1e-2

@@ -54,10 +54,8 @@ class _WithUnit(Section):
         for key, value in values.items():
             numbers = value if isinstance(value, list) else [value]
             for place, number in enumerate(numbers if key in cls.NUMBERS else ()):
-                try:
+                with SpecError.locate(key):
                     quantity = read_quantity(number)
-                except SpecError as error:
-                    raise error.located(prefix=key) from None
                 if quantity is None:
                     continue
                 numbers[place] = quantity[0]

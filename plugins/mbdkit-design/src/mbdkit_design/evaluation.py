@@ -30,7 +30,6 @@ from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies import Batches
 
 Settings = Sequence[tuple[Path, object]]
-"""Key paths and their values."""
 
 
 @dataclass(frozen=True)

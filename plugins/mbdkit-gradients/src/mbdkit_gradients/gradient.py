@@ -223,29 +223,23 @@ def gradient(
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
     """Raise SpecError, with the key, if the gradients requested by a spec cannot be computed."""
-    try:
+    with SpecError.place_by(spec.placed):
         if not spec.measures:
             raise SpecError("gradients are derivatives of measures, but the spec has no `measures`", key="gradients")
         for index, name in enumerate(spec.gradients):
-            try:
+            with SpecError.rekey(path_text(("gradients", index))):
                 resolved(spec, [name])
-            except SpecError as error:
-                raise SpecError(error.message, key=path_text(("gradients", index))) from None
         resolved(spec, spec.gradients)
         require_derivatives(expressions_of(spec, definitions_of(spec, list(spec.measures))))
         refuse(spec, method)
-    except SpecError as error:
-        raise spec.placed(error) from None
 
 
 def require_derivatives(expressions: Mapping[str, MeasureExpression]) -> None:
     """Raise SpecError, with the name of the measure, if the measure contains a quantity that has no derivative."""
     for name, expression in expressions.items():
         for quantity in expression.quantities:
-            try:
+            with SpecError.rekey(path_text(("measures", name))):
                 require_derivative(quantity)
-            except SpecError as error:
-                raise SpecError(error.message, key=path_text(("measures", name))) from None
 
 
 def gradients_json(spec: RunSpec) -> str:

@@ -83,7 +83,6 @@ the numbers from which the measure is computed.
 """
 
 Settings = Sequence[tuple[Path, float]]
-"""Key paths and their values."""
 
 Measured = Callable[[Settings], Sequence[float]]
 """Function that returns the measures of a run with these values; nan if the run stops early."""

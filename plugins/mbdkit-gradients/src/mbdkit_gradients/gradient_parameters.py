@@ -16,7 +16,6 @@ from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import parse_key, put
 
 MOST_PARAMETERS = 50
-"""Largest number of parameters of one gradient."""
 
 
 Names = str | Iterable[str] | Mapping[str, float | str]

@@ -211,10 +211,8 @@ class PreparedSensitivities:
         for text in self.quantities:
             if not isinstance(text, str):
                 raise SpecError(f"a quantity is an expression, not {value_text(text)}", key="quantities")
-            try:
+            with SpecError.locate("quantities"):
                 found.append(RunExpression.parse(text, spec.mechanism(), spec.numbers, crosses=False))
-            except SpecError as error:
-                raise error.located(prefix="quantities") from None
         return found
 
     def _numbers(self, spec: RunSpec) -> Arrays:

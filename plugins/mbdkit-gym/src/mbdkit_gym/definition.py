@@ -120,10 +120,8 @@ class Definition:
         return (0.0 if is_positive else -math.inf), math.inf
 
     def _parsed(self, text: str, key: str) -> RunExpression:
-        try:
+        with SpecError.locate(key):
             return RunExpression.parse(text, self._mechanism, self.spec.numbers, crosses=False)
-        except SpecError as error:
-            raise error.located(prefix=key) from None
 
     def _judged(self, name: str, given: str | Function | None) -> Function | int | None:
         """Return a function, or the index of an expression that is read."""
@@ -139,10 +137,8 @@ class Definition:
         if isinstance(value, int | float | str):
             self._fixed[name] = value
             return
-        try:
+        with SpecError.locate(f"randomize.{quoted(name)}"):
             self._drawn[name] = frozen(value)
-        except SpecError as error:
-            raise error.located(prefix=f"randomize.{quoted(name)}") from None
 
     @property
     def varied(self) -> set[str]:

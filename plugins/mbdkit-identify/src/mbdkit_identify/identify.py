@@ -159,17 +159,9 @@ class _Identification:
 
     # ---- biases ----------------------------------------------------------------------------------------------------
 
-    def _shift(self, change: np.ndarray, jacobian: np.ndarray | None = None) -> np.ndarray:
-        """Return how the estimates (n,) follow a change (R,) of the whitened predictions."""
-        fit = self.fit
-        j = (fit.jacobian if jacobian is None else jacobian)[: len(change)]
-        shift = np.zeros(len(fit.x))
-        shift[: j.shape[1]] = -covariance_of(fit.jacobian, fit.free) @ (j.T @ change)
-        return shift
-
     def _integration_bias(self) -> np.ndarray:
         """Return the errors (n,) of the estimates that follow from the integration error of the runs."""
-        problem, x = self.problem, self.fit.x
+        problem, x, jacobian = self.problem, self.fit.x, self.fit.jacobian
         finer = [replace(one, spec=_finer(one.spec)) for one in problem.segments]
         other = Problem(problem.unknowns, problem.names, finer)
         other.noises = problem.noises
@@ -177,7 +169,8 @@ class _Identification:
         if not np.all(np.isfinite(change)):
             self.notes.append("the integration error of the runs is not known, because runs with finer steps fail")
             return np.zeros(len(x))
-        bias = self._shift(problem.white(change))
+        white = problem.white(change)
+        bias = np.asarray(-covariance_of(jacobian, self.fit.free) @ (jacobian[: len(white)].T @ white))
         deviation = np.sqrt(np.diagonal(self.covariance))
         for place, name in enumerate(self.names):
             if abs(bias[place]) > max(deviation[place], 1e-12):
@@ -258,10 +251,8 @@ class _Identification:
 
         def value(x: np.ndarray) -> float:
             values = known | {one: float(x[place]) for place, one in enumerate(self.names) if one.isidentifier()}
-            try:
+            with SpecError.rekey(where):
                 return parameter_values({**values, "_": text})["_"]
-            except SpecError as error:
-                raise SpecError(error.message, key=where) from None
 
         def slope(x: np.ndarray) -> np.ndarray:
             found = np.zeros(len(x))

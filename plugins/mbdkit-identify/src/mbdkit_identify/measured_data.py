@@ -154,10 +154,8 @@ def _factor(given: str | None, unit: str, where: str) -> float:
     """Return the factor from a unit to the SI unit of a quantity."""
     if given is None:
         return 1.0
-    try:
+    with SpecError.rekey(f"{where}.unit"):
         found = read_unit(given)
         if unit and not found.fits(read_unit(unit)):
             raise SpecError(f"the unit {given} does not fit the unit {unit} of the quantity")
-    except SpecError as error:
-        raise SpecError(error.message, key=f"{where}.unit") from None
     return found.factor

@@ -27,7 +27,6 @@ class ElementEquilibrium(Protocol):
     """Equilibrium of an element that determines the rate of one of its states; both are unknowns of the optimum."""
 
     state: str
-    """Name of the state."""
     unknowns: tuple[str, str]
     """Names of the unknowns: the rate of the state, and the force of the element, both as shares of `sizes`."""
     recorded: tuple[str, str]

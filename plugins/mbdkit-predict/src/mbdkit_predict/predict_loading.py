@@ -39,10 +39,8 @@ def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections:
     """
     if not isinstance(source, PredictSpec):
         document = read_source(source)
-        try:
+        with SpecError.place_by(document.place):
             document.data = _with_base(document.data | sections, document)
-        except SpecError as error:
-            raise document.place(error) from None
         source, sections = document, {}
     return loaded("predict", PredictSpec, source, overrides, sections)
 

@@ -318,10 +318,8 @@ class PredictSpec(ModelSpec):
         with self.recording_files():
             for name, given in self.measured.items():
                 key = f"measured.{quoted(name)}"
-                try:
+                with SpecError.locate(key):
                     self._tables[name] = given.read(self.folder)
-                except SpecError as error:
-                    raise error.located(prefix=key) from None
                 check_tables([(key, self._tables[name])], 0.0, sum(lengths))
 
     def _with_named(self, values: Mapping[str, float]) -> Mechanism:

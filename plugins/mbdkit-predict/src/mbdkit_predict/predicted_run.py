@@ -72,22 +72,18 @@ def transcribed(spec: PredictSpec) -> Transcription:
     SpecError
         If an expression is wrong, or the mechanism cannot be exported.
     """
-    try:
+    with SpecError.place_by(spec.placed):
         system = CasadiSystem(spec.chosen, 0.0, is_joint=spec.coordinates == "joint")
         with spec.blaming("minimize"):
             objective = objective_of(spec, system)
         return Transcription(spec, system, objective, _simpler(spec))
-    except SpecError as error:
-        raise spec.placed(error) from None
 
 
 def _simpler(spec: PredictSpec) -> Transcription | None:
     """Return the simpler problem whose optimum is the first guess; None without one."""
-    try:
+    with SpecError.locate("guess"):
         simpler = simpler_spec(spec)
         return None if simpler is None else transcribed(simpler)
-    except SpecError as error:
-        raise error.located(prefix="guess") from None
 
 
 def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

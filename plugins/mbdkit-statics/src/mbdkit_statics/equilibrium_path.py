@@ -33,7 +33,6 @@ STRAIGHT = 0.98
 """A step is halved if the cosine of the angle between the tangents at its beginning and its end is below this."""
 
 MOST_POINTS = 5000
-"""Largest number of points of a path."""
 
 MOST_CORRECTIONS, EASY = 8, 4
 """Largest number of Newton corrections of a point, and number of corrections up to which the next step is made longer.

@@ -215,12 +215,10 @@ class _SystemBuilder:
             for letter, value in function.parameters
         }
         x, y, angle, first = sp.symbols("x y angle first", real=True)
-        try:
+        with SpecError.locate(f"model.joints.{quoted(joint)}"):
             values = symbolic_function(
                 function, joint, (x, y, angle, first, TIME), given, _angle, partial(self.table, joint, {})
             )
-        except SpecError as error:
-            raise error.located(prefix=f"model.joints.{quoted(joint)}") from None
         pose = {
             x: (d.in_x - d.PARAMETERS[0]).xreplace(here),
             y: (d.in_y - d.PARAMETERS[1]).xreplace(here),

@@ -49,11 +49,6 @@ class ElementUnderTest(ExampleUnderTest):
         return self.kind.key_in_model
 
     @property
-    def example(self) -> str:
-        """Name of the example; empty if there is none."""
-        return self.kind.example
-
-    @property
     def what(self) -> str:
         """What the example must have, in the plural."""
         return self.key

@@ -55,7 +55,7 @@ def own_class(kind: JointUnderTest) -> Result:
         return failed(
             f"the `type` of its class is {default!r} by default, not the name of the kind, '{kind.kind.name}'"
         )
-    for joint in kind.joints.values() if kind.example or "spec" in vars(kind) else ():
+    for joint in kind.joints.values() if kind.kind.example or "spec" in vars(kind) else ():
         if cause := _wrong_rows(joint.rows, joint.units):
             return failed(cause)
     return passed()

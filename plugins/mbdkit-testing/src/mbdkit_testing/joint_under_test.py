@@ -41,11 +41,6 @@ class JointUnderTest(ExampleUnderTest):
         return cast(JointKind, self.item.plugin)
 
     @property
-    def example(self) -> str:
-        """Name of the example; empty if there is none."""
-        return self.kind.example
-
-    @property
     def what(self) -> str:
         """What the example must have, in the plural."""
         return f"joints of the type '{self.kind.name}'"

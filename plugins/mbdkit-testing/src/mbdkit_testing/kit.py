@@ -100,6 +100,31 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, object], inst
     return types.get(kind, item_checks.ItemUnderTest)(item, chosen, installed)
 
 
+def check_element(name: str, *, quick: bool = False) -> Report:
+    """Run all checks of a kind of elements; see `verify`."""
+    return verify("element-kind", name, quick=quick)
+
+
+def check_integrator(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
+    """Run all checks of an integrator; see `verify`."""
+    return verify("integrator", name, options, quick=quick)
+
+
+def check_joint(name: str, *, quick: bool = False) -> Report:
+    """Run all checks of a kind of joints; see `verify`."""
+    return verify("joint-kind", name, quick=quick)
+
+
+def check_model(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
+    """Run all checks of a model; see `verify`."""
+    return verify("model", name, options, quick=quick)
+
+
+def check_force_law(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
+    """Run all checks of a force law; see `verify`."""
+    return verify("force-law", name, options, quick=quick)
+
+
 def verify(
     kind: Kind,
     name: str,

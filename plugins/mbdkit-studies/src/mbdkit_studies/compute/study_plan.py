@@ -236,10 +236,8 @@ def check_column_names(spec: StudySpec) -> None:
         If a name or label cannot be stored, if two columns would have the same name, or if an axis or variable sets a
         measure.
     """
-    try:
+    with SpecError.place_by(spec.placed):
         measures = {measure.name: measure.place for measure in spec.defined_measures()}
-    except SpecError as error:
-        raise spec.placed(error) from None
     for name, where in measures.items():
         if name in COLUMNS | _OF_TABLES:
             message = f"'{name}' is a column of the index of every study; choose another name for this measure"

@@ -123,10 +123,8 @@ def values_of(spec: StudySpec) -> dict[str, np.ndarray]:
         return {}
     if spec._columns is None:
         estimated = spec.estimated()
-        try:
+        with SpecError.place_by(lambda error: spec.placed(error.located(prefix="sample"))):
             spec._columns = sampled_values(spec.sample, estimated)
-        except SpecError as error:
-            raise spec.placed(error.located(prefix="sample")) from None
     return spec._columns
 
 

@@ -17,7 +17,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.take import error_of, is_taken, take
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
+from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN, DefinedMeasure
 from mbdkit_report import Trend, trends
 from mbdkit_studies.spec.reference_errors import (
     EVERY_ROW,
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from mbdkit.archive.finished_run import FinishedRun
     from mbdkit.archive.run import Run
     from mbdkit.spec.run_spec import RunSpec
-    from mbdkit.spec.study_measures import DefinedMeasure
 
 
 class RunGroup:

@@ -56,10 +56,8 @@ def frozen(given: object) -> Any:
     if not isinstance(given, Mapping) or len(given) != 1:
         raise SpecError(f"should be {FORM}, not {value_text(given)}")
     name, parameters = next(iter(given.items()))
-    try:
+    with SpecError.locate(str(name)):
         return _frozen(str(name), parameters)
-    except SpecError as error:
-        raise error.located(prefix=str(name)) from None
 
 
 def _frozen(name: str, given: object) -> Any:
@@ -125,10 +123,8 @@ def _in_si(values: Mapping[str, object]) -> tuple[dict[str, Any], Unit | None]:
     """
     numbers, units = dict(values), {}  # type: dict[str, Any], dict[str, Unit]
     for key, value in values.items():
-        try:
+        with SpecError.locate(str(key)):
             quantity = read_quantity(value)
-        except SpecError as error:
-            raise error.located(prefix=str(key)) from None
         if quantity is not None:
             numbers[key], units[key] = quantity
     sized = [key for key in values if key in (*LIMITS, *_NORMAL, *_LOCATION)]

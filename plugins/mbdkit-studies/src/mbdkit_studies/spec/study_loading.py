@@ -69,13 +69,11 @@ def load_study_spec(source: object, assignments: Iterable[str] = (), *, quick: b
         raise document.place(SpecError(message, key="mbdkit"))
     if error := refused(data, "study"):
         raise document.place(error)
-    try:
+    with SpecError.place_by(document.place):
         bases = _write_out_bases(data, folder)
         for assignment in assignments:
             _override(document, assignment)
         spec = StudySpec(**data)
-    except SpecError as error:
-        raise document.place(error) from None
     spec._document = document
     spec._bases = bases
     spec._folder = folder
@@ -255,10 +253,8 @@ def base_document(base: object, folder: FilePath, key: str, owner: str) -> Docum
     """
     if not isinstance(base, Mapping):
         return read_source(base_source(base, folder, key, owner) if isinstance(base, str) else base)
-    try:
+    with SpecError.locate(key):
         return read_source(Document(copied(base), folder=folder))
-    except SpecError as error:
-        raise error.located(prefix=key) from None
 
 
 def base_source(base: str, folder: FilePath, key: str, owner: str) -> str | FilePath:

@@ -150,10 +150,8 @@ def _in_si(kind: str, limits: list[Any]) -> list[Any]:
 
 def _quantity(given: object, key: str) -> tuple[float, Unit] | None:
     """Return the value and the unit of a number with a unit; None for anything else."""
-    try:
+    with SpecError.locate(key):
         return read_quantity(given)
-    except SpecError as error:
-        raise error.located(prefix=key) from None
 
 
 def _is_number(value: object) -> bool:
