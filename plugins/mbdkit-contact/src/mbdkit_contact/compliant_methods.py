@@ -72,13 +72,13 @@ def _change(equations: EquationsOfMotion, t: float, begin: StepState, made: Step
     first, final = _ends(begin.q, begin.v), _ends(last.q, last.v)
     found, touches = float(change_at(events.pinned.address, *first, *final, h)), bool(np.any(bundle.touching))
     if path is not None and (found < 1.0 or np.any(bundle.touch.near)):  # else the cubic through both ends will do
-        found, touches = 1.0, False
+        found = found if touches else 1.0  # a step from a touch goes no further than this cubic allows
         for k in range(PIECES):
             then = final if k == PIECES - 1 else _ends(*path((k + 1) / PIECES)[:2])
             share = float(change_at(events.pinned.address, *first, *then, h / PIECES))
-            first, touches = then, touches or (k == 0 and bool(np.any(bundle.touching)))
+            first = then
             if share < 1.0:
-                found = (k + share) / PIECES
+                found = min(found, (k + share) / PIECES)
                 break
     if touches and not _meets_contact(equations, t, begin, last, end):
         found = min(found, SHORTER_FROM_TOUCH)

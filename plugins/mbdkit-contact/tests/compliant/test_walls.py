@@ -84,6 +84,12 @@ def test_libraries_pass_the_jump_of_the_force_of_a_damper(number: int) -> None:
     assert is_right, what
 
 
+def test_a_step_from_a_touch_sees_a_contact_that_it_leaves_deep_inside() -> None:
+    # its end lies beyond the centre of the other ball, where the shapes separate and the damper takes all force away
+    is_right, _, what = compliant(np.random.default_rng([4, 285]))
+    assert is_right, what
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["compliant", "rigid"])
 def test_drawn_scenes_are_right_or_told(name: str) -> None:

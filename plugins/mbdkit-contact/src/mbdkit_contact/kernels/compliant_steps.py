@@ -120,9 +120,11 @@ def _release(m, i, same):
     """Return the share of the piece up to which a step may go that begins in contact; 1 if the contact does not end.
 
     A step from a touch goes only part of the way through the contact: error control may fail in a step from its begin
-    to its end, of which most stages are outside.
+    to its end, of which most stages are outside. The same holds if it ends in contact, but beyond the deepest overlap:
+    where shapes separate, a damper may take all force away.
     """
     before, begins = 0.0, not m.begin[NORMAL, i] < -same
+    gap, lowest, deepest = 0.0, 0.0, 1.0
     for k in range(1, SAMPLES + 1):
         share = k / SAMPLES
         gap = _gap_at(m, i, share)
@@ -135,8 +137,10 @@ def _release(m, i, same):
             if not begins:
                 return end
             return INTO * end if _gap_at(m, i, INTO * end) < -same else 1.0
+        if gap < lowest:
+            lowest, deepest = gap, share
         before = share
-    return 1.0
+    return INTO * deepest if begins and gap > lowest + same else 1.0
 
 
 @separate
@@ -181,27 +185,28 @@ def _change_in_step(c, m, run, t, h):
         m.q[d], m.v[d] = c.from_q[d] + c.dq[d], c.from_v[d] + c.dv[d]
         if not (abs(m.q[d]) < np.inf and abs(m.v[d]) < np.inf):
             return 1.0, False
-    set_piece(m, c.from_q, c.from_v, m.q, m.v, h)
-    _find_gaps(m, m.q, m.v, m.gaps)
-    _find_gaps(m, c.from_q, c.from_v, m.begin[NORMAL])
-    count, status = 1, OK
-    if find_near(m, m.begin[NORMAL], m.gaps):
-        count, status = pieces(c, c, m, run, t, h)
+    first, touches, near = first_change(m, c.from_q, c.from_v, m.q, m.v, h), False, False
+    for i in range(len(m.touching)):
+        touches |= m.touching[i] != 0
+        near |= m.touch.near[i] != 0
+    if not (first < 1.0 or near):  # the cubic through both ends will do
+        return 1.0, touches
+    count, status = pieces(c, c, m, run, t, h)
+    if count == 1 or status != OK:
+        return first, touches
     q0, v0, q1, v1 = m.touch.nodes[0], m.touch.nodes[1], m.touch.nodes[2], m.touch.nodes[3]
-    touches = False
+    if not touches:  # else the step goes no further than this cubic allows
+        first = 1.0
     for k in range(count):
-        if status == OK:
-            status = write_node(c, c, m, run, t, h, k / count, q0, v0)
+        status = write_node(c, c, m, run, t, h, k / count, q0, v0)
         if status == OK:
             status = write_node(c, c, m, run, t, h, (k + 1) / count, q1, v1)
         if status != OK:
             break
         share = first_change(m, q0, v0, q1, v1, h / count)
-        for i in range(len(m.touching)):
-            touches |= k == 0 and m.touching[i] != 0
         if share < 1.0:
-            return (k + share) / count, touches
-    return 1.0, touches
+            return min(first, (k + share) / count), touches
+    return first, touches
 
 
 @subkernel
